@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.kernels import forward_sensitivity as columns
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.notebook import count, describe_move, draw_paths, make_page
 
 
 class MotionStatus(StrEnum):
@@ -57,6 +58,11 @@ class Jacobian:
     contact_location: Array | None = None
     push_height: Array | None = None
 
+    def __repr__(self) -> str:
+        """How many poses are derived by how many cells, in a line."""
+        poses, _, cells = self.mass.shape
+        return f"Jacobian of {count(poses, 'pose')} by mass and friction of {count(cells, 'cell')}"
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -98,6 +104,20 @@ class Motion:
     tips: NDArray[np.bool_]
     iterations: NDArray[np.int64]
     _jacobian: "Jacobian | RawJacobian | None" = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        """Status, duration and what became of the object, in a line."""
+        steps = count(len(self.times) - 1, "step")
+        went = describe_move(self.poses[0], self.poses[-1])
+        return f"Motion, {self.status}: {self.times[-1]:.3g} s in {steps}, the object {went}"
+
+    def _repr_html_(self) -> str:
+        """The paths of pusher and object."""
+        paths = [
+            (self.tip, "crimson", "pusher"),
+            (self.poses[:, :2], "teal", "object's body frame"),
+        ]
+        return make_page(repr(self), draw_paths(paths))
 
     @cached_property
     def jacobian(self) -> Jacobian:

@@ -19,6 +19,7 @@ from gridpush_drake.identification.posterior import (
     Posterior,
     compare_covariances,
 )
+from gridpush_drake.notebook import make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -62,6 +63,20 @@ class Identifiability:
     mass_max: Array
     center_of_mass_box: Array
     statements: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """How much is known, in a line."""
+        x, y = self.center_of_friction * MM
+        return (
+            f"Identifiability: {self.learned_directions} of {len(self.relative_friction)} combinations of the cells' "
+            f"friction are known, center of friction at ({x:.1f}, {y:.1f}) mm"
+        )
+
+    def _repr_html_(self) -> str:
+        """What the pushes say and what they cannot, statement by statement."""
+        return make_page(
+            repr(self), make_table(("what the pushes say",), [[each] for each in self.statements])
+        )
 
 
 def calc_identifiability(

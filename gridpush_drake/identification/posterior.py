@@ -17,6 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.notebook import count, describe_range
 from gridpush_drake.objects.parameters import CellParameters
 
 GLOBALS = ("log_contact_friction",)
@@ -73,6 +74,12 @@ class Posterior:
     mean: Array
     covariance: Array
     prior_covariance: Array
+
+    def __repr__(self) -> str:
+        """What is spread, and how widely, in a line."""
+        cells = count(len(self.mean) - 1, "cell")
+        std = describe_range(np.sqrt(np.maximum(np.diag(self.covariance)[CELLS], 0.0)))
+        return f"Posterior of {cells}: standard deviation of a cell's log friction {std}"
 
     def draw(
         self, count: int, seed: int = 0, judge: DrawJudge | None = None

@@ -15,13 +15,11 @@ from gridpush_drake.identification.noise import NORMAL
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.identification.result import Identification, IdentificationStatus
+from gridpush_drake.notebook import DEGREES, MM, describe_pose, draw_paths, make_page
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-MM, DEGREES = 1e3, 180 / np.pi
-"""Millimeters in a meter, degrees in a radian."""
 
 P90 = 0.9
 """Share of the errors that are below the last figure of a summary."""
@@ -55,6 +53,18 @@ class Prediction:
     poses: Array
     at_observations: Array
     status: str
+
+    def __repr__(self) -> str:
+        """Name, status and where the object ends, in a line."""
+        return (
+            f"Prediction of {self.name!r}, {self.status}: ends at {describe_pose(self.poses[-1])}"
+        )
+
+    def _repr_html_(self) -> str:
+        """The object's predicted path."""
+        return make_page(
+            repr(self), draw_paths([(self.poses[:, :2], "teal", "object's body frame")])
+        )
 
 
 @dataclass(frozen=True)
@@ -110,6 +120,14 @@ class Spread:
     name: str
     std: Array
     cell_error: float
+
+    def __repr__(self) -> str:
+        """Name and how far off the end may be, in a line."""
+        x, y, theta = self.std
+        return (
+            f"Spread of {self.name!r}: ± {x * MM:.1f} mm, ± {y * MM:.1f} mm, ± {theta * DEGREES:.1f}°; cell error "
+            f"below {self.cell_error * MM:.1f} mm with probability {INTERVAL:g}"
+        )
 
 
 def predict_spread(

@@ -14,6 +14,7 @@ from gridpush_drake.identification.identifiability import Identifiability
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
+from gridpush_drake.notebook import MM, count, draw_cells, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -137,6 +138,43 @@ class Identification:
     interval_scale: float = 1.0
     noise: NoiseModel = field(default_factory=NoiseModel)
     hypotheses: tuple[HypothesisEvidence, ...] = ()
+
+    def __repr__(self) -> str:
+        """Object, status and how well it is known, in two lines."""
+        std = np.sqrt(
+            np.maximum(self.identifiability.center_of_friction_covariance.diagonal(), 0.0)
+        )
+        x, y = (f"{value * MM:.1f}" for value in std)
+        pushes = f"{self.status} from {count(len(self.push_names), 'push')}"
+        return (
+            f"Identification of {self.obj.name!r}, {count(self.obj.n, 'cell')}: {pushes}, "
+            f"center of friction known to {x} and {y} mm\n{self.message}"
+        )
+
+    def _repr_html_(self) -> str:
+        """Outline and cells, colored by their learned mass, and a table of what was found."""
+        obj, known = self.obj, self.identifiability
+        x, y = known.center_of_friction * MM
+        std = np.sqrt(np.maximum(known.center_of_friction_covariance.diagonal(), 0.0)) * MM
+        params = self.params
+        rows: list[tuple[str, str]] = [
+            (
+                "center of friction, body frame",
+                f"x {x:.1f} ± {std[0]:.1f} mm, y {y:.1f} ± {std[1]:.1f} mm",
+            ),
+            (
+                "friction of the pusher",
+                f"{params.contact_friction:.2f} ± {self.std.contact_friction:.2f}",
+            ),
+            ("total mass", f"{params.total_mass:.3g} kg"),
+            ("what the model leaves unexplained", f"{self.noise_std * MM:.2f} mm"),
+            ("simulated as", self.regime.replace("_", " ")),
+            ("pushes not touched or refused", str(len(self.unused_pushes) + len(self.outliers))),
+        ]
+        drawing = draw_cells(
+            obj.outline, obj.p_BC, obj.cell_size, params.mass, "mass of a cell, kg"
+        )
+        return make_page(repr(self), drawing, make_table(("what", "found"), rows))
 
     @property
     def noise_scale(self) -> NoiseScale:

@@ -16,6 +16,7 @@ from shapely.geometry.polygon import orient
 from shapely.validation import explain_validity
 
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.notebook import MM, count, draw_cells, make_page
 
 DEFAULT_MAX_CELLS = 127  # the paper's largest grid
 MAX_CELLS = 10_000  # of an object; what learning keeps grows with the square of their number
@@ -33,6 +34,14 @@ class CellGrid(NamedTuple):
     cell_size: float  # side of a cell, m
     labels: NDArray[np.int64]  # (n,) the part each cell belongs to, >= 1
     outline: Polygon  # contour with holes, m
+
+    def __repr__(self) -> str:
+        """Number of cells and their side, in a line."""
+        return f"CellGrid of {count(len(self.p_BC), 'cell')} of {self.cell_size * MM:.1f} mm"
+
+    def _repr_html_(self) -> str:
+        """Outline and cells."""
+        return make_page(repr(self), draw_cells(self.outline, self.p_BC, self.cell_size))
 
 
 Share = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
@@ -93,6 +102,10 @@ class Cells:
 
     corners: NDArray[np.float64]  # (n, 2) their lower corners
     size: float  # their side
+
+    def __repr__(self) -> str:
+        """Their number and side, in a line; the side is in m or, of a mask, in pixels."""
+        return f"Cells: {count(len(self.corners), 'square')}, side {self.size:.4g}"
 
     @property
     def centers(self) -> NDArray[np.float64]:

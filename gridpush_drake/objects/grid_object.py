@@ -17,6 +17,7 @@ from gridpush_drake.files import write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.notebook import MM, count, draw_cells, make_page
 from gridpush_drake.objects.cells import (
     DEFAULT_MAX_CELLS,
     MAX_CELLS,
@@ -101,6 +102,21 @@ class GridObject(Frozen):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         object.__setattr__(self, "cell_size", float(self.cell_size))
+
+    def __repr__(self) -> str:
+        """Name, cells, parts and measures, in a line."""
+        left, low, right, high = self.outline.bounds
+        size = f"{(right - left) * MM:.0f} x {(high - low) * MM:.0f} mm"
+        parts = count(len(np.unique(self.labels)), "part")
+        height = "" if self.height is None else f", {self.height * MM:.0f} mm high"
+        cells = f"{count(self.n, 'cell')} of {self.cell_size * MM:.1f} mm in {parts}"
+        return f"GridObject {self.name!r}: {cells}, {size}{height}"
+
+    def _repr_html_(self) -> str:
+        """Outline and cells, colored by part."""
+        labels = self.labels.astype(np.float64)
+        drawing = draw_cells(self.outline, self.p_BC, self.cell_size, labels, "part of a cell")
+        return make_page(repr(self), drawing)
 
     def _check_size(self, p_BC: NDArray[np.float64]) -> None:
         if not MIN_SIZE <= self.cell_size <= MAX_SIZE:

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import ParameterError
 from gridpush_drake.frozen import Frozen
+from gridpush_drake.notebook import MM, count, describe_range, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 
 DEFAULT_TOTAL_MASS = 1.0  # kg, for objects that were never weighed
@@ -63,6 +64,30 @@ class CellParameters(Frozen):
             object.__setattr__(self, name, value)
         for name in ("contact_friction", "push_height", "patch_ratio"):
             object.__setattr__(self, name, float(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        """Number of cells, masses and frictions, in a line or two."""
+        loads = f"{self.total_mass:.3g} kg in all, {describe_range(self.mass, 'kg')} a cell"
+        frictions = (
+            f"friction {describe_range(self.friction)}, of the pusher {self.contact_friction:.3g}"
+        )
+        more = (
+            ""
+            if self.push_height == 0
+            else f", pushed {self.push_height * MM:.1f} mm above the table"
+        )
+        return f"CellParameters of {count(self.n, 'cell')}: {loads};\n{frictions}{more}"
+
+    def _repr_html_(self) -> str:
+        """The least, middle and greatest of masses and frictions, as a table."""
+        rows = [
+            (name, *(f"{each:.4g}" for each in np.quantile(values, (0.0, 0.5, 1.0))), unit)
+            for name, values, unit in (
+                ("mass of a cell", self.mass, "kg"),
+                ("friction of a cell", self.friction, ""),
+            )
+        ]
+        return make_page(repr(self), make_table(("", "least", "median", "greatest", ""), rows))
 
     @classmethod
     def uniform(

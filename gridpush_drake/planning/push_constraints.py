@@ -216,9 +216,13 @@ class PushChecker:
             allowed &= shapely.contains_xy(self._table, points[..., 0], points[..., 1]).all(axis=1)
             if self._hull is self._vertices:
                 allowed &= shapely.covers(self._table, self.place(poses))
-        if self._blocked is not None:
-            allowed &= ~shapely.intersects(self._blocked, self.place(poses))
-        return allowed
+        return allowed & self.clears_obstacles(poses)
+
+    def clears_obstacles(self, poses: Array) -> NDArray[np.bool_]:
+        """Whether the object at poses (K, 3) is far enough from every obstacle."""
+        if self._blocked is None:
+            return np.ones(len(poses), dtype=bool)
+        return np.asarray(~shapely.intersects(self._blocked, self.place(poses)))
 
     def count_allowed(self, tip: Array, poses: Array) -> int:
         """How many of a push's tip places (T+1, 2) and poses (T+1, 3), from the first on, are allowed."""

@@ -24,6 +24,7 @@ from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import MAX_NUMBER, PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector, make_direction, rotate
+from gridpush_drake.notebook import count
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush
 
@@ -51,6 +52,12 @@ class SupportSurface:
     """
 
     polygon: Polygon
+
+    def __repr__(self) -> str:
+        """Corners and size, in a line."""
+        left, low, right, high = self.polygon.bounds
+        corners = count(len(self.polygon.exterior.coords) - 1, "corner")
+        return f"SupportSurface with {corners}: {right - left:.3g} x {high - low:.3g} m"
 
     def __post_init__(self) -> None:
         polygon = self.polygon

@@ -30,6 +30,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import MAX_NUMBER, PushLogError
 from gridpush_drake.files import check_writable, read_text, write_whole
 from gridpush_drake.frozen import Frozen
+from gridpush_drake.notebook import MM, count, describe_move, make_page, make_table
 
 DEFAULT_PUSHER_RADIUS = 0.005
 """The disc's radius where neither the reader's caller nor the object's file gives one, m."""
@@ -106,6 +107,15 @@ class ObservedPush(Frozen):
             force_t = self._array("force_t", self.force_t, (-1,))
             self._array("force", self.force, (len(force_t), 2))
             self._check_times("force_t", force_t)
+
+    def __repr__(self) -> str:
+        """Name, push and what became of the object, in a line."""
+        path = f"{self.push.length * MM:.0f} mm in {self.push.duration:.3g} s"
+        seen_any = len(self.t_observed) > 0
+        seen = count(len(self.t_observed), "pose")
+        went = f", the object {describe_move(self.pose, self.final_pose)}" if seen_any else ""
+        over = ", over the table's edge" if self.overhang else ""
+        return f"ObservedPush {self.name!r}: {path}, {seen}{went}{over}"
 
     def _array(self, name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         array = np.array(value, dtype=np.float64)
@@ -202,6 +212,29 @@ class PushLog(Frozen):
             OutputError: the file exists and `force` is not set, or it cannot be written.
         """
         _write_push_csv(self, Path(path), force)
+
+    def __repr__(self) -> str:
+        """How many pushes and poses there are, how long and from where, in a line."""
+        poses = count(sum(len(seen.t_observed) for seen in self), "pose")
+        way = sum(seen.push.length for seen in self)
+        source = f", from {self.source}" if self.source else ""
+        return f"PushLog of {count(len(self), 'push')}: {poses}, {way:.3g} m of pushing{source}"
+
+    def _repr_html_(self) -> str:
+        """A row a push."""
+        heads = ("push", "path, mm", "duration, s", "poses seen", "the object", "forces")
+        rows = [
+            (
+                seen.name,
+                f"{seen.push.length * MM:.0f}",
+                f"{seen.push.duration:.3g}",
+                len(seen.t_observed),
+                describe_move(seen.pose, seen.final_pose) if len(seen.t_observed) else "not seen",
+                "none" if seen.force_t is None else len(seen.force_t),
+            )
+            for seen in self
+        ]
+        return make_page(repr(self), make_table(heads, rows))
 
     def __len__(self) -> int:
         return len(self.pushes)

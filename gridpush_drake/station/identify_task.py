@@ -44,7 +44,7 @@ REFUSALS = 20
 """In a row, after which the experiment is stuck."""
 
 
-@dataclass
+@dataclass(repr=False)
 class IdentifyTaskRecord(TaskRecord):
     """What came of an experiment: "finished", "object_lost", "interrupted" or "stuck"; filled while it runs.
 

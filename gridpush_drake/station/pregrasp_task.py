@@ -29,6 +29,7 @@ from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickne
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
+from gridpush_drake.station.others import place_others
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import (
@@ -123,7 +124,7 @@ class GraspFinder:
         return self.station.FindGraspObstacle(command) is None
 
 
-@dataclass
+@dataclass(repr=False)
 class PreGraspRecord(ControlledRecord[PreGraspStatus]):
     """What came of a run: "held", "not_lifted", "dropped", "failed", "lost", "stuck" or "interrupted".
 
@@ -172,8 +173,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             make_station: of a scenario; a simulated one by default.
 
         Raises:
-            ScenarioError: the scenario makes no sense, has other objects, or its scene has no
-                gripper.
+            ScenarioError: the scenario makes no sense, or its scene has no gripper.
             StationError: see `MakePushStation`.
             PlanningError: the object is too thick for the gripper, its pads fit nowhere on it, or
                 the table is smaller than it.
@@ -183,10 +183,6 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             make_station(scenario, meshcat, show_object=False, learning=Learning())
         )
         station = self.station
-        if station.others:
-            raise ScenarioError(
-                "others: the slide to the table's edge knows of none; expected an empty list"
-            )
         if station.robot.gripper is None:
             raise ScenarioError(
                 "directives: there is no model gripper; expected a scene that can grasp"
@@ -199,7 +195,11 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         pads = PadLimit.of_object(self.obj, gripper, force)
         self._finder = GraspFinder(station, self.obj, self.surface, pads)
         self.planner = PreGraspPlanner(
-            self.obj, self.surface, make_options(station, pads), limits=self._make_limits()
+            self.obj,
+            self.surface,
+            make_options(station, pads),
+            limits=self._make_limits(),
+            obstacles=place_others(station.others),
         )
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
         super().__init__(builder, station, self.controller, meshcat)

@@ -39,7 +39,7 @@ from gridpush_drake.systems.contact_point_controller import ContactPointControll
 from gridpush_drake.systems.messages import ContactPointMode, ContactPointStatus, PushCommand
 
 
-@dataclass
+@dataclass(repr=False)
 class PushTaskRecord(ControlledRecord[ContactPointStatus]):
     """What came of a run: "reached", "failed", "lost", "stuck" or "interrupted"; filled while it runs.
 

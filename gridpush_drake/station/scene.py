@@ -152,7 +152,7 @@ def _check_scenario(scenario: PushScenario) -> Robot:
     inspector = scene_graph.model_inspector()
     table = FindTableOutline(plant, inspector)
     _check_on_table(("object", "object_pose"), obj, scenario.object_pose, table)
-    _check_others(scenario, obj, table)
+    _check_others(scenario, obj, table, robot.finger.tip_radius)
     _check_tip(robot, plant, inspector)
     _check_reach(scenario, plant, robot)
     return robot
@@ -236,11 +236,19 @@ def _check_heights(scenario: PushScenario, tip_radius: float) -> None:
         )
 
 
-def _check_others(scenario: PushScenario, obj: GridObject, table: BaseGeometry) -> None:
+def _check_others(
+    scenario: PushScenario, obj: GridObject, table: BaseGeometry, tip_radius: float
+) -> None:
     lying = [("object_pose", transform_shape(scenario.object_pose, obj.outline))]
     for at, (config, other) in enumerate(zip(scenario.others, load_others(scenario), strict=True)):
         field = f"others[{at}].pose"
         _check_on_table((f"others[{at}].object", field), other, config.pose, table)
+        if config.height + tip_radius >= scenario.finger.travel_height:
+            raise ScenarioError(
+                f"others[{at}].height is {config.height:g} m; expected less than finger.travel_height "
+                f"less the tip's radius, {scenario.finger.travel_height - tip_radius:g} m, so that the finger passes "
+                "over it"
+            )
         outline = transform_shape(config.pose, other.outline)
         for name, before in lying:
             if before.intersects(outline):

@@ -19,6 +19,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 
 from gridpush_drake.display.server import AimCamera
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.notebook import count, make_page
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.sight import Sight
@@ -120,6 +121,18 @@ class TaskRecord:
     limit_report: LimitReport = field(default_factory=LimitReport, kw_only=True)
     duration: float = field(default=0.0, kw_only=True)
 
+    def __repr__(self) -> str:
+        """What was done with which object, and how it ended, in a line or two."""
+        pushes = f"{count(len(self.log), 'push')} in {self.duration:.0f} s simulated"
+        status = self.status or "running"
+        return f"{type(self).__name__} of {self.obj.name!r}, {status}: {pushes}\n{self.message}".rstrip()
+
+    def _repr_html_(self) -> str:
+        """The pushes, and the last estimate."""
+        parts = [self.log._repr_html_()]
+        parts += [estimate._repr_html_() for estimate in self.estimates[-1:]]
+        return make_page(repr(self), *parts)
+
 
 Status = TypeVar("Status")
 
@@ -143,7 +156,7 @@ class TaskStep(Generic[Status]):
     grasp: GraspCommand | None = None
 
 
-@dataclass
+@dataclass(repr=False)
 class ControlledRecord(TaskRecord, Generic[Status]):
     """What came of a run that a controller with a status led.
 

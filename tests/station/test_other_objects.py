@@ -158,6 +158,7 @@ def test_pokes_and_pushes_to_a_goal_leave_them_where_they_are():
         ({"object": "plier"}, r"others\[0\].object: .*pliers"),
         ({"pose": [0.6, 0.02, 0.0]}, r"others\[0\].pose is .*in that of object_pose"),
         ({"pose": [3.0, 0.0, 0.0]}, r"others\[0\].pose is .*not wholly on the table"),
+        ({"height": 0.13}, r"others\[0\].height is 0.13 m; .*finger.travel_height .*, 0.112 m"),
         ({"height": -1.0}, r"others.* -1.0; expected a positive number"),
     ],
 )
@@ -168,10 +169,24 @@ def test_what_makes_no_sense_is_refused(fields, says):
         )
 
 
-def test_a_slide_to_the_edge_refuses_others():
-    scenario = PushScenario(others=[{"object": "pliers", "pose": [0.6, 0.25, 0.5]}])
-    with pytest.raises(ScenarioError, match="others: the slide"):
-        PreGraspTask(scenario)
+def test_a_slide_to_the_edge_keeps_clear_of_them():
+    task = PreGraspTask(read_scenario("two_objects"))
+    assert task.planner.obstacles == place_others(task.station.others)
+    assert len(task.planner.obstacles) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make_task", [IdentifyTask, PushTask, PreGraspTask])
+def test_every_task_is_done_in_the_scenario_of_two_objects(make_task):
+    """The other object is touched by nothing but the table, and stays where it is."""
+    scenario = read_scenario("two_objects")
+    scenario.pokes.count, scenario.pokes.test_count = 2, 0
+    task = make_task(scenario)
+    record = task.run()
+    done = (TaskStatus.FINISHED, TaskStatus.REACHED, TaskStatus.HELD)
+    assert record.status in done, record.message
+    assert record.limit_report.ok, record.limit_report
+    np.testing.assert_allclose(task.read("other_0.pose"), scenario.others[0].pose, atol=4 * NOISE)
 
 
 @pytest.mark.slow

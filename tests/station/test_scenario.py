@@ -253,13 +253,14 @@ def test_a_robot_stands_for_the_scene_that_it_names(tmp_path):
 
 
 def test_a_shipped_scenario_goes_by_its_name(tmp_path, monkeypatch):
-    assert list_shipped_scenarios() == ["default", "grasp", "grasp_heavy", "planar", "round_table"]
+    shipped = ["default", "grasp", "grasp_heavy", "planar", "round_table", "two_objects"]
+    assert list_shipped_scenarios() == shipped
     for name in list_shipped_scenarios():
         by_file = read_scenario(find_models() / "scenarios" / f"{name}.yaml")
         assert format_scenario(read_scenario(name)) == format_scenario(by_file)
     for name, message in (
         ("grsp", "grsp: no shipped scenario has this name, and no file; did you mean grasp?"),
-        ("cup", "cup: .*no file. Shipped are: default, grasp, grasp_heavy, planar, round_table$"),
+        ("cup", f"cup: .*no file. Shipped are: {', '.join(shipped)}$"),
         ("", "no shipped scenario has this name"),
     ):
         with pytest.raises(ScenarioError, match=message):

@@ -24,6 +24,7 @@ from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
@@ -51,6 +52,10 @@ class PlannedPush:
     pose: Array
     cost: float
     simulations: int
+
+    def __repr__(self) -> str:
+        """How far it pushes and what is left to the goal, in a line."""
+        return f"PlannedPush of {self.distance * MM:.0f} mm: {self.cost * MM:.1f} mm from the goal afterwards"
 
 
 def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:

@@ -17,6 +17,14 @@ from shapely import Point
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.notebook import (
+    MM,
+    count,
+    describe_pose,
+    draw_paths,
+    make_page,
+    make_table,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
@@ -81,6 +89,25 @@ class PushPlan:
     errors: Array
     simulations: int
     seconds: float
+
+    def __repr__(self) -> str:
+        """Status, pushes and what is left, in two lines."""
+        pushes = (
+            f"{count(len(self.pushes), 'push')}, {self.error * MM:.1f} mm from the goal at the end"
+        )
+        return f"PushPlan, {self.status}: {pushes}\n{self.reason}"
+
+    def _repr_html_(self) -> str:
+        """A row a push, and the path that the object is predicted to take."""
+        rows = [
+            (number, f"{each.distance * MM:.0f}", describe_pose(each.pose), f"{error * MM:.1f}")
+            for number, (each, error) in enumerate(
+                zip(self.pushes, self.errors, strict=True), start=1
+            )
+        ]
+        heads = ("push", "path, mm", "the object afterwards", "left to go, mm")
+        path = draw_paths([(self.poses[:, :2], "teal", "object's body frame, push by push")])
+        return make_page(repr(self), path, make_table(heads, rows))
 
     @property
     def reached(self) -> bool:

@@ -19,8 +19,8 @@ from .pregrasp_loop import PreGraspStatus as PreGraspStatus
 from .side_grasp import SideGrasp as SideGrasp
 from .side_grasp import SideGripper as SideGripper
 from .side_grasp import find_side_grasps as find_side_grasps
+from .slides import PushMonitor as PushMonitor
 from .slides import SlideOptions as SlideOptions
-from .slides import TippingMonitor as TippingMonitor
 from .slides import plan_slide as plan_slide
 from .stability import calc_stability_margin as calc_stability_margin
 from .stability import calc_stability_margins as calc_stability_margins

@@ -19,6 +19,7 @@ from itertools import islice
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
+from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
@@ -29,7 +30,7 @@ from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
-from gridpush_drake.planning.push_constraints import PushRule
+from gridpush_drake.planning.push_constraints import PushRule, make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 
 
@@ -53,6 +54,10 @@ class ArmLimits:
 
 ANY_ARM = ArmLimits()  # an arm that can do anything
 
+
+GOAL_ROOM = 0.03
+"""Least distance of an object at a goal from anything else on the table, m; a little more than
+pushes towards the goal must keep."""
 
 TOUCH = 1e-9  # m, for round-off
 SHALLOWER = (0.5, 0.25)  # of the overhang, where with more of it nothing is safe
@@ -189,8 +194,13 @@ def find_pregrasp_goals(
     surface: SupportSurface,
     options: GoalOptions | None = None,
     limits: ArmLimits = ANY_ARM,
+    obstacles: Sequence[Polygon] = (),
 ) -> list[PreGraspGoal]:
     """Seeks goal poses for an object at `pose` (3,), X_WB, m and rad.
+
+    Args:
+        obstacles: what else lies on the table, polygons in W, m; no goal is nearer than
+            GOAL_ROOM to it.
 
     Returns:
         Safe ones, whose margin is at least `options.margin`, by rank; where there are none, the one
@@ -208,7 +218,7 @@ def find_pregrasp_goals(
             break
         wanted = replace(options, overhang=share * options.overhang)
         found: list[PreGraspGoal] = []
-        for candidate, part in _propose(masses, parts, q, surface, wanted, limits):
+        for candidate, part in _propose(masses, parts, q, surface, wanted, limits, obstacles):
             reached = float(calc_overhangs([part], candidate, surface)[0])
             if reached >= options.min_overhang:
                 margin, weakest = _judge(masses, candidate, surface, options.inset)
@@ -256,6 +266,7 @@ def _propose(
     surface: SupportSurface,
     options: GoalOptions,
     limits: ArmLimits,
+    obstacles: Sequence[Polygon],
 ) -> list[tuple[Array, GraspPart]]:
     """Poses (3,) that are promising by what a straight edge would say, and the part that hangs over in each."""
     obj = masses.obj
@@ -287,6 +298,12 @@ def _propose(
                 options.comfort - margin, 0.0
             )
             found.append((margin, cost, goal, parts[best]))
+    if obstacles and found:
+        # A goal must leave room to everything else on the table.
+        poses = np.array([goal for _, _, goal, _ in found])
+        bodies = shapely.polygons(transform(poses, np.array(make_body(obj).exterior.coords)[:-1]))
+        free = shapely.distance(shapely.union_all(list(obstacles)), bodies) >= GOAL_ROOM
+        found = [each for each, is_free in zip(found, free.tolist(), strict=True) if is_free]
     promising = sorted((f for f in found if f[0] >= options.margin), key=lambda f: f[1])
     if not promising:
         promising = sorted(

@@ -20,11 +20,13 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from shapely import Polygon
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.notebook import count, describe_pose, draw_paths, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.exploration import (
     PokeChoice,
@@ -54,6 +56,7 @@ from gridpush_drake.planning.pregrasp.grasp_parts import (
     find_held_parts,
 )
 from gridpush_drake.planning.pregrasp.slides import (
+    OBSTACLE_MARGIN,
     SlideOptions,
     make_stability_rule,
     plan_slide,
@@ -145,6 +148,7 @@ class PreGraspPlanner:
         parts: the narrow parts, which are taken where they can be.
         flat_parts: places at the rim that the options' pads can take, where no narrow part will do.
         limits: of the arm.
+        obstacles: what else lies on the table, polygons in W, m; the object keeps clear of it.
     """
 
     def __init__(
@@ -154,6 +158,7 @@ class PreGraspPlanner:
         options: PreGraspOptions | None = None,
         parts: Sequence[GraspPart] | None = None,
         limits: ArmLimits = ANY_ARM,
+        obstacles: Sequence[Polygon] = (),
     ) -> None:
         """Finds the graspable parts; `parts` are the narrow ones, where they are known already.
 
@@ -161,6 +166,7 @@ class PreGraspPlanner:
             PlanningError: there is no graspable part, or the table is smaller than the object.
         """
         self.obj, self.surface, self.limits = obj, surface, limits
+        self.obstacles = tuple(obstacles)
         self.options = options or PreGraspOptions()
         self.parts = tuple(find_grasp_parts(obj, self.options.gripper) if parts is None else parts)
         pads = self.options.pads
@@ -241,6 +247,7 @@ class PreGraspPlanner:
             self.surface,
             self.options.slide,
             self.limits,
+            self.obstacles,
         )
         if slide is None:
             return self._poke(
@@ -252,6 +259,10 @@ class PreGraspPlanner:
             "or more on the way"
         )
         return PreGraspDecision("slide", reason, slide.goal, planned.push, planned.pose)
+
+    def _describe_room(self) -> str:
+        clear = ", clear of what else lies there" if self.obstacles else ""
+        return f"on the table{clear}"
 
     def _calc_max_arm(self, model: UncertainModel) -> float:
         """How far a narrow part may be from where the center of mass is estimated, m: less of a heavy object."""
@@ -272,7 +283,13 @@ class PreGraspPlanner:
         if not parts:
             return []
         return find_pregrasp_goals(
-            model.masses, parts, pose, self.surface, self.options.goal, self.limits
+            model.masses,
+            parts,
+            pose,
+            self.surface,
+            self.options.goal,
+            self.limits,
+            self.obstacles,
         )
 
     def _poke_or_give_up(
@@ -299,10 +316,12 @@ class PreGraspPlanner:
         if pokes >= self.options.max_pokes:
             return PreGraspDecision("fail", f"{why}, after {pokes} pokes", best)
         direction = None if best is None else best.weakest
-        choice = suggest_poke(model, pose, self.surface, direction, self.options, self.limits)
+        choice = suggest_poke(
+            model, pose, self.surface, direction, self.options, self.limits, self.obstacles
+        )
         if choice is None:
             return PreGraspDecision(
-                "fail", f"{why}, and no poke keeps the object on the table", best
+                "fail", f"{why}, and no poke keeps the object {self._describe_room()}", best
             )
         if (
             best is not None
@@ -328,6 +347,7 @@ def suggest_poke(
     direction: ArrayLike | None = None,
     options: PreGraspOptions | None = None,
     limits: ArmLimits = ANY_ARM,
+    obstacles: tuple[Polygon, ...] = (),
 ) -> PokeChoice | None:
     """The poke that is expected to tell most of the center of mass; None where none keeps the object on the table.
 
@@ -338,6 +358,8 @@ def suggest_poke(
             as it is.
         direction: (2,) unit vector in the body frame along which it matters how far the center can
             be; where None, the center matters.
+        obstacles: what else lies on the table, polygons in W, m, which object and finger keep clear
+            of.
 
     Raises:
         PlanningError: the model leaves nothing to learn.
@@ -348,7 +370,9 @@ def suggest_poke(
     )
     constraints = PushConstraints(
         surface,
+        obstacles,
         edge_margin=options.poke_margin,
+        obstacle_margin=OBSTACLE_MARGIN,
         pose_rule=rule,
         finger_region=limits.finger_region,
         push_rule=limits.can_push,
@@ -407,6 +431,22 @@ class PreGraspPlan:
     poses: Array
     goal: PreGraspGoal | None
     poke: Push | None
+
+    def __repr__(self) -> str:
+        """Status, pushes and the reason, in two lines."""
+        return f"PreGraspPlan, {self.status}: {count(len(self.pushes), 'push')}\n{self.message}"
+
+    def _repr_html_(self) -> str:
+        """A row a push, and the path that the object is predicted to take."""
+        rows = [
+            (number, f"{push.length * MM:.0f}", describe_pose(pose))
+            for number, (push, pose) in enumerate(
+                zip(self.pushes, self.poses[1:], strict=True), start=1
+            )
+        ]
+        heads = ("push", "path, mm", "the object afterwards")
+        path = draw_paths([(self.poses[:, :2], "teal", "object's body frame, push by push")])
+        return make_page(repr(self), path, make_table(heads, rows))
 
 
 def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLike) -> PreGraspPlan:

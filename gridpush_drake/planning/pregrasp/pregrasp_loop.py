@@ -2,7 +2,7 @@
 
     waiting ----> exploring, sliding ----> waiting        a push, then a new observation
        |                  |                   ^
-       |                  +--> stopping ------+           broken off, as the object might fall
+       |                  +--> stopping ------+           broken off: the object might fall, or hit something
        |                                      ^
        +--> verifying --> grasping -----------+           what was missed or slipped is observed
        anew
@@ -39,7 +39,7 @@ from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
-from gridpush_drake.planning.pregrasp.slides import TippingMonitor
+from gridpush_drake.planning.pregrasp.slides import PushMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, PushPhase
 from gridpush_drake.pushes.push_log import PushLog
@@ -129,7 +129,7 @@ class PreGraspState(LoopState):
     """All that the loop remembers; never changed, only replaced."""
 
     status: PreGraspStatus = field(default_factory=PreGraspStatus)  # a `PreGraspStatus`
-    monitor: TippingMonitor | None = None  # of the push under way, or the last one
+    monitor: PushMonitor | None = None  # of the push under way, or the last one
     grasp: SideGrasp | None = None  # the last one asked for; None before the first
     grasp_id: int = 0  # of that grasp, counted from 1
 
@@ -196,7 +196,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return super().observe(now, seen)
 
     def _wait(self, now: PreGraspState, seen: Observation) -> PreGraspState:
-        """While the robot is at work; breaks a push off in which the object might fall."""
+        """While the robot is at work; breaks a push off in which the object might fall or hit another one."""
         now = super()._wait(now, seen)
         if (
             not (seen.robot.phase == PushPhase.PUSHING and seen.seen)
@@ -249,8 +249,13 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         push: Push,
     ) -> PreGraspState:
         planner, known = self.planner, uncertain or UncertainModel.of_prior(self.planner.obj)
-        monitor = TippingMonitor.of_push(
-            known.masses, planner.surface, pose, planner.options.slide, self.options.rest
+        monitor = PushMonitor.of_push(
+            known.masses,
+            planner.surface,
+            pose,
+            planner.options.slide,
+            self.options.rest,
+            planner.obstacles,
         )
         poke = decision.action == "poke"
         return replace(now, monitor=monitor).ask(

@@ -6,7 +6,8 @@ loads that an overhanging object has (`dynamics.kernels.support_loads`), and cut
 first pose in which any draw's margin is too thin. Taken is the proposal that, so cut, ends nearest
 to its goal on the average of the draws.
 
-`TippingMonitor`: watches a push under way that the object stays as safe as it was planned to.
+`PushMonitor`: watches a push under way that the object stays as safe as it was planned to, and
+clear of other things on the table.
 
 A push is planned so that the worst-case stability margin m(q) stays at m0 or above, where m0 is
 what was asked for, or less where the margin was thinner at the beginning. A look errs by up to e,
@@ -22,12 +23,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike, NDArray
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -39,8 +43,21 @@ from gridpush_drake.planning.pregrasp.stability import (
     calc_stability_margins,
 )
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
-from gridpush_drake.planning.push_constraints import CHECK_EVERY, PoseRule, PushConstraints
+from gridpush_drake.planning.push_constraints import (
+    CHECK_EVERY,
+    PoseRule,
+    PushConstraints,
+    make_body,
+)
 from gridpush_drake.planning.support_surface import SupportSurface
+
+OBSTACLE_MARGIN = 0.025
+"""Least distance of object and finger from other things on the table that pushes are planned with,
+m: a push never ends quite where it is predicted to."""
+
+BREAK_OFF_DISTANCE = 0.015
+"""Distance between the object and another thing below which a push under way is broken off, m. Two
+pictures may pass before the finger stops, in which it moves by less."""
 
 FREE_OVERHANG = 1.0
 """m that cells may hang over the edge as far as the push search is concerned; stability is the
@@ -163,6 +180,7 @@ def plan_slide(
     surface: SupportSurface,
     options: SlideOptions | None = None,
     limits: ArmLimits = ANY_ARM,
+    obstacles: tuple[Polygon, ...] = (),
 ) -> Slide | None:
     """Chooses the next push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.
 
@@ -170,18 +188,27 @@ def plan_slide(
         draws: further models to try the pushes on; the model itself is always tried.
         pose: (3,) where the object lies, X_WB, m and rad.
         goals: best first.
+        obstacles: what else lies on the table, polygons in W, m, which the object keeps clear of
+            whichever of the models is true.
     """
     options = options or SlideOptions()
     q = np.asarray(pose, dtype=np.float64)
     rule = make_stability_rule(masses, q, surface, options.margin, options.inset)
     constraints = PushConstraints(
         surface,
+        obstacles,
         edge_margin=-FREE_OVERHANG,
+        obstacle_margin=OBSTACLE_MARGIN,
         finger_inset=-options.finger_overhang,
         pose_rule=rule,
         finger_region=limits.finger_region,
         push_rule=limits.can_push,
     )
+    checker = constraints.start_at(masses.obj, q, options.contact.radius)
+
+    def allows(poses: Array) -> NDArray[np.bool_]:
+        return rule(poses) & checker.clears_obstacles(poses)
+
     proposals: list[tuple[PlannedPush, PreGraspGoal]] = []
     for goal in goals[: options.goals]:
         plan = optimize_contact(
@@ -197,7 +224,7 @@ def plan_slide(
     for planned, goal in proposals[: options.proposals]:
         if best is not None and planned.cost >= best.planned.cost:
             break  # cut short and with doubt, it would hardly end nearer than the model has it end
-        slide = _try(planned, goal, masses, (params, *draws), q, surface, rule, options)
+        slide = _try(planned, goal, masses, (params, *draws), q, surface, allows, options)
         if slide is None or (best is not None and slide.planned.cost >= best.planned.cost):
             continue
         if constraints.allows_push(slide.planned.push):
@@ -258,7 +285,7 @@ MM = 1e3  # millimeters in a meter
 
 
 @dataclass(frozen=True, eq=False)
-class TippingMonitor:
+class PushMonitor:
     """What one push was planned with.
 
     Attributes:
@@ -267,6 +294,8 @@ class TippingMonitor:
         margin: m0, m.
         inset: m inside the edge that a cell's center must be to hold.
         error: e, of a look, m.
+        obstacles: other things on the table, as one shape in W; None for none.
+        room: least distance from them that the object keeps, m.
     """
 
     masses: PlausibleMassSet
@@ -274,6 +303,8 @@ class TippingMonitor:
     margin: float
     inset: float
     error: float
+    obstacles: BaseGeometry | None = None
+    room: float = 0.0
 
     @classmethod
     def of_push(
@@ -283,13 +314,29 @@ class TippingMonitor:
         pose: Array,
         options: SlideOptions,
         error: float,
-    ) -> "TippingMonitor":
-        """The monitor of a push from `pose` (3,), planned with `options`; `error` is that of a look, m."""
+        obstacles: Sequence[Polygon] = (),
+    ) -> "PushMonitor":
+        """The monitor of a push from `pose` (3,), planned with `options`.
+
+        Args:
+            error: of a look, m.
+            obstacles: what else lies on the table, polygons in W, m. Where the object begins nearer
+                to one than pushes are broken off at, it must not come nearer still.
+        """
         margin = calc_kept_margin(masses, pose, surface, options.margin, options.inset)
-        return cls(masses, surface, margin, options.inset, error)
+        others = shapely.union_all(list(obstacles)) if obstacles else None
+        room = 0.0
+        if others is not None:
+            begin = transform_shape(pose, make_body(masses.obj)).distance(others)
+            room = min(BREAK_OFF_DISTANCE, begin - error)
+        return cls(masses, surface, margin, options.inset, error, others, room)
 
     def find_fault(self, pose: Array) -> str | None:
         """Why the push should not go on with the object seen at `pose` (3,), in half a sentence; None where it may."""
+        if self.obstacles is not None:
+            left = transform_shape(pose, make_body(self.masses.obj)).distance(self.obstacles)
+            if left < self.room:
+                return f"the object is {left * MM:.0f} mm from another one"
         margin = calc_stability_margin(self.masses, pose, self.surface, self.inset - self.error)
         if margin >= self.margin - self.error:
             return None

@@ -3,13 +3,15 @@ import pytest
 import shapely
 
 from gridpush_drake.bench.pregrasp.world import EdgeWorld, run_pregrasp
-from gridpush_drake.dynamics.simulation import calc_loads
+from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.goals import (
+    GOAL_ROOM,
     ArmLimits,
     GoalOptions,
     calc_overhangs,
@@ -22,14 +24,19 @@ from gridpush_drake.planning.pregrasp.planner import (
     PreGraspPlanner,
     PreGraspPlanStatus,
     plan_pregrasp,
+    suggest_poke,
 )
 from gridpush_drake.planning.pregrasp.slides import (
+    OBSTACLE_MARGIN,
+    PushMonitor,
+    SlideOptions,
     make_stability_rule,
     plan_slide,
     simulate_near_edge,
 )
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin, calc_stability_margins
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
+from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.shapes import rectangle, regular_polygon
 
@@ -217,6 +224,64 @@ def test_a_slide_is_safe_with_every_draw_all_the_way(pan, parts, heavy_plate):
         slide.planned.pose,
         atol=2e-3,
     )
+
+
+def test_slides_goals_and_pokes_keep_clear_of_what_else_lies_there(pan, parts, heavy_plate):
+    masses = PlausibleMassSet(pan, heavy_plate.mass[None] / 1.5, heavy_plate.mass[None])
+    draws = [CellParameters(heavy_plate.mass[::-1].copy(), heavy_plate.friction)]
+    pose, body = np.array([0.1, 0.0, 0.3]), make_body(pan)
+
+    def come_near(poses, obstacle):
+        return min(transform_shape(each, body).distance(obstacle) for each in poses)
+
+    free_goal, *_ = find_pregrasp_goals(masses, parts, pose, TABLE)
+    there = transform_shape(free_goal.pose, body).intersection(TABLE.polygon)
+    blocked_goal = there.representative_point().buffer(0.02)
+    goals = find_pregrasp_goals(masses, parts, pose, TABLE, obstacles=(blocked_goal,))
+    assert goals and come_near([free_goal.pose], blocked_goal) == 0.0
+    assert all(come_near([goal.pose], blocked_goal) >= GOAL_ROOM for goal in goals)
+
+    def slide(obstacles):
+        goals = find_pregrasp_goals(masses, parts, pose, TABLE)
+        return plan_slide(masses, heavy_plate, draws, pose, goals, TABLE, obstacles=obstacles)
+
+    free = slide(())
+    end = simulate_near_edge(pan, heavy_plate, free.planned.push, pose, TABLE).final_pose
+    swept = transform_shape(end, body) - transform_shape(pose, body).buffer(OBSTACLE_MARGIN)
+    obstacle = swept.representative_point().buffer(0.002)
+    kept = slide((obstacle,))
+    for params in (heavy_plate, *draws):
+        path = simulate_near_edge(pan, params, free.planned.push, pose, TABLE).poses
+        assert come_near(path, obstacle) < OBSTACLE_MARGIN  # without the rule it is not clear
+        if kept is not None:
+            path = simulate_near_edge(pan, params, kept.planned.push, pose, TABLE).poses
+            assert come_near(path, obstacle) > OBSTACLE_MARGIN - 0.003
+
+    model = UncertainModel.of_prior(pan)
+    beside = shapely.box(-0.2, 0.12, 0.4, 0.13)  # a wall along one side
+    poke = suggest_poke(model, pose, TABLE, obstacles=(beside,)).push
+    assert shapely.LineString(poke.xy).distance(beside) > OBSTACLE_MARGIN
+    motion = simulate(pan, model.params, poke, pose, regime="quasi_static")
+    room = come_near([pose], beside)
+    assert come_near(motion.poses, beside) >= min(room, OBSTACLE_MARGIN) - 1e-5
+
+
+def test_a_push_is_broken_off_that_comes_near_another_object(pan, heavy_plate):
+    masses = PlausibleMassSet(pan, heavy_plate.mass[None] / 1.5, heavy_plate.mass[None])
+    pose, look = np.zeros(3), 0.001
+    end = make_body(pan).bounds[2]  # of the handle
+    far = shapely.box(end + 0.1, -0.1, end + 0.11, 0.1)
+    options = SlideOptions()
+    monitor = PushMonitor.of_push(masses, TABLE, pose, options, look, (far,))
+    assert monitor.find_fault(pose) is None
+    assert monitor.find_fault(np.array([0.08, 0.0, 0.0])) is None
+    fault = monitor.find_fault(np.array([0.09, 0.0, 0.0]))
+    assert fault == "the object is 10 mm from another one"
+    assert PushMonitor.of_push(masses, TABLE, pose, options, look).find_fault(pose) is None
+    # One that lies beside another object may stay as near, but come no nearer.
+    near = PushMonitor.of_push(masses, TABLE, np.array([0.09, 0.0, 0.0]), options, look, (far,))
+    assert near.find_fault(np.array([0.09, 0.0, 0.0])) is None
+    assert near.find_fault(np.array([0.095, 0.0, 0.0])) is not None
 
 
 def test_nothing_known_asks_for_a_poke_and_says_what_it_is_worth(pan, parts):
