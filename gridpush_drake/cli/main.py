@@ -1,16 +1,13 @@
 """The `gridpush` command, and how it ends.
 
-On SIGINT and SIGTERM it ends at once, all it started with it, and with an exit code that says so.
+On SIGINT, SIGTERM and SIGHUP it ends at once, all it started with it, and with an exit code that
+says so; see `interrupts`.
 """
 
-import os
-import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from threading import Timer, current_thread, main_thread
-from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -36,22 +33,18 @@ from gridpush_drake.cli import (
     view,
 )
 from gridpush_drake.cli import object as object_from_photo
+from gridpush_drake.cli.interrupts import (
+    EXIT_INTERRUPTED,
+    SIGNAL_CODES,
+    say_interrupted,
+    watch_interrupts,
+)
 from gridpush_drake.errors import GridPushError, ObjectWarning, PushLogWarning
 
 EXIT_BAD_INPUT = 2
 
 DOUBTS = (ObjectWarning, PushLogWarning)
 """Warnings that are for the user."""
-
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-SIGNALED = 128
-"""What shells add to a signal's number to make an exit code: 130 for SIGINT, 143 for SIGTERM."""
-
-EXIT_INTERRUPTED, EXIT_TERMINATED = (SIGNALED + number for number in SIGNALS)
-
-UNWIND_WITHIN = 1.5
-"""s that the work has to clear up after itself; then the process ends as it is."""
 
 GRACEFUL = {"demo", "view", "twin", "tracker", "robot"}
 """Commands that answer an interrupt themselves: they end in order, and write what was done."""
@@ -100,21 +93,23 @@ def main(args: list[str] | None = None) -> None:
     """Runs the command line and exits.
 
     0: done; 1: no plan found; 2: bad input (said in one line); 3: a learned model explains little;
-    130 or 143: interrupted.
+    129, 130 or 143: ended by a signal.
 
     Args:
         args: instead of the process's own; the process is then taken to go on after the command.
     """
     graceful = not GRACEFUL.isdisjoint(sys.argv[1:2] if args is None else args[:1])
-    with _watch_interrupts(last=args is None, graceful=graceful) as interrupts:
+    with watch_interrupts(last=args is None, graceful=graceful) as interrupts:
         try:
             code = _run(args)
             interrupts.finish()
         except KeyboardInterrupt:
             code = EXIT_INTERRUPTED
-    if code == EXIT_INTERRUPTED or interrupts.code == EXIT_TERMINATED:
+    # a command that is to be ended by Ctrl-C alone, as the twin is, has done its work then
+    ended = interrupts.code in SIGNAL_CODES - {EXIT_INTERRUPTED}
+    if code in SIGNAL_CODES or ended:
         code = interrupts.code or code
-        _say_interrupted()
+        say_interrupted()
     sys.exit(code)
 
 
@@ -157,80 +152,6 @@ def _short_warnings() -> Iterator[None]:
 def _fail(message: str) -> int:
     print(f"gridpush: error: {' '.join(message.split())}", file=sys.stderr)
     return EXIT_BAD_INPUT
-
-
-class Interrupts:
-    """What came of the signals.
-
-    Attributes:
-        code: to exit with where a signal came; None where none did.
-    """
-
-    code: int | None = None
-
-    def __init__(self, graceful: bool) -> None:
-        self._graceful, self._finished = graceful, False
-
-    def finish(self) -> None:
-        """From now on the work is done, and a signal changes nothing."""
-        self._finished = True
-
-    def handle(self, number: int, _: FrameType | None) -> None:
-        """Interrupts the work; a second signal ends the process at once."""
-        if self._finished:
-            return
-        if self.code is not None:
-            self.end()
-        self.code = SIGNALED + number
-        # the exception may be lost: Python ignores those that are raised in a callback of C code or
-        # in a finalizer
-        if not self._graceful:
-            timer = Timer(UNWIND_WITHIN, self.end)
-            timer.daemon = True
-            timer.start()
-        raise KeyboardInterrupt
-
-    def end(self) -> None:
-        """Ends the process with all the workers that it has."""
-        from multiprocessing import active_children  # for start-up
-
-        if self._finished:
-            return
-        for child in active_children():
-            child.kill()
-        _say_interrupted()
-        os._exit(self.code or 0)
-
-
-@contextmanager
-def _watch_interrupts(last: bool, graceful: bool) -> Iterator[Interrupts]:
-    """Handles the signals while a command runs.
-
-    Args:
-        last: whether the process ends with the command; if so, the signals stay handled, for Python
-            would end by the signal itself where one comes while it shuts down.
-        graceful: whether the command may take its time to end, as one that writes what was done so
-            far.
-
-    Yields:
-        What came of them; nothing is handled outside the main thread.
-    """
-    interrupts = Interrupts(graceful)
-    if current_thread() is not main_thread():
-        yield interrupts
-        return
-    before = {number: signal.signal(number, interrupts.handle) for number in SIGNALS}
-    try:
-        yield interrupts
-    finally:
-        interrupts.finish()
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if last else handler)
-
-
-def _say_interrupted() -> None:
-    """Says on standard error what an interrupted user wants to know."""
-    print("gridpush: interrupted; no file was left half-written", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

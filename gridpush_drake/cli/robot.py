@@ -6,6 +6,7 @@ What is slow to import is imported when the command runs, so that `gridpush` sta
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +15,14 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_progress, print_json, print_line, print_notice
-from gridpush_drake.cli.demo import EXIT_INTERRUPTED, EXIT_NOT_DONE, TaskName
+from gridpush_drake.cli.demo import EXIT_NOT_DONE, TaskName
+from gridpush_drake.cli.interrupts import (
+    EXIT_INTERRUPTED,
+    SIGNALED,
+    is_hangup,
+    losable_outputs,
+    set_handlers,
+)
 from gridpush_drake.cli.twin import (
     DEFAULT_URL,
     LcmUrl,
@@ -23,18 +31,19 @@ from gridpush_drake.cli.twin import (
     Scenario,
     read_robot_scenario,
 )
-from gridpush_drake.errors import ScenarioError
+from gridpush_drake.errors import GridPushError, ScenarioError
 
 if TYPE_CHECKING:
+    from gridpush_drake.cli.demo_tasks import DemoTask
     from gridpush_drake.station.lcm.hardware_link import HardwareLink
     from gridpush_drake.station.task import StationTask
     from gridpush_drake.systems.messages import PushCommand
 
 LOG = "robot.log"
-"""That it leaves beside what a demo does."""
+"""Name of the file that it leaves beside what a demo does: what happened when, and how the loop went."""
 
 LOOKING = 20.0
-"""For the first push to be planned, where nothing is to move, s."""
+"""Longest time in which the first push is planned, where nothing is to move, s."""
 
 
 def robot(
@@ -66,12 +75,12 @@ def robot(
 ) -> None:
     """Carry out a task of `gridpush demo` with a real arm over LCM; nothing moves before --go.
 
-    Ctrl-C stops the arm smoothly and holds it there. So does anything that seems wrong.
+    Ctrl-C, a lost terminal and anything that seems wrong stop the arm smoothly and hold it there.
 
-    Exit code 1 where the task was not done, 130 after Ctrl-C.
+    Exit code 1 where the task was not done, 128 + its number after a signal: 130 after Ctrl-C.
     """
-    from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
-    from gridpush_drake.files import make_folder, write_whole
+    from gridpush_drake.cli.demo_tasks import TASKS
+    from gridpush_drake.files import make_folder
     from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
     from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
     from gridpush_drake.station.robot import find_robot
@@ -87,31 +96,66 @@ def robot(
     if go:
         make_folder(out)
         options.check_outputs(force, *(out / name for name in (*chosen.files, LOG)))
-    link = HardwareLink(open_lcm(lcm), find_robot(scenario.directives), realtime_rate=realtime_rate)
+    link = HardwareLink(
+        open_lcm(lcm),
+        find_robot(scenario.directives),
+        realtime_rate=realtime_rate,
+        clock_jump=scenario.safety.clock_jump,
+    )
     link.wait()
     options.compile_kernels()
     station_task = chosen.station(scenario, make_station=partial(MakeHardwareStation, lcm=link.bus))
     if not go:
         _look(station_task, link, json)
         return
-    with _stopping(link):
+    with _stopping(link) as asked:
         record = _run(station_task, link)
-    written = write_files(chosen, out, scenario, record, None, force)
-    write_whole(out / LOG, _format_log(link), force)
-    summary = {**chosen.summarize(record), "loop": _describe_loop(link)}
-    if json:
-        print_json({**summary, "written": [str(path) for path in (*written, out / LOG)]})
-    else:
-        print_summary(chosen, summary, [*written, out / LOG])
-        print_line(f"The loop: {link.report.describe()}.")
-    if summary["status"] in ("stopped", "interrupted"):
-        print_notice(
-            f"gridpush: {record.message} To go on, run the command again with --force, or another --out."
-        )
+        summary = _report(chosen, scenario, record, link, out, force, json)
     if summary["status"] == "interrupted":
-        raise typer.Exit(EXIT_INTERRUPTED)
+        raise typer.Exit(SIGNALED + asked.number if asked.number else EXIT_INTERRUPTED)
     if not summary.get("done", summary["status"] == "finished"):
         raise typer.Exit(EXIT_NOT_DONE)
+
+
+@dataclass
+class StopRequest:
+    """What asked the robot to stop.
+
+    Attributes:
+        number: of the first signal; 0 where none came.
+    """
+
+    number: int = 0
+
+
+@contextmanager
+def _stopping(link: "HardwareLink") -> Iterator[StopRequest]:
+    """Has the first signal stop the arm, as the loss of the terminal does; what was done is still written.
+
+    A second signal ends the process, and the robot's driver holds the arm. A second SIGHUP changes
+    nothing: a lost terminal sends several.
+    """
+    asked = StopRequest()
+
+    def stop(number: int, _: Any) -> None:
+        if asked.number and not is_hangup(number):
+            signal.signal(number, before[number])
+        if not asked.number:
+            asked.number = number
+            link.note(f"asked to stop by {signal.Signals(number).name}")
+        link.request_stop()
+
+    def stop_unheard(error: OSError) -> None:
+        link.note(f"asked to stop: nobody can read what is printed any more ({error.strerror})")
+        link.request_stop()
+
+    before = set_handlers(stop)
+    try:
+        with losable_outputs(stop_unheard):
+            yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _run(task: "StationTask[Any]", link: "HardwareLink") -> Any:
@@ -125,26 +169,49 @@ def _run(task: "StationTask[Any]", link: "HardwareLink") -> Any:
         return task.run(progress=show, drive=link)
 
 
-@contextmanager
-def _stopping(link: "HardwareLink") -> Iterator[None]:
-    """Lets the first signal stop the arm; a second one ends the process, and the driver holds the arm."""
-    before: dict[signal.Signals, Any] = {}
+def _report(
+    task: "DemoTask",
+    scenario: "PushScenario",
+    record: Any,
+    link: "HardwareLink",
+    out: Path,
+    force: bool,
+    json: bool,
+) -> dict[str, Any]:
+    """Writes and prints what a run came to, and returns its summary; after a failure, as much as there is."""
+    from gridpush_drake.cli.demo_tasks import print_summary, write_files
+    from gridpush_drake.files import write_whole
 
-    def stop(number: int, _: Any) -> None:
-        link.request_stop()
-        signal.signal(number, before[signal.Signals(number)])
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        before[number] = signal.signal(number, stop)
+    # the log first: it does not depend on how far the run came
+    write_whole(out / LOG, _format_log(link), force)
+    written, unwritten = [], ""
     try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        written = write_files(task, out, scenario, record, None, force)
+        summary = task.summarize(record)
+    except Exception as error:
+        if isinstance(error, GridPushError) or not link.report.traces:
+            raise
+        # what the controller failed over may be missing in the record, too
+        unwritten = f"Not all files could be made of what there is: {type(error).__name__}: {error}."
+        summary = {"status": str(record.status), "message": record.message, "done": False}
+    summary["loop"] = _describe_loop(link)
+    files = [*written, out / LOG]
+    if json:
+        print_json({**summary, "written": [str(path) for path in files]})
+    elif not unwritten:
+        print_summary(task, summary, files)
+        print_line(f"The loop: {link.report.describe()}.")
+    if summary["status"] in ("stopped", "interrupted"):
+        print_notice(
+            f"gridpush: {record.message} To go on, run the command again with --force, or another --out."
+        )
+    if unwritten:
+        print_notice(f"gridpush: {unwritten} {out / LOG} says what happened.")
+    return summary
 
 
 def _look(task: "StationTask[Any]", link: "HardwareLink", json: bool) -> None:
-    """Says what is seen, and the first push that would be made; nothing moves."""
+    """Prints what is seen, and the first push that would be made; nothing moves."""
     push = task.preview(link, LOOKING)
     pose, tip = task.read("object.pose"), task.read("pusher.state")[:3]
     seen: dict[str, Any] = {
@@ -183,10 +250,11 @@ def _describe_loop(link: "HardwareLink") -> dict[str, Any]:
         "pauses": report.pauses,
         "silences": report.silences,
         "force": report.force,
-        "left_out": report.left_out,
+        "left_out": dict(report.left_out),
+        "causes": report.causes,
     }
 
 
 def _format_log(link: "HardwareLink") -> str:
     lines = [f"{time:10.3f} s  {text}" for time, text in link.report.events]
-    return "\n".join([*lines, link.report.describe(), ""])
+    return "\n".join([*lines, link.report.describe(), *link.report.traces, ""])

@@ -444,6 +444,8 @@ class SafetyConfig(_Config):
         status_age: greatest age of what the robot says of itself, s.
         command_age: greatest age of a command, after which a twin brings the arm to rest, s; see
             `CommandRamp`.
+        clock_jump: how far a message's time may be ahead of its sender's clock, s; a message from
+            further in the future is left out, see `station.lcm.channel`.
         acceleration: greatest of a joint, rad/s² (m/s² where it slides).
         torque_share: greatest torque on a joint from outside, as a share of what the joint can
             give.
@@ -455,6 +457,7 @@ class SafetyConfig(_Config):
 
     status_age: Annotated[Number, _positive("s")] = 0.05
     command_age: Annotated[Number, _positive("s")] = 0.01
+    clock_jump: Annotated[Number, _positive("s")] = 0.1
     acceleration: Annotated[Number, _positive("rad/s²")] = 10.0
     torque_share: Annotated[Number, _positive("of the joint's own", high=1.0)] = 0.1
     force: Annotated[Number, _positive("N")] = 30.0

@@ -196,8 +196,14 @@ class Drive(Protocol):
     def advance(self, simulator: Simulator, time: float) -> None:
         """Goes on to a time, s."""
 
+    def fail(self, error: BaseException) -> None:
+        """Notes that the loop has failed, and why; `finish` comes next."""
+
     def finish(self, simulator: Simulator) -> None:
-        """Brings the robot to rest and holds it there."""
+        """Brings the robot to rest and holds it there, whatever has failed; raises nothing."""
+
+    def explain(self) -> str:
+        """What went wrong beside what the guard says, in sentences; empty for nothing."""
 
 
 class StationTask(Generic[R]):
@@ -282,7 +288,9 @@ class StationTask(Generic[R]):
             drive: of a station that is no simulation; it has a rate of its own.
 
         Returns:
-            What came of it. Ctrl-C ends it early, with what there is by then.
+            What came of it. Ctrl-C ends it early, with what there is by then. So does, with a
+            `drive`, whatever fails in the loop: the robot is brought to rest first, and the record's
+            message says what failed. Without a `drive` a failure is raised.
         """
         simulator, station = self.simulator, self.station
         self.begin(seed, drive)
@@ -292,11 +300,27 @@ class StationTask(Generic[R]):
         self._last_seen = self._last_new = 0.0
         simulator.set_target_realtime_rate(realtime_rate)
         simulator.set_monitor(monitor)
-        advance = Simulator.AdvanceTo if drive is None else drive.advance
+        if drive is None:
+            self._go_on(record, Simulator.AdvanceTo, progress)
+        else:
+            try:
+                self._go_on(record, drive.advance, progress)
+            except (Exception, SystemExit) as error:  # the robot must come to rest whatever it is
+                drive.fail(error)
+                record.status = TaskStatus.STOPPED
+            drive.finish(simulator)
+        self._complete(record, drive)
+        return record
+
+    def _go_on(
+        self, record: R, advance: Callable[[Simulator, float], None], progress: Progress | None
+    ) -> None:
+        """Goes on until the judge says that the task is over, or Ctrl-C does."""
+        simulator = self.simulator
         try:
             simulator.Initialize()
             while not record.status:
-                advance(simulator, context.get_time() + ADVANCE)
+                advance(simulator, simulator.get_context().get_time() + ADVANCE)
                 self._observe(record)
                 if progress is not None:
                     progress(self.read("executor.status"), len(record.log))
@@ -305,16 +329,34 @@ class StationTask(Generic[R]):
             if not record.status:
                 message = f"Interrupted after {len(record.log)} pushes."
                 record.status, record.message = TaskStatus.INTERRUPTED, message
-        if drive is not None:
-            drive.finish(simulator)
-        record.stream, record.sight = station.FindStream(context), station.FindSight(context)
-        self.finish(record)
-        untouched = self.read("estimate.identification").unused_pushes
-        remarks = [f"Nothing was touched in {', '.join(untouched)}."] if untouched else []
-        record.message = " ".join(
-            filter(None, [record.message, record.limit_report.explain_strayed(), *remarks])
-        )
-        return record
+
+    def _complete(self, record: R, drive: Drive | None) -> None:
+        """Writes into the record what is known only at its end; with a `drive`, as much as can still be read."""
+        context = self.simulator.get_context()
+        remarks: list[str] = []
+
+        def read_stream() -> None:
+            record.stream = self.station.FindStream(context)
+
+        def read_sight() -> None:
+            record.sight = self.station.FindSight(context)
+
+        def name_untouched() -> None:
+            untouched = self.read("estimate.identification").unused_pushes
+            if untouched:
+                remarks.append(f"Nothing was touched in {', '.join(untouched)}.")
+
+        for part in (read_stream, read_sight, lambda: self.finish(record), name_untouched):
+            try:
+                part()
+            except (Exception, SystemExit) as error:
+                if drive is None:
+                    raise
+                drive.fail(error)
+                record.status = TaskStatus.STOPPED
+        explained = "" if drive is None else drive.explain()
+        strayed = record.limit_report.explain_strayed()
+        record.message = " ".join(filter(None, [record.message, explained, strayed, *remarks]))
 
     def begin(self, seed: int | None = None, drive: Drive | None = None) -> None:
         """Gives the simulator a fresh Context in which all is where it begins; see `run`."""

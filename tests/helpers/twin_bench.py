@@ -51,14 +51,24 @@ class TwinBench:
             self._inside.Subscribe(channel, partial(self._pass_out, channel))
         self.lcm.Subscribe(self.messages.command, self._pass_in)
         self._last: Any = None
-        self._count = self.paused = 0
+        self._count = self._moves = self.paused = 0
         self._reset()
-        self.link = HardwareLink(self.lcm, find_robot(scenario.directives), robot=self.move)
+        self.link = HardwareLink(
+            self.lcm,
+            find_robot(scenario.directives),
+            clock_jump=scenario.safety.clock_jump,
+            robot=self.move,
+            clock=self.read_clock,
+        )
         self.task = task(scenario, make_station=partial(MakeHardwareStation, lcm=self.link.bus))
 
     @property
     def time(self) -> float:
         return float(self.simulator.get_context().get_time())
+
+    def read_clock(self) -> float:
+        """The observer's clock, s: it goes on while the twin pauses."""
+        return self._moves * ARM_PERIOD
 
     def begin(self) -> None:
         """The twin as at its beginning, but for its clock, and all as it should be."""
@@ -77,6 +87,7 @@ class TwinBench:
 
     def move(self) -> None:
         """Moves the twin on by a period; its messages go out, and commands come in."""
+        self._moves += 1
         if self.paused > 0:
             self.paused -= 1
             return
@@ -145,7 +156,7 @@ class CameraBench(TwinBench):
         self.seen: list[tuple[float, np.ndarray, TrackedPose]] = []
         self._camera, self.tracker = TwinCamera(scenario), None
         super().__init__(scenario, lambda scenario, make_station: None)
-        self.tracker = PictureTracker(scenario, self.lcm)
+        self.tracker = PictureTracker(scenario, self.lcm, clock=self.read_clock)
         while self.tracker.obj is None:
             self.move()
         obj = self.tracker.obj

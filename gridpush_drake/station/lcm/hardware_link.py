@@ -9,11 +9,16 @@ busy computer, nothing is amiss. Where the controller itself was late by more th
 time has stood still for that long, and nothing is made up for: it becomes slower, and hurries
 never.
 
-Messages in both directions pass through here. One that cannot be read, is of another size, or is
-not newer than the last one is left out and noted. Until `armed`, no command goes out.
+Messages in both directions pass through here. What comes in passes a `Channel`: a message that
+cannot be used is left out and counted, so that the station's systems never see one. Where the
+robot's clock jumps, the arm is stopped for good, as over a robot that is not heard of. Whatever
+fails in the loop, `finish` brings the arm to rest: by the guard where that still works, else by
+itself from the last commands. Until `armed`, no command goes out.
 """
 
 import re
+import traceback
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import monotonic
@@ -26,60 +31,70 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from gridpush_drake.errors import StationError
+from gridpush_drake.station.lcm.channel import ArrivalClock, Channel, count_reason
 from gridpush_drake.station.lcm.hardware_station import HardwareStation
+from gridpush_drake.station.lcm.message_forms import FindFault, find_form_fault
 from gridpush_drake.station.lcm.robot_messages import (
     ARM_PERIOD,
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
     OBJECT_STATUS,
-    decode_message,
     find_arm_messages,
 )
 from gridpush_drake.station.robot import Robot
-from gridpush_drake.systems.arm_guard import BY_SILENCE, BY_USER, DONE, GuardMode, GuardStatus
+from gridpush_drake.station.scenario import SafetyConfig
+from gridpush_drake.systems.arm_guard import (
+    BY_SILENCE,
+    BY_USER,
+    DONE,
+    GuardMode,
+    GuardStatus,
+    brake,
+)
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
-"""Of LCM, where nobody says anything else: this computer only."""
+"""LCM's network where nobody names another one: this computer only."""
 
 URL = re.compile(r"udpm://(22[4-9]|23\d)\.(\d{1,3})\.(\d{1,3})\.(\d{1,3}):(\d{1,5})(\?ttl=\d+)?")
 
 MAX_BYTE, MAX_PORT = 255, 65535
 
 PATIENCE = 5.0
-"""For the first status, and for the object to be seen, s."""
+"""Longest time that the first status, and the first pose of the object, are waited for, s."""
 
-QUIET = 0.3
-"""Of statuses before the first command, s: a driver that has just started takes one for somebody
-else's."""
+LISTENING_TIME = 0.3
+"""Time during which statuses come before the first command goes out, s. A driver that has just started
+takes an earlier command for one that was meant for another driver, and ends."""
 
-MADE_UP = ARM_PERIOD
-"""By how much the station's time may leap to keep up with the robot's, s."""
+LARGEST_CATCH_UP = ARM_PERIOD
+"""Longest time by which the station's time may leap to keep up with the robot's, s. If it is further
+behind, it stays behind."""
 
-LATE = 0.01
-"""Between two commands, that counts as late, s."""
+LATE_PERIOD = 0.01
+"""A command that goes out longer than this after the last one counts as late, s."""
 
-ATTENTIVE = 0.005
-"""A look for messages takes, at most; in one that took longer the process itself was kept waiting,
-s."""
+MAX_POLL_TIME = 0.005
+"""Longest time that one poll for LCM messages should take, s. If a poll takes longer, our own process was
+suspended, and the time beyond does not count as the robot's silence."""
 
 SILENCE = 1.0
-"""Of a robot before it is given up, s."""
+"""If no status of the robot comes for this long, the arm is stopped for good, s."""
 
 NOTED = 10
-"""How often the log says of a kind of lateness when it was; all are counted."""
+"""The log tells when a pause happened for the first so many of each kind; all are counted."""
 
 STOPPING_TIME = 2.0
-"""Within which the guard has brought any arm to rest, s."""
+"""Time within which any arm has been brought to rest, s."""
 
 ROUNDING = 1e-9
-"""s."""
+"""Times that differ by less than this are the same, s."""
 
 HALF = 0.5
 
 
 def open_lcm(url: str) -> DrakeLcm:
-    """Opens LCM. Raises StationError where the URL is none, or there is no network for it."""
+    """Opens LCM. Raises StationError where the URL is not one of LCM, or no network is there for it."""
     match = URL.fullmatch(url)
     good = (
         match
@@ -98,17 +113,19 @@ def open_lcm(url: str) -> DrakeLcm:
 
 @dataclass
 class LinkReport:
-    """How the loop went.
+    """An account of how the loop went.
 
     Attributes:
-        steps: commands made.
-        worst_period: longest between two, s.
-        late: how many came later than `LATE`.
+        steps: number of commands that were made.
+        worst_period: longest time between two commands, s.
+        late: number of commands that came later than `LATE_PERIOD` after the last one.
         pauses: how often the controller itself was late by more than a status may be old.
         silences: how often the robot itself paused for as long, and went on.
-        force: greatest on the finger's tip, N.
-        left_out: messages that were not taken, by why.
-        events: (s, text) what happened when.
+        force: greatest force on the finger's tip, N.
+        left_out: number of messages that could not be used, by why.
+        events: (s, text) what happened when, by the station's time.
+        causes: what went wrong with the link or the controller, each as a sentence.
+        traces: where in the program each failure of the controller arose.
     """
 
     steps: int = 0
@@ -117,25 +134,28 @@ class LinkReport:
     pauses: int = 0
     silences: int = 0
     force: float = 0.0
-    left_out: dict[str, int] = field(default_factory=dict)
+    left_out: Counter[str] = field(default_factory=Counter)
     events: list[tuple[float, str]] = field(default_factory=list)
+    causes: list[str] = field(default_factory=list)
+    traces: list[str] = field(default_factory=list)
 
     @property
     def late_share(self) -> float:
-        """Of the commands, how many came late."""
+        """The share of the commands that came late, 0 to 1."""
         return self.late / max(self.steps, 1)
 
     def note_period(self, period: float) -> None:
         """Counts a command that came so long, s, after the last one."""
         self.steps += 1
         self.worst_period = max(self.worst_period, period)
-        self.late += period > LATE
+        self.late += period > LATE_PERIOD
 
     def describe(self) -> str:
-        """In a sentence."""
+        """The report in a sentence."""
         text = (
             f"{self.steps} commands, the longest period {1e3 * self.worst_period:.1f} ms, "
-            f"{100 * self.late_share:.2f} % over {1e3 * LATE:.0f} ms; at most {self.force:.1f} N on the finger's tip"
+            f"{100 * self.late_share:.2f} % over {1e3 * LATE_PERIOD:.0f} ms; "
+            f"at most {self.force:.1f} N on the finger's tip"
         )
         if self.pauses:
             text += f"; the controller paused {self.pauses} times"
@@ -146,23 +166,12 @@ class LinkReport:
         )
 
 
-@dataclass
-class _Channel:
-    """What came on a channel: the newest whole message, whether it was passed on, and when it was sent and came."""
-
-    kind: Any
-    data: bytes | None = None
-    passed: bool = True
-    utime: int = -1
-    came: float = 0.0
-
-
 class HardwareLink:
     """Passes messages between a station and its robot, and moves the station's time on; a `Drive` for tasks.
 
     Attributes:
         bus: the station's own LCM.
-        report: how the loop went.
+        report: an account of how the loop went.
         armed: whether commands go out.
     """
 
@@ -172,7 +181,9 @@ class HardwareLink:
         arm: Robot,
         *,
         realtime_rate: float = 1.0,
+        clock_jump: float = SafetyConfig().clock_jump,
         robot: Callable[[], object] | None = None,
+        clock: Callable[[], float] | None = None,
     ) -> None:
         """Listens from now on.
 
@@ -182,84 +193,104 @@ class HardwareLink:
                 gripper.
             realtime_rate: how many of the robot's seconds pass in one, where it is a twin that goes
                 slower.
-            robot: moves a twin in the same process on by `ARM_PERIOD`; no clock is looked at then.
-                None for a robot that moves by itself.
+            clock_jump: how far a message may be ahead of its sender's clock, s; beyond it the
+                message is left out.
+            robot: moves a twin in the same process on by `ARM_PERIOD`. None for a robot that moves
+                by itself.
+            clock: by which messages arrive, in the robot's seconds; the computer's, times
+                `realtime_rate`, where None. A twin in the same process needs a clock that goes on by
+                `ARM_PERIOD` whenever it is moved.
         """
         self.bus, self.report, self.armed = DrakeLcm("memq://"), LinkReport(), False
-        self._lcm, self._rate, self._robot, self._n = (
-            lcm,
-            realtime_rate,
-            robot,
-            len(arm.arm.posture),
-        )
+        self._lcm, self._rate, self._robot = lcm, realtime_rate, robot
+        self._clock = clock or self._read_clock
+        self._joints = len(arm.arm.posture)
         self._messages = find_arm_messages(arm)
-        self._arm, self._object = (
-            _Channel(self._messages.status_type),
-            _Channel(lcmt_planar_manipuland_status),
+        self._another_robot = ""
+        self._arm = self._make_channel(
+            self._messages.status, self._messages.status_type, clock_jump, self._find_arm_fault
         )
-        self._gripper = _Channel(lcmt_schunk_wsg_status)
+        # whoever tracks the object speaks of the robot's time
+        self._object = self._make_channel(
+            OBJECT_STATUS, lcmt_planar_manipuland_status, clock_jump, reference=self._arm.clock
+        )
         self._channels = {self._messages.status: self._arm, OBJECT_STATUS: self._object}
         if arm.gripper is not None:
-            self._channels[GRIPPER_STATUS] = self._gripper
+            self._channels[GRIPPER_STATUS] = self._make_channel(
+                GRIPPER_STATUS, lcmt_schunk_wsg_status, clock_jump
+            )
+        self._not_passed: set[str] = set()
         for name, channel in self._channels.items():
-            lcm.Subscribe(name, self._make_taker(name, channel))
+            lcm.Subscribe(name, self._make_taker(channel))
         self._out: dict[str, bytes] = {}
+        self._sent: deque[bytes] = deque(maxlen=2)  # the arm's last commands
         for name in (self._messages.command, GRIPPER_COMMAND):
             self.bus.Subscribe(name, self._make_collector(name))
-        self._fault = ""
         self._station: HardwareStation | None = None
         self._stop, self._silent = 0.0, False
-        self._stepped = self._told = self._waited = self._listened = (
-            0.0  # waited: since the last status, s
-        )
+        self._stepped = self._listened = 0.0  # when that was done last, by the computer's clock, s
+        self._told = 0.0  # the station's time at the last step, s
+        self._waited = 0.0  # since the robot's last status, s
         self._base = 0.0  # the robot's time when the station's was 0, s
         self._said = GuardStatus()
 
     def wait(self, patience: float = PATIENCE) -> None:
-        """Waits until robot and object have been heard of for long enough.
+        """Waits until robot and object have been heard of for long enough, by clocks that do not jump.
 
         Raises:
-            StationError: they were not within the time, s, or speak of another robot.
+            StationError: they were not within the time, s, or speak of another robot; the message
+                says which messages came and why they could not be used.
         """
         begin = first = monotonic()
+        changes = self._count_clock_changes()
         while True:
             self._listen()
             now = monotonic()
-            if self._fault:
-                raise StationError(self._fault)
-            silent = [name for name, channel in self._channels.items() if channel.data is None]
-            if silent:
-                first = now
+            if self._another_robot:
+                raise StationError(self._another_robot)
+            silent = [channel for channel in self._channels.values() if channel.data is None]
+            if silent or self._count_clock_changes() != changes:
+                first, changes = now, self._count_clock_changes()
             if self._robot is not None and not silent:
                 return
-            if now - first > QUIET / self._rate:
+            if now - first > LISTENING_TIME / self._rate:
                 return
             if now - begin > patience / self._rate:
                 break
-        arm = self._messages.status in silent
-        who = "the robot sends no status" if arm else "nobody says how the gripper is"
-        if silent == [OBJECT_STATUS]:
+        if not silent:
+            raise StationError(
+                f"within {patience:g} s the clocks of robot, gripper and tracker jumped {changes} times; "
+                "expected one sender on each channel"
+            )
+        who = "nobody says how the gripper is"
+        if silent[0] is self._arm:
+            who = "the robot sends no status"
+        elif silent[0] is self._object:
             who = "nobody says where the object is"
-        channel = self._messages.status if arm else silent[0]
+        unusable = silent[0].describe_unusable()
         raise StationError(
-            f"{who} on {channel} within {patience:g} s; expected a driver, or gridpush twin, on this --lcm"
+            f"{who} on {silent[0].name} within {patience:g} s{unusable and f' ({unusable})'}; "
+            "expected a driver, or gridpush twin, on this --lcm"
         )
 
     @property
     def status_age(self) -> float:
-        """Of the robot's last status, in its own time, s."""
-        return (monotonic() - self._arm.came) * self._rate
+        """Age of the robot's last status, in its own time, s."""
+        return self._clock() - self._arm.came
 
     def request_stop(self) -> None:
-        """Stops the arm as soon as it can; a signal's handler may call it."""
+        """Stops the arm as soon as possible; a signal's handler may call it."""
         self._stop = BY_USER
 
     def begin(self, diagram: Diagram, station: Any, context: Context) -> None:
         """Writes the robot's status into a fresh Context of the Diagram that the station is in; see `Drive`."""
         self._station, self._stop, self._said, self._silent = station, 0.0, GuardStatus(), False
+        self.report.causes.clear()
+        self._sent.clear()
         self._listen()
-        for channel in self._channels.values():
-            channel.passed = channel.data is None
+        self._not_passed = {
+            name for name, channel in self._channels.items() if channel.data is not None
+        }
         self._pass_in()
         diagram.ExecuteInitializationEvents(context)
         self._base = self._arm.utime / MICROSECONDS
@@ -272,22 +303,85 @@ class HardwareLink:
         while simulator.get_context().get_time() < time - ROUNDING:
             self._step(simulator)
 
-    def finish(self, simulator: Simulator) -> None:
-        """Brings the arm to rest and holds it; from then on no command goes out. See `Drive`."""
+    def fail(self, error: BaseException) -> None:
+        """Notes that the loop has failed; `finish` then brings the arm to rest all the same. See `Drive`."""
+        text = " ".join(str(error).split()) or "without a message"
+        cause = f"The controller failed: {type(error).__name__}: {text}"
+        if cause not in self.report.causes:
+            self.report.causes.append(cause)
+            self.report.traces.append("".join(traceback.format_exception(error)))
+            self.note(cause)
         self._stop = self._stop or DONE
-        end = simulator.get_context().get_time() + STOPPING_TIME
-        while self._said.mode == GuardMode.STOPPING or not self._said.stopped:
-            if simulator.get_context().get_time() > end or self._said.mode == GuardMode.WAITING:
-                break
-            self._step(simulator)
-        self.armed = False
+
+    def finish(self, simulator: Simulator) -> None:
+        """Brings the arm to rest and holds it; from then on no command goes out. See `Drive`.
+
+        Where the station or its guard fails, too, the arm is brought to rest from its last commands.
+        """
+        self._stop = self._stop or DONE
+        try:
+            self._finish_by_guard(simulator)
+        except (Exception, SystemExit) as error:
+            self.fail(error)
+            self._finish_alone()
+        finally:
+            self.armed = False
+
+    def explain(self) -> str:
+        """What went wrong beside what the guard says, in sentences; empty for nothing. See `Drive`."""
+        return " ".join(f"{cause.rstrip('.')}." for cause in self.report.causes)
 
     def note(self, text: str) -> None:
         """Adds to the log, at the station's time."""
         self.report.events.append((self._told, text))
 
+    def _finish_by_guard(self, simulator: Simulator) -> None:
+        """Goes on until the guard holds the arm."""
+        end = simulator.get_context().get_time() + STOPPING_TIME
+        while self._said.mode == GuardMode.STOPPING or not self._said.stopped:
+            if simulator.get_context().get_time() > end or self._said.mode == GuardMode.WAITING:
+                break
+            self._step(simulator)
+
+    def _finish_alone(self) -> None:
+        """Brings the arm to rest from its last two commands, without the station; one command for every status.
+
+        Where no status comes, no command goes out: the robot's driver brings the arm to rest.
+        """
+        if not self.armed or self._silent or len(self._sent) < 2 or self._station is None:
+            return
+        safety = self._station.scenario.safety
+        before, last = map(self._messages.command_type.decode, self._sent)
+        position = np.array(last.joint_position)
+        velocity = (position - before.joint_position) / ARM_PERIOD
+        acceleration = np.full_like(velocity, safety.acceleration)
+        try:
+            while velocity.any():
+                if not self._wait_for_status(safety.status_age):
+                    self.note("the arm was left to its driver: no status came while it was braked")
+                    return
+                velocity = brake(velocity, acceleration, ARM_PERIOD)
+                position = position + ARM_PERIOD * velocity
+                last.utime += round(ARM_PERIOD * MICROSECONDS)
+                last.joint_position = position.tolist()
+                self._lcm.Publish(self._messages.command, last.encode())
+            self.note("the arm was brought to rest from its last commands, without the guard")
+        except (Exception, SystemExit) as error:
+            self.fail(error)
+
+    def _wait_for_status(self, patience: float) -> bool:
+        """Waits for another status of the arm; returns whether one came within a time, s."""
+        count, begin = self._arm.count, self._clock()
+        while self._arm.count == count:
+            if self._clock() - begin > patience:
+                return False
+            if self._robot is not None:
+                self._robot()
+            self._listen()
+        return True
+
     def _step(self, simulator: Simulator) -> None:
-        """One status in, or none where it is overdue, and one command out."""
+        """Takes one status in, or none where it is overdue, and sends one command out."""
         assert self._station is not None
         context = simulator.get_mutable_context()
         now, target = context.get_time(), self._receive(context)
@@ -311,43 +405,44 @@ class HardwareLink:
     def _receive(self, context: Context) -> float:
         """Waits for the next status; returns the time of the station's that it, or its absence, brings, s."""
         assert self._station is not None
-        now, before, greatest_age = (
-            context.get_time(),
-            self._arm.utime,
-            self._station.scenario.safety.status_age,
-        )
-        heard, self._listened = self._listened, monotonic()
-        inattentive = self._listened - heard
+        now, before = context.get_time(), self._arm.utime
+        count, clock_changes = self._arm.count, self._arm.clock_changes
+        greatest_age = self._station.scenario.safety.status_age
+        last = self._listened
+        self._listened = monotonic()
+        # our process did not listen while it worked, and while it was suspended
+        inattentive = self._listened - last
         while True:
             if self._robot is not None:
                 self._robot()
             self._listen()
             last, self._listened = self._listened, monotonic()
-            inattentive += max(self._listened - last - ATTENTIVE, 0.0)
-            if self._arm.utime > before:
+            inattentive += max(self._listened - last - MAX_POLL_TIME, 0.0)
+            if self._arm.count > count:
                 break
             self._waited = self.status_age if self._robot is None else self._waited + ARM_PERIOD
             if self._waited > (greatest_age if self._stop else SILENCE) - ROUNDING:
                 self._give_up(context)
                 self._wait_period()
                 return now + ARM_PERIOD
-        went_on = (self._arm.utime - before) / MICROSECONDS
-        if self._robot is None:
-            went_on -= (
-                inattentive * self._rate
-            )  # of what the robot said meanwhile only the last is kept
-        if self._waited > greatest_age:
+        jumped = self._arm.clock_changes != clock_changes
+        if jumped:
+            self._note_clock_jump(context)
+        elif self._waited > greatest_age:
+            went_on = (self._arm.utime - before) / MICROSECONDS
+            if self._robot is None:
+                # of what the robot said meanwhile only the last message is kept
+                went_on -= inattentive * self._rate
             self._note_silence(context, went_on > greatest_age + ROUNDING)
         self._waited = 0.0
         # in whole periods, and half of one beyond: so that a status that is a little early or late
         # brings one command
-        target = (
-            round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD) + HALF
-        ) * ARM_PERIOD
+        periods = round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD)
+        target = (periods + HALF) * ARM_PERIOD
         late = target - now - ARM_PERIOD
-        if abs(late) < MADE_UP + ROUNDING:
+        if abs(late) < LARGEST_CATCH_UP + ROUNDING:
             return target
-        if late > greatest_age:
+        if late > greatest_age and not jumped:
             self.report.pauses += 1
             if self.report.pauses <= NOTED:
                 self.note(
@@ -360,10 +455,23 @@ class HardwareLink:
         """Stops the arm over a robot that is not heard of: its driver has brought it to rest, and nothing moves it."""
         assert self._station is not None
         self._station.RequestStop(context, BY_SILENCE)
+        unusable = self._arm.describe_unusable()
+        if not self._silent and unusable:
+            self._note_cause(f"Since the last usable status {unusable}")
         self._silent = True
 
+    def _note_clock_jump(self, context: Context) -> None:
+        """Stops the arm over a robot whose clock has jumped: no command went out while that was found out."""
+        if not self._silent:
+            self._note_cause(f"The robot's clock jumped by {self._arm.jump:.3f} s")
+        self._give_up(context)
+
+    def _note_cause(self, cause: str) -> None:
+        self.report.causes.append(cause)
+        self.note(cause)
+
     def _note_silence(self, context: Context, went_on: bool) -> None:
-        """What a long silence means: where the robot went on meanwhile, the arm is stopped."""
+        """Takes a long silence in: where the robot went on meanwhile, the arm is stopped."""
         assert self._station is not None
         self._stepped = monotonic()  # it was not the controller that was late
         if went_on:
@@ -386,42 +494,61 @@ class HardwareLink:
         self._lcm.HandleSubscriptions(0 if self._robot is not None else 1)
 
     def _pass_in(self) -> None:
-        for name, channel in self._channels.items():
-            if not channel.passed and channel.data is not None:
-                self.bus.Publish(name, channel.data)
-                channel.passed = True
+        """Gives the station the newest message of each channel that it has not had yet."""
+        for name in self._not_passed:
+            data = self._channels[name].data
+            assert data is not None
+            self.bus.Publish(name, data)
+        self._not_passed.clear()
         self.bus.HandleSubscriptions(0)
 
     def _pass_out(self) -> None:
         now = monotonic()
-        if self._messages.command in self._out:
+        command = self._out.get(self._messages.command)
+        if command is not None:
             self.report.note_period((now - self._stepped) * self._rate)
             self._stepped = now
         if self.armed and not self._silent:
             for name, data in self._out.items():
                 self._lcm.Publish(name, data)
+            if command is not None:
+                self._sent.append(command)
         self._out.clear()
 
-    def _make_taker(self, name: str, channel: _Channel) -> Callable[[bytes], None]:
+    def _read_clock(self) -> float:
+        """The computer's clock, in the robot's seconds."""
+        return monotonic() * self._rate
+
+    def _count_clock_changes(self) -> int:
+        return sum(channel.clock_changes for channel in self._channels.values())
+
+    def _find_arm_fault(self, message: Any) -> str:
+        another = self._messages.find_fault(message, self._joints)
+        self._another_robot = self._another_robot or another
+        return another or find_form_fault(message, self._arm.name, self._joints)
+
+    def _make_channel(
+        self,
+        name: str,
+        kind: Any,
+        clock_jump: float,
+        find_fault: FindFault | None = None,
+        reference: ArrivalClock | None = None,
+    ) -> Channel:
+        return Channel(
+            name,
+            kind,
+            now=self._clock,
+            clock_jump=clock_jump,
+            find_fault=find_fault or (lambda message: find_form_fault(message, name)),
+            leave_out=self._leave_out,
+            reference=reference,
+        )
+
+    def _make_taker(self, channel: Channel) -> Callable[[bytes], None]:
         def take(data: bytes) -> None:
-            try:
-                message = decode_message(channel.kind, name, data)
-            except StationError as error:  # the caller is C and takes no exceptions
-                self._leave_out(str(error))
-                return
-            fault = self._messages.find_fault(message, self._n) if channel is self._arm else ""
-            if fault:
-                self._fault = fault
-                self._leave_out(fault)
-            elif message.utime <= channel.utime:
-                self._leave_out(f"{name} was not newer than the one before")
-            else:
-                channel.data, channel.utime, channel.came, channel.passed = (
-                    data,
-                    message.utime,
-                    monotonic(),
-                    False,
-                )
+            if channel.take(data):
+                self._not_passed.add(channel.name)
 
         return take
 
@@ -434,7 +561,5 @@ class HardwareLink:
         return collect
 
     def _leave_out(self, why: str) -> None:
-        count = self.report.left_out.get(why, 0)
-        self.report.left_out[why] = count + 1
-        if not count:
+        if count_reason(self.report.left_out, why):
             self.note(f"left out: {why}")

@@ -4,6 +4,7 @@ Drake's own `LcmImageArrayToImages` knows neither JPEG nor PNG, and a raw or zli
 640 x 480 pixels is too large for the buffers that a computer has for LCM's UDP by default.
 """
 
+import warnings
 import zlib
 from io import BytesIO
 from typing import Any
@@ -12,7 +13,7 @@ import cv2
 import numpy as np
 from drake import lcmt_header, lcmt_image, lcmt_image_array
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from gridpush_drake.errors import ImageError
 from gridpush_drake.perception.camera import Camera
@@ -20,13 +21,16 @@ from gridpush_drake.perception.frames import MILLIMETERS, Color, Depth, Frame
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 
 JPEG_QUALITY = 95
-"""Of the color pictures that are sent, of 100."""
+"""Quality of the color pictures that are sent, 0 to 100."""
 
 PNG_LEVEL = 3
-"""Of the depth pictures' compression, of 9."""
+"""Level of compression of the depth pictures that are sent, 0 to 9."""
 
 MAX_DEPTH = 2**16 - 1
-"""mm, of depth in 16 bit."""
+"""Greatest depth that 16 bit hold, mm."""
+
+FARTHEST = 1e3
+"""Greatest depth that counts as measured, m; beyond it, and below 0, the depth of a pixel is not known."""
 
 CHANNELS = {
     lcmt_image.PIXEL_FORMAT_RGB: (3, [0, 1, 2]),
@@ -146,18 +150,25 @@ def _decode_depth(image: lcmt_image, camera: Camera) -> Depth:
     else:
         pixels = _read_rows(image, "depth", camera, kind, 1)[..., 0]
     meters = pixels / MILLIMETERS if kind.kind == "u" else pixels
-    return np.nan_to_num(meters.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    known = (meters >= 0) & (meters <= FARTHEST)  # false for NaN
+    return np.where(known, meters, 0.0).astype(np.float32)
 
 
 def _read_file(image: lcmt_image, what: str, camera: Camera, flags: int) -> NDArray[Any]:
     """Decodes an image file, whose size is looked at first."""
     kind = FILES[image.compression_method]
     try:
-        size = Image.open(BytesIO(image.data), formats=[kind]).size
-    except (UnidentifiedImageError, OSError, ValueError) as error:
+        with warnings.catch_warnings():
+            # a size that Pillow warns of is refused below
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            size = Image.open(BytesIO(image.data), formats=[kind]).size
+    except Exception as error:  # whatever Pillow makes of the bytes
         raise ImageError(f"the {what} image's data are no {kind} file") from error
     _check_size(size, what, camera)
-    pixels = cv2.imdecode(np.frombuffer(image.data, np.uint8), flags)
+    try:
+        pixels = cv2.imdecode(np.frombuffer(image.data, np.uint8), flags)
+    except cv2.error as error:
+        raise ImageError(f"the {what} image's data are no whole {kind} file") from error
     if pixels is None:
         raise ImageError(f"the {what} image's data are no whole {kind} file")
     return np.asarray(pixels)

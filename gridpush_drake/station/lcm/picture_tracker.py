@@ -3,11 +3,15 @@
 It is a process of its own beside the controller's, which therefore waits for no picture. What the
 arm hides it knows by rendering the arm where the camera is, with the joints as the robot's status
 has them; what else stands high is told by depth.
+
+Messages that cannot be used are left out and counted, see `Channel`. The pictures' times are by the
+robot's clock: a picture from the future, or one that no status was sent near to, is left out, too.
 """
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -17,7 +21,7 @@ from pydrake.lcm import DrakeLcmInterface
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.errors import GridPushError, PerceptionError, StationError
+from gridpush_drake.errors import GridPushError, PerceptionError
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.objects.grid_object import GridObject
@@ -25,13 +29,14 @@ from gridpush_drake.perception.detection import DetectedObject, find_off_table
 from gridpush_drake.perception.frames import MILLIMETERS, Frame
 from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.station.camera import LIVE, AddRgbdCamera
+from gridpush_drake.station.lcm.channel import Channel, count_reason
+from gridpush_drake.station.lcm.message_forms import decode_message, find_form_fault
 from gridpush_drake.station.lcm.picture_messages import decode_frame
 from gridpush_drake.station.lcm.robot_messages import (
     FROM_OPENING,
     GRIPPER_STATUS,
     OBJECT_STATUS,
     PICTURES,
-    decode_message,
     find_arm_messages,
 )
 from gridpush_drake.station.lcm.twin import check_tracked
@@ -43,11 +48,11 @@ from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS, make_status
 
 STATUSES = 1000
-"""Of the arm that are remembered: some seconds."""
+"""Number of the arm's last statuses that are remembered: some seconds."""
 
 MAX_LAG = 0.5
-"""Between a picture and the arm's status nearest to it, s; beyond that their clocks are not the
-same."""
+"""Longest time between a picture and the arm's status nearest to it, s. A picture further away is by
+another clock than the robot's, and left out."""
 
 
 class RobotSilhouette:
@@ -87,13 +92,13 @@ class RobotSilhouette:
 
 @dataclass
 class TrackerReport:
-    """How it went.
+    """What a tracker did.
 
     Attributes:
-        pictures: looked at.
-        seen: in how many of them the object was seen.
-        skipped: pictures that came while another one was looked at, and were not.
-        left_out: messages that were not taken, by why.
+        pictures: number of pictures that were looked at.
+        seen: number of those in which the object was seen.
+        skipped: number of pictures that were not looked at, since newer ones came meanwhile.
+        left_out: number of messages that could not be used, by why.
     """
 
     pictures: int = 0
@@ -102,7 +107,7 @@ class TrackerReport:
     left_out: Counter[str] = field(default_factory=Counter)
 
     def describe(self) -> str:
-        """In a sentence."""
+        """The report in a sentence."""
         text = f"{self.pictures} pictures, the object seen in {self.seen} of them, {self.skipped} skipped"
         return text + "".join(f"; {count} left out: {why}" for why, count in self.left_out.items())
 
@@ -118,7 +123,11 @@ class PictureTracker:
     """
 
     def __init__(
-        self, scenario: PushScenario, lcm: DrakeLcmInterface, obj: GridObject | None = None
+        self,
+        scenario: PushScenario,
+        lcm: DrakeLcmInterface,
+        obj: GridObject | None = None,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         """Listens from now on.
 
@@ -127,6 +136,7 @@ class PictureTracker:
                 known beforehand.
             lcm: on which pictures and the arm's status come, and the pose is said.
             obj: to follow; None for what the detector finds.
+            clock: by which messages arrive, s.
 
         Raises:
             ScenarioError: the camera makes no sense, or there are several objects.
@@ -144,10 +154,27 @@ class PictureTracker:
         self._off_table = find_off_table(self._silhouette.camera, self._silhouette.table_top)
         self._statuses: deque[tuple[int, Sequence[float]]] = deque(maxlen=STATUSES)
         self._opening: float | None = None
-        self._picture: bytes | None = None
+        self._clock, self._clock_jump = clock, scenario.safety.clock_jump
+        self._picture: tuple[bytes, float] | None = None
         self._last = -1
         self._tracker: PoseTracker | None = None
         self._state: TrackerState | None = None
+        self._arm = Channel(
+            self._messages.status,
+            self._messages.status_type,
+            now=clock,
+            clock_jump=self._clock_jump,
+            find_fault=self._find_arm_fault,
+            leave_out=self._leave_out,
+        )
+        self._gripper = Channel(
+            GRIPPER_STATUS,
+            lcmt_schunk_wsg_status,
+            now=clock,
+            clock_jump=self._clock_jump,
+            find_fault=lambda message: find_form_fault(message, GRIPPER_STATUS),
+            leave_out=self._leave_out,
+        )
         lcm.Subscribe(PICTURES, self._take_picture)
         lcm.Subscribe(self._messages.status, self._take_status)
         if robot.gripper is not None:
@@ -157,28 +184,18 @@ class PictureTracker:
         """Waits for messages for so long, s, and looks at the newest picture.
 
         Returns:
-            What it told; None where there was none, or it could not be looked at.
-
-        Raises:
-            StationError: the clock of the pictures is not the robot's.
+            What it told; None where there was none, or it could not be used.
         """
         self._lcm.HandleSubscriptions(round(1e3 * timeout))
-        data, self._picture = self._picture, None
-        if data is None or not self._statuses:
+        picture, self._picture = self._picture, None
+        if picture is None or not self._statuses:
             return None
-        try:
-            frame = decode_frame(
-                decode_message(lcmt_image_array, PICTURES, data), self._silhouette.camera
-            )
-        except GridPushError as error:
-            self.report.left_out[str(error)] += 1
+        frame = self._read_frame(*picture)
+        if frame is None:
             return None
-        utime = round(MICROSECONDS * frame.t)
-        if utime <= self._last:
-            self.report.left_out["a picture was not newer than the one before"] += 1
-            return None
-        self._last = utime
-        tracked = self._look(frame, self._silhouette.find(self._find_joints(utime), self._opening))
+        utime = self._last = round(MICROSECONDS * frame.t)
+        _, joints = self._find_nearest(utime)
+        tracked = self._look(frame, self._silhouette.find(joints, self._opening))
         self.report.pictures += 1
         self.report.seen += tracked.seen
         self._lcm.Publish(OBJECT_STATUS, make_status(frame.t, tracked.pose).encode())
@@ -190,7 +207,7 @@ class PictureTracker:
             return f"no status of the robot on {self._messages.status}"
         if self._last < 0:
             left_out = "".join(f" ({why})" for why in self.report.left_out)
-            return f"no picture on {PICTURES}{left_out}"
+            return f"no usable picture on {PICTURES}{left_out}"
         return self.message
 
     def _look(self, frame: Frame, hidden: NDArray[np.bool_]) -> TrackedPose:
@@ -227,39 +244,56 @@ class PictureTracker:
         self.detected, self.obj = found
         return self.detected
 
-    def _find_joints(self, utime: int) -> Sequence[float]:
-        """Of the status nearest to a picture."""
-        near, joints = min(self._statuses, key=lambda status: abs(status[0] - utime))
-        lag = abs(near - utime) / MICROSECONDS
-        if lag > MAX_LAG:
-            raise StationError(
-                f"a picture's utime is {lag:.3g} s from that of the robot's nearest status; expected one clock for both"
+    def _read_frame(self, data: bytes, arrival: float) -> Frame | None:
+        """Decodes a picture that arrived at a time, s; None, and counted, where it cannot be used."""
+        try:
+            message = decode_message(lcmt_image_array, PICTURES, data)
+            frame = decode_frame(message, self._silhouette.camera)
+        except GridPushError as error:
+            self._leave_out(str(error))
+            return None
+        utime = round(MICROSECONDS * frame.t)
+        why, (nearest, _) = "", self._find_nearest(utime)
+        if utime <= self._last:
+            why = "a picture was not newer than the one before"
+        elif self._arm.clock.calc_advance(frame.t, arrival) > self._clock_jump:
+            why = "a picture is from the future, by the robot's clock; expected one clock for both"
+        elif abs(nearest - utime) > MAX_LAG * MICROSECONDS:
+            why = (
+                f"a picture is more than {MAX_LAG:g} s from the robot's nearest status; "
+                "expected one clock for both"
             )
-        return joints
+        if why:
+            self._leave_out(why)
+        return None if why else frame
+
+    def _find_nearest(self, utime: int) -> tuple[int, Sequence[float]]:
+        """The time, us, and the joints of the status nearest to a picture's time, us."""
+        return min(self._statuses, key=lambda status: abs(status[0] - utime))
+
+    def _find_arm_fault(self, message: Any) -> str:
+        joints = self._silhouette.num_joints
+        fault = self._messages.find_fault(message, joints)
+        return fault or find_form_fault(message, self._messages.status, joints)
 
     def _take_picture(self, data: bytes) -> None:
         self.report.skipped += self._picture is not None
-        self._picture = data
+        self._picture = (data, self._clock())
 
     def _take_status(self, data: bytes) -> None:
-        message = self._decode(self._messages.status_type, self._messages.status, data)
-        if message is None:
+        changes = self._arm.clock_changes
+        if not self._arm.take(data):
             return
-        fault = self._messages.find_fault(message, self._silhouette.num_joints)
-        if fault:
-            self.report.left_out[fault] += 1
-        else:
-            self._statuses.append((message.utime, self._messages.read_joints(message)))
+        if self._arm.clock_changes != changes:
+            # the times before the clock jumped say nothing about pictures after it
+            self._statuses.clear()
+            self._last = -1
+        message = self._arm.message
+        self._statuses.append((message.utime, self._messages.read_joints(message)))
 
     def _take_gripper(self, data: bytes) -> None:
-        message = self._decode(lcmt_schunk_wsg_status, GRIPPER_STATUS, data)
-        if message is not None:
-            self._opening = message.actual_position_mm / MILLIMETERS
+        if self._gripper.take(data):
+            self._opening = self._gripper.message.actual_position_mm / MILLIMETERS
 
-    def _decode(self, kind: Any, channel: str, data: bytes) -> Any:
-        """The message; None where it is none: who subscribed is called by C, which takes no exceptions."""
-        try:
-            return decode_message(kind, channel, data)
-        except StationError as error:
-            self.report.left_out[str(error)] += 1
-            return None
+    def _leave_out(self, why: str) -> None:
+        count_reason(self.report.left_out, why)

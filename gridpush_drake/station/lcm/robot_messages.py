@@ -101,7 +101,10 @@ class IiwaMessages:
         return int(message.num_joints)
 
     def find_fault(self, message: Any, n: int) -> str:
-        """Says that a status is of another robot than one of n joints; empty where it is not."""
+        """Says that a status is of another robot than one of n joints; empty where it is not.
+
+        What else may be wrong with its form is told by `find_form_fault`.
+        """
         joints = self.count_joints(message)
         if joints == n:
             return ""
@@ -179,7 +182,7 @@ class IiwaMessages:
 
 
 PANDA_NAMES = {"velocity_measured": "velocity_estimated"}
-"""Of a Panda's ports that are named otherwise than an iiwa's."""
+"""Names that an iiwa's ports have, by those that a Panda's have where they differ."""
 
 
 @dataclass(frozen=True)
@@ -192,13 +195,16 @@ class PandaMessages(IiwaMessages):
     command_type: Any = lcmt_panda_command
 
     def read_joints(self, message: Any) -> Sequence[float]:
-        """Likewise."""
+        """The measured positions in a status, rad."""
         return tuple(message.joint_position)
 
     def AddStatusReceiver(
         self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
     ) -> dict[str, OutputPort]:
-        """Likewise; the time of the status is read from the message."""
+        """Adds what reads the status of n joints; returns its ports by the names that a `SimIiwaDriver` uses.
+
+        Drake's receiver has no port for the time of the status, which is read from the message.
+        """
         receiver = builder.AddNamedSystem("arm_status_receiver", PandaStatusReceiver(n))
         _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
         clock = _AddClock(builder, lcm, "arm_status_clock", self.status, self.status_type)
@@ -209,7 +215,7 @@ class PandaMessages(IiwaMessages):
     def AddCommandSender(
         self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
     ) -> InputPort:
-        """Likewise."""
+        """Adds what sends commands; returns the port for the positions of the n joints."""
         sender = builder.AddNamedSystem("arm_command_sender", PandaCommandSender(n, POSITION_MODE))
         _Publish(
             builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD
@@ -224,7 +230,10 @@ class PandaMessages(IiwaMessages):
         driver: dict[str, OutputPort],
         ramp: CommandRamp,
     ) -> None:
-        """Likewise; the time of the command is read from the message."""
+        """Adds what a robot's driver does, see `IiwaMessages.AddRobotSide`.
+
+        Drake's receiver has no port for the time of the command, which is read from the message.
+        """
         commands = builder.AddNamedSystem(
             "arm_command_receiver", PandaCommandReceiver(n, POSITION_MODE)
         )
@@ -262,14 +271,6 @@ class MessageClock(LeafSystem):
 
 ARM_MESSAGES: dict[str, IiwaMessages] = {"iiwa": IiwaMessages(), "panda": PandaMessages()}
 """By what an arm's robot.yaml says of its `messages`."""
-
-
-def decode_message(kind: Any, channel: str, data: bytes) -> Any:
-    """Decodes a message of a channel. Raises StationError where it is of another kind, or not whole."""
-    try:
-        return kind.decode(data)
-    except Exception as error:  # whatever the bytes make of it
-        raise StationError(f"{channel} is not {kind.__name__} ({error})") from error
 
 
 def find_arm_messages(robot: Robot) -> IiwaMessages:
