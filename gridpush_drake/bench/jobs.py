@@ -13,6 +13,7 @@ import signal
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib.resources import files
@@ -364,6 +365,18 @@ def _receive(connection: Connection) -> Any:
     return i, result
 
 
+@contextmanager
+def _blocked_signals() -> Iterator[None]:
+    """Holds back the signals that end a command; a process that is started meanwhile never has them."""
+    blocked = signal.pthread_sigmask(
+        signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+    )
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
 class _Pool:
     """Worker processes by the pipe to each; as a context, at whose end they are killed, whatever they do."""
 
@@ -375,7 +388,9 @@ class _Pool:
         self._workers: dict[Connection, BaseProcess] = {}
 
     def __enter__(self) -> "_Pool":
-        resource_tracker.ensure_running()  # begun along with the first worker, it would unblock the signals
+        with _blocked_signals():
+            # begun along with the first worker, it would unblock the signals
+            resource_tracker.ensure_running()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -388,15 +403,12 @@ class _Pool:
         """Starts a worker; returns the pipe to it."""
         # an interrupt waits until the new process is known here; the process itself inherits it
         # blocked
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
-        try:
+        with _blocked_signals():
             here, there = self._context.Pipe()
             process = self._context.Process(target=_work, args=(there, self._function), daemon=True)
             process.start()
             there.close()
             self._workers[here] = process
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         return here
 
     def drop(self, connection: Connection) -> int | None:

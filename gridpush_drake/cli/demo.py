@@ -8,11 +8,10 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_notice
+from gridpush_drake.cli.interrupts import EXIT_INTERRUPTED
 
 EXIT_NOT_DONE = 1
 """Where everything went as it should but the robot did not get there."""
-
-EXIT_INTERRUPTED = 130
 
 
 class TaskName(StrEnum):

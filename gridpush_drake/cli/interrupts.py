@@ -150,9 +150,7 @@ def discard_output(number: int) -> None:
 def say_interrupted() -> None:
     """Says on standard error what an interrupted user wants to know, where anybody can still read it."""
     with suppress(OSError):
-        print(
-            "gridpush: interrupted; no file was left half-written", file=sys.stderr, flush=True
-        )
+        print("gridpush: interrupted; no file was left half-written", file=sys.stderr, flush=True)
 
 
 class LosableOutput:

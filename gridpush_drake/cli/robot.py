@@ -36,6 +36,7 @@ from gridpush_drake.errors import GridPushError, ScenarioError
 if TYPE_CHECKING:
     from gridpush_drake.cli.demo_tasks import DemoTask
     from gridpush_drake.station.lcm.hardware_link import HardwareLink
+    from gridpush_drake.station.scenario import PushScenario
     from gridpush_drake.station.task import StationTask
     from gridpush_drake.systems.messages import PushCommand
 
@@ -192,7 +193,9 @@ def _report(
         if isinstance(error, GridPushError) or not link.report.traces:
             raise
         # what the controller failed over may be missing in the record, too
-        unwritten = f"Not all files could be made of what there is: {type(error).__name__}: {error}."
+        unwritten = (
+            f"Not all files could be made of what there is: {type(error).__name__}: {error}."
+        )
         summary = {"status": str(record.status), "message": record.message, "done": False}
     summary["loop"] = _describe_loop(link)
     files = [*written, out / LOG]

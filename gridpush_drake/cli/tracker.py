@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from gridpush_drake.station.lcm.picture_tracker import PictureTracker
 
 WAIT = 0.1
-"""For messages, s, between two looks at whether to end."""
+"""Longest time that messages are waited for between two looks at whether to end, s."""
 
 PATIENCE = 5.0
-"""For the first picture and status, s; after it what is missing is said."""
+"""Time without a usable picture, s, after which it is said what is missing."""
 
 
 def tracker(
@@ -57,10 +57,24 @@ def tracker(
     try:
         _find(follower, out if given is None else None, force)
         print_notice(f"Its pose is said on {OBJECT_STATUS}.")
-        while True:
-            follower.step(WAIT)
+        _follow(follower)
     except KeyboardInterrupt:
         print_notice(f"{follower.report.describe()}.")
+
+
+def _follow(follower: "PictureTracker") -> None:
+    """Looks for as long as the command runs; says when no picture could be used for a while, and why."""
+    last, told = monotonic(), False
+    while True:
+        before = follower.report.left_out.copy()
+        tracked = follower.step(WAIT)
+        if tracked is not None:
+            last, told = monotonic(), False
+        elif not told and monotonic() - last > PATIENCE:
+            new = follower.report.left_out - before
+            reasons = "; ".join(new) or "no picture and status of the robot came"
+            print_notice(f"No pose is said any more: for {PATIENCE:g} s {reasons}.")
+            told = True
 
 
 def _find(follower: "PictureTracker", out: Path | None, force: bool) -> None:

@@ -16,11 +16,11 @@ DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 DEFAULT_SCENARIO = "grasp"
 """Name of the shipped scenario that robot and twin take where none is given."""
 
-ADVANCE = 0.1
-"""Simulated between two looks at the clock, s."""
+EXCHANGE_PERIOD = 0.001
+"""Time that is simulated between two looks at what came in, s."""
 
-BEHIND = 0.05
-"""Of the twin's time behind the clock, at which it goes on from where it is and says so, s."""
+LARGEST_DELAY = 0.05
+"""If the twin's time is further behind the clock than this, it goes on from where it is and says so, s."""
 
 Scenario = Annotated[
     Path | None,
@@ -70,11 +70,13 @@ def twin(
     from gridpush_drake.station.lcm.hardware_link import open_lcm
     from gridpush_drake.station.lcm.twin import MakeTwin
     from gridpush_drake.station.lcm.twin_camera import PictureProcess
+    from gridpush_drake.station.lcm.twin_link import TwinLink
+    from gridpush_drake.station.robot import find_robot
     from gridpush_drake.systems.arm_guard import GuardMode
 
     scenario = read_robot_scenario(scenario_file, object_file, seed)
-    network = open_lcm(lcm)
-    diagram = MakeTwin(scenario, network)
+    link = TwinLink(open_lcm(lcm), find_robot(scenario.directives))
+    diagram = MakeTwin(scenario, link.bus, listens=False)
     simulator = Simulator(diagram)
     diagram.SetStart(simulator.get_mutable_context())
     simulator.set_target_realtime_rate(realtime_rate)
@@ -83,14 +85,15 @@ def twin(
         f"The twin speaks on {lcm} as an {diagram.world.setting.robot.arm_model}; Ctrl-C ends it."
     )
     camera = PictureProcess(scenario, lcm) if scenario.camera.kind == "rgbd" else None
-    advance = ADVANCE if camera is None else 1 / scenario.camera.rate
-    begin, told, said = monotonic(), False, ""
+    begin, told, said, next_picture, unusable = monotonic(), False, "", 0.0, 0
     context, port = simulator.get_context(), diagram.GetOutputPort("driver.status")
     try:
         while True:
-            if camera is not None:
+            if camera is not None and context.get_time() >= next_picture:
                 camera.ask(context.get_time(), diagram.GetPositions(context))
-            time = context.get_time() + advance
+                next_picture += 1 / scenario.camera.rate
+            link.exchange()
+            time = context.get_time() + EXCHANGE_PERIOD
             simulator.AdvanceTo(time)
             status = port.Eval(context)
             if status.reason != said and status.mode == GuardMode.HOLDING:
@@ -98,8 +101,11 @@ def twin(
                     f"{status.since:.2f} s: {status.reason}. The arm came to rest; a command moves it again."
                 )
             said = status.reason
+            if len(link.left_out) != unusable:
+                unusable = len(link.left_out)
+                print_notice(f"{time:.2f} s: a command was left out: {list(link.left_out)[-1]}.")
             behind = (monotonic() - begin) * realtime_rate - time
-            if behind > BEHIND:
+            if behind > LARGEST_DELAY:
                 begin += behind / realtime_rate
                 simulator.ResetStatistics()  # else it would run faster than the clock once it can
                 if not told:
@@ -108,7 +114,10 @@ def twin(
                     )
                 told = True
     except KeyboardInterrupt:
-        print_notice(f"The twin ends after {context.get_time():.1f} s of its time.")
+        left_out = link.describe_left_out()
+        print_notice(
+            f"The twin ends after {context.get_time():.1f} s of its time{left_out and f'; {left_out}'}."
+        )
     finally:
         if camera is not None:
             camera.close()

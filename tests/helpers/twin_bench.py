@@ -22,6 +22,7 @@ from gridpush_drake.station.lcm.robot_messages import (
 )
 from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.lcm.twin_camera import TwinCamera
+from gridpush_drake.station.lcm.twin_link import TwinLink
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.scenario import PushScenario
 
@@ -30,7 +31,7 @@ Spoiler = Callable[[float, bytes], list[bytes]]
 
 
 class TwinBench:
-    """The twin, the link and a task; what the arm does is written down at every status.
+    """The twin with its link, the link to it and a task; what the arm does is written down at every status.
 
     Attributes:
         spoil: by the channel, what becomes of the twin's messages.
@@ -40,22 +41,24 @@ class TwinBench:
     """
 
     def __init__(self, scenario: PushScenario, task: type) -> None:
-        self.lcm, self._inside = DrakeLcm("memq://"), DrakeLcm("memq://")
-        self.messages = find_arm_messages(find_robot(scenario.directives))
-        self.twin = MakeTwin(scenario, self._inside, listens=False)
+        self.lcm, self._network = DrakeLcm("memq://"), DrakeLcm("memq://")
+        robot = find_robot(scenario.directives)
+        self.messages = find_arm_messages(robot)
+        self.twin_link = TwinLink(self._network, robot)
+        self.twin = MakeTwin(scenario, self.twin_link.bus, listens=False)
         self.simulator = Simulator(self.twin)
         self.spoil: dict[str, Spoiler] = {}
         self.disturb: Callable[[bytes], list[bytes]] | None = None
         self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
         for channel in (self.messages.status, OBJECT_STATUS):
-            self._inside.Subscribe(channel, partial(self._pass_out, channel))
+            self._network.Subscribe(channel, partial(self._pass_out, channel))
         self.lcm.Subscribe(self.messages.command, self._pass_in)
         self._last: Any = None
         self._count = self._moves = self.paused = 0
         self._reset()
         self.link = HardwareLink(
             self.lcm,
-            find_robot(scenario.directives),
+            robot,
             clock_jump=scenario.safety.clock_jump,
             robot=self.move,
             clock=self.read_clock,
@@ -76,6 +79,8 @@ class TwinBench:
         self.disturb = None
         self.rows.clear()
         self.link.report.events.clear()
+        self.link.report.left_out.clear()
+        self.link.report.traces.clear()
         self.link.report.silences = self.link.report.pauses = (
             0  # of which only the first ones are written down
         )
@@ -92,9 +97,10 @@ class TwinBench:
             self.paused -= 1
             return
         self._count += 1
-        self._inside.HandleSubscriptions(0)
+        self.twin_link.exchange()
         self.simulator.AdvanceTo((self._count + 0.5) * ARM_PERIOD)
-        self._inside.HandleSubscriptions(0)
+        self.twin_link.exchange()
+        self._network.HandleSubscriptions(0)
         plant, arm = self.twin.world.plant, self.twin.world.robot_in_plant.arm
         context = plant.GetMyContextFromRoot(self.simulator.get_context())
         self.rows.append(
@@ -129,14 +135,14 @@ class TwinBench:
         self.twin.SetStart(context)
         if self._last is not None:  # with which the driver would begin
             self._last.joint_position = self.twin.world.setting.q_start.tolist()
-            self._inside.Publish(self.messages.command, self._last.encode())
-            self._inside.HandleSubscriptions(0)
+            self._network.Publish(self.messages.command, self._last.encode())
+            self.twin_link.exchange()
         self.simulator.Initialize()
 
     def _pass_in(self, data: bytes) -> None:
         self._last = self.messages.command_type.decode(data)
         for message in [data] if self.disturb is None else self.disturb(data):
-            self._inside.Publish(self.messages.command, message)
+            self._network.Publish(self.messages.command, message)
 
     def _pass_out(self, channel: str, data: bytes) -> None:
         spoil = self.spoil.get(channel)

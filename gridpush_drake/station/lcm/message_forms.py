@@ -21,6 +21,7 @@ from drake import (
     lcmt_schunk_wsg_command,
     lcmt_schunk_wsg_status,
 )
+from pydrake.manipulation import PandaControlMode
 
 from gridpush_drake.errors import StationError
 
@@ -106,6 +107,12 @@ FORMS: Mapping[type, Mapping[str, Numbers]] = {
 """The numbers of each kind of message, by the names of their fields; `utime` is looked at by `Channel`."""
 
 
+MODES: Mapping[type, tuple[str, int]] = {
+    lcmt_panda_command: ("control_mode_expected", int(PandaControlMode.kPosition)),
+}
+"""Kinds of messages that say in which mode the arm is moved: the field, and the mode that is spoken here."""
+
+
 def decode_message(kind: Any, channel: str, data: bytes) -> Any:
     """Decodes a message of a channel.
 
@@ -136,6 +143,9 @@ def find_form_fault(message: Any, channel: str, joints: int = 0) -> str:
     """
     if message.utime < 0:
         return f"{channel}: utime is negative; expected the sender's clock in microseconds"
+    field, mode = MODES.get(type(message), ("", 0))
+    if field and getattr(message, field) != mode:
+        return f"{channel}: {field} is another mode; expected {mode}"
     for name, numbers in FORMS[type(message)].items():
         value = getattr(message, name)
         values: Sequence[float] = value if isinstance(value, Sequence) else (value,)

@@ -24,11 +24,11 @@ from gridpush_drake.station.station import Setting
 from gridpush_drake.systems.arm_guard import CommandRamp
 
 TORQUE = "torque_external"
-"""Port of an arm's driver."""
+"""Name of the port of an arm's driver with the torques from outside."""
 
 ESTIMATION_TIME = 0.03
-"""In which an arm's estimate of that follows, s: in the simulation a knock lasts one time step, and
-is as strong."""
+"""Time constant with which an arm's estimate of the torques from outside follows them, s. In the
+simulation a knock lasts one time step, and is as much stronger."""
 
 
 def check_tracked(scenario: PushScenario) -> None:
@@ -101,9 +101,10 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = 
     Args:
         scenario: what stands where, and what the object truly weighs.
         lcm: on which it speaks.
-        listens: whether it hears what came whenever its time moves. Else the caller calls
-            `lcm.HandleSubscriptions`, as it must where it subscribes itself: Drake 1.58 cannot call
-            Python from within an `LcmInterfaceSystem`.
+        listens: whether it hears what came whenever its time moves; what comes must then be whole,
+            for Drake ends the process over a command that is not. On a network that others are on,
+            the caller has a `TwinLink` between that and the twin, and none of this. Drake 1.58
+            cannot call Python from within an `LcmInterfaceSystem`.
 
     Returns:
         The twin. Call its `SetStart` on each new Context.

@@ -24,7 +24,10 @@ from gridpush_drake.station.push_station import AddWorld
 from gridpush_drake.station.scenario import PushScenario, format_scenario, parse_scenario
 
 ENDS_WITHIN = 5.0
-"""s, of the process, once nothing is asked of it any more."""
+"""Longest time that the process may take to end once nothing is asked of it any more, s."""
+
+TWINS_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+"""Signals that go to the twin as well, which then closes the pipe; Windows has no SIGHUP."""
 
 
 class TwinCamera:
@@ -114,10 +117,9 @@ class PictureProcess:
 
 def _take_pictures(scenario: str, url: str, asks: Connection) -> None:
     """Answers the newest of what is asked, until nobody can ask any more; the scenario is YAML."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(
-            number, signal.SIG_IGN
-        )  # they go to the twin as well, which then closes the pipe
+    for name in TWINS_SIGNALS:
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     lcm, camera = open_lcm(url), TwinCamera(parse_scenario(Path("scenario.yaml"), scenario))
     try:
         while True:

@@ -1,0 +1,78 @@
+"""`TwinLink`: between a twin and the LCM that it is on.
+
+Commands that cannot be used are left out and counted before the twin's systems see them: Drake ends
+the process over a command that is not whole, and a gripper told to go to NaN ends the simulation.
+Which commands come too late, or were overtaken, is decided by the twin's `CommandRamp`.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from drake import lcmt_schunk_wsg_command
+from pydrake.lcm import DrakeLcm, DrakeLcmInterface
+
+from gridpush_drake.errors import StationError
+from gridpush_drake.station.lcm.channel import count_reason
+from gridpush_drake.station.lcm.message_forms import decode_message, find_form_fault
+from gridpush_drake.station.lcm.robot_messages import (
+    GRIPPER_COMMAND,
+    GRIPPER_STATUS,
+    OBJECT_STATUS,
+    find_arm_messages,
+)
+from gridpush_drake.station.robot import Robot
+
+
+class TwinLink:
+    """Passes a twin's messages to the network, and usable commands from the network to the twin.
+
+    Attributes:
+        bus: the twin's own LCM, for `MakeTwin(..., listens=False)`.
+        left_out: number of commands that could not be used, by why.
+    """
+
+    def __init__(self, lcm: DrakeLcmInterface, robot: Robot) -> None:
+        """Listens from now on.
+
+        Args:
+            lcm: the network.
+            robot: how many joints it has, what its driver speaks, and whether there is a gripper.
+        """
+        self.bus, self.left_out = DrakeLcm("memq://"), Counter[str]()
+        self._lcm = lcm
+        messages, joints = find_arm_messages(robot), len(robot.arm.posture)
+        statuses = [messages.status, OBJECT_STATUS]
+        commands = {messages.command: (messages.command_type, joints)}
+        if robot.gripper is not None:
+            statuses.append(GRIPPER_STATUS)
+            commands[GRIPPER_COMMAND] = (lcmt_schunk_wsg_command, 0)
+        for name in statuses:
+            self.bus.Subscribe(name, self._make_sender(name))
+        for name, (kind, count) in commands.items():
+            lcm.Subscribe(name, self._make_taker(name, kind, count))
+
+    def exchange(self) -> None:
+        """Passes on what has come from either side since the last call; call it at least every `ARM_PERIOD`."""
+        self._lcm.HandleSubscriptions(0)
+        self.bus.HandleSubscriptions(0)
+
+    def describe_left_out(self) -> str:
+        """What could not be used, in words; empty for nothing."""
+        return "; ".join(f"{count} left out: {why}" for why, count in self.left_out.items())
+
+    def _make_sender(self, name: str) -> Callable[[bytes], None]:
+        return lambda data: self._lcm.Publish(name, data)
+
+    def _make_taker(self, name: str, kind: Any, joints: int) -> Callable[[bytes], None]:
+        def take(data: bytes) -> None:
+            try:
+                why = find_form_fault(decode_message(kind, name, data), name, joints)
+            except StationError as error:  # the caller is C and takes no exceptions
+                why = str(error)
+            if why:
+                count_reason(self.left_out, why)
+            else:
+                self.bus.Publish(name, data)
+
+        return take
