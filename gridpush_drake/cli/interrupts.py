@@ -195,7 +195,7 @@ class LosableOutput:
 def losable_outputs(tell: Callable[[OSError], None]) -> Iterator[None]:
     """Lets standard output and standard error be lost meanwhile; see `LosableOutput`."""
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (LosableOutput(stream, tell) for stream in before)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = (LosableOutput(stream, tell) for stream in before)
     try:
         yield
     finally:
