@@ -23,6 +23,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
 from gridpush_drake.station.push_task import PushTask
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario, format_scenario, parse_scenario
 from gridpush_drake.station.scene import use_object
 from gridpush_drake.station.task import StationTask, TaskRecord, TaskStatus
@@ -41,7 +42,7 @@ class CampaignTask:
         done: status of a run in which all went well.
     """
 
-    make: Callable[[PushScenario], StationTask[Any]]
+    make: Callable[[ResolvedScenario], StationTask[Any]]
     done: TaskStatus
 
 
@@ -130,9 +131,9 @@ def run_episode(job: EpisodeJob) -> Episode:
     begin = perf_counter()
     try:
         scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
-        use_object(scenario, job.object)
+        told = use_object(scenario, job.object)
         scenario.seed = job.seed
-        task = TASKS[job.task].make(scenario)
+        task = TASKS[job.task].make(resolve(scenario, told=told))
         record = task.run()
     except GridPushError as error:
         return Episode(

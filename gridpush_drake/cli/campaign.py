@@ -62,14 +62,16 @@ def campaign(
     """
     from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
     from gridpush_drake.bench.jobs import open_results
+    from gridpush_drake.station.resolve import resolve
     from gridpush_drake.station.scenario import format_scenario, read_scenario
-    from gridpush_drake.station.scene import check_scenario
+    from gridpush_drake.station.scene import use_object
 
     scenario = read_scenario(scenario_file)
     chosen = _find_objects(scenario, objects)
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
     for name in chosen:
-        check_scenario(scenario.model_copy(update={"object": name}), scenario_file)
+        trial = scenario.model_copy()
+        resolve(trial, scenario_file, told=use_object(trial, name))
 
     def begin() -> "Results":
         make_folder(out)

@@ -100,9 +100,10 @@ def demo(
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
     from gridpush_drake.display.server import StartMeshcatServer
     from gridpush_drake.files import make_folder
+    from gridpush_drake.station.resolve import resolve
     from gridpush_drake.station.robot import make_robot_directives
     from gridpush_drake.station.scenario import read_scenario
-    from gridpush_drake.station.scene import check_scenario, use_object
+    from gridpush_drake.station.scene import use_object
 
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(
@@ -110,8 +111,7 @@ def demo(
         )
     chosen = TASKS[task]
     scenario = read_scenario(scenario_file) if scenario_file else chosen.make_scenario()
-    if object_file is not None:
-        use_object(scenario, object_file)
+    told = None if object_file is None else use_object(scenario, object_file)
     if pushes is not None:
         scenario.pokes.count = pushes
     if camera is not None:
@@ -120,17 +120,17 @@ def demo(
         scenario.seed = seed
     if robot is not None:
         scenario.directives = make_robot_directives(robot, grasping=task is TaskName.pregrasp)
-    check_scenario(scenario, scenario_file)
-    make_folder(out)
-    options.check_outputs(force, *(out / name for name in chosen.files))
     if camera is None and scenario_file is None:
         scenario.camera.use(_choose_camera())
+    resolved = resolve(scenario, scenario_file, told=told)
+    make_folder(out)
+    options.check_outputs(force, *(out / name for name in chosen.files))
     meshcat = StartMeshcatServer(port)
     options.compile_kernels()
     print_notice(f"Watch it at {meshcat.web_url()}")
     if open_browser:
         typer.launch(meshcat.web_url())
-    record = chosen.run(scenario, meshcat, realtime_rate)
+    record = chosen.run(resolved, meshcat, realtime_rate)
     print_notice(f"Writing to {out} ...")
     written = write_files(chosen, out, scenario, record, meshcat, force)
     summary = chosen.summarize(record)

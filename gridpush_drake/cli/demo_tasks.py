@@ -35,6 +35,7 @@ from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_g
 from gridpush_drake.station.identify_task import IdentifyTask, IdentifyTaskRecord
 from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
 from gridpush_drake.station.push_task import GOAL_COLOR, PushTask, PushTaskRecord
+from gridpush_drake.station.resolve import ResolvedScenario
 from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
 from gridpush_drake.station.task import TaskStatus
 from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PushStatus
@@ -97,11 +98,11 @@ class DemoTask:
         """The scenario that it has by itself."""
         return PushScenario() if self.scenario is None else read_scenario(self.scenario)
 
-    def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> Any:
+    def run(self, resolved: ResolvedScenario, meshcat: Meshcat, realtime_rate: float) -> Any:
         """Runs the task and records it from the moment when all is set up; returns the record."""
-        task = self.station(scenario, meshcat)
+        task = self.station(resolved, meshcat)
         task.AimCamera(meshcat)
-        with count_progress("the robot", self.count_steps(scenario)) as report:
+        with count_progress("the robot", self.count_steps(resolved.scenario)) as report:
 
             def show(status: PushStatus, logged: int) -> None:
                 doing, count = self.describe_step(task, status)

@@ -84,12 +84,11 @@ def robot(
     from gridpush_drake.files import make_folder
     from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
     from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
-    from gridpush_drake.station.robot import find_robot
-    from gridpush_drake.station.scene import check_scenario
+    from gridpush_drake.station.resolve import resolve
 
     chosen, scenario = TASKS[task], read_robot_scenario(scenario_file, object_file, seed)
     scenario.simulation.answer_delay = None  # a real arm waits for nobody
-    check_scenario(scenario, scenario_file)
+    resolved = resolve(scenario, scenario_file)
     if scenario.camera.kind == "rgbd" and object_file is None:
         raise ScenarioError(
             "--object: missing; with camera.kind rgbd, expected the file that gridpush tracker wrote"
@@ -99,13 +98,13 @@ def robot(
         options.check_outputs(force, *(out / name for name in (*chosen.files, LOG)))
     link = HardwareLink(
         open_lcm(lcm),
-        find_robot(scenario.directives),
+        resolved.robot,
         realtime_rate=realtime_rate,
         clock_jump=scenario.safety.clock_jump,
     )
     link.wait()
     options.compile_kernels()
-    station_task = chosen.station(scenario, make_station=partial(MakeHardwareStation, lcm=link.bus))
+    station_task = chosen.station(resolved, make_station=partial(MakeHardwareStation, lcm=link.bus))
     if not go:
         _look(station_task, link, json)
         return

@@ -44,15 +44,14 @@ def tracker(
     from gridpush_drake.station.lcm.hardware_link import open_lcm
     from gridpush_drake.station.lcm.picture_tracker import PictureTracker
     from gridpush_drake.station.lcm.robot_messages import OBJECT_STATUS
-    from gridpush_drake.station.scene import check_scenario
-    from gridpush_drake.station.station import LoadPushedObject
+    from gridpush_drake.station.resolve import resolve
 
     scenario = read_robot_scenario(scenario_file, object_file, None)
-    check_scenario(scenario, scenario_file)
+    resolved = resolve(scenario, scenario_file)
     if object_file is None:
         check_writable(out, force)
-    given = None if object_file is None else LoadPushedObject(scenario)
-    follower = PictureTracker(scenario, open_lcm(lcm), given)
+    given = None if object_file is None else resolved.obj
+    follower = PictureTracker(resolved, open_lcm(lcm), given)
     print_notice(f"Looking for pictures on {lcm}; Ctrl-C ends it.")
     try:
         _find(follower, out if given is None else None, force)

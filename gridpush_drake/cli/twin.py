@@ -71,12 +71,13 @@ def twin(
     from gridpush_drake.station.lcm.twin import MakeTwin
     from gridpush_drake.station.lcm.twin_camera import PictureProcess
     from gridpush_drake.station.lcm.twin_link import TwinLink
-    from gridpush_drake.station.robot import find_robot
+    from gridpush_drake.station.resolve import resolve
     from gridpush_drake.systems.arm_guard import GuardMode
 
     scenario = read_robot_scenario(scenario_file, object_file, seed)
-    link = TwinLink(open_lcm(lcm), find_robot(scenario.directives))
-    diagram = MakeTwin(scenario, link.bus, listens=False)
+    resolved = resolve(scenario, scenario_file)
+    link = TwinLink(open_lcm(lcm), resolved.robot)
+    diagram = MakeTwin(resolved, link.bus, listens=False)
     simulator = Simulator(diagram)
     diagram.SetStart(simulator.get_mutable_context())
     simulator.set_target_realtime_rate(realtime_rate)

@@ -264,6 +264,7 @@ def AddGridObject(
     side_stiffness: float = SIDE_STIFFNESS,
     visual: bool = True,
     color: Sequence[float] = DEFAULT_COLOR,
+    touches: bool = True,
 ) -> GridObjectInPlant:
     """Adds a grid object to a plant, before Finalize.
 
@@ -286,6 +287,8 @@ def AddGridObject(
         side_stiffness: of the outline's contacts, N/m.
         visual: whether it has illustration geometry.
         color: red, green, blue and opacity of that.
+        touches: whether it touches anything. One that is only looked at needs no contact geometry,
+            and no table.
 
     Raises:
         ObjectError: `base` is neither, a size is not positive, there is no table, or a model of
@@ -297,7 +300,7 @@ def AddGridObject(
     delta = DEFAULT_DELTA[base] if delta is None else delta
     require_positive(ObjectError, height=height, delta=delta, side_stiffness=side_stiffness)
     table = list(table)
-    if not table:
+    if touches and not table:
         raise ObjectError(
             "table is empty; expected the collision geometries that the spheres stand on"
         )
@@ -312,12 +315,13 @@ def AddGridObject(
     joint = _hold(plant, body, base, delta)
     handle = GridObjectInPlant(
         obj, base, model_instance, plant, body.index(), joint and joint.index(),
-        _add_spheres(plant, body, layout, params, delta, support),
-        _add_sides(plant, body, obj, params, height, side_stiffness),
+        _add_spheres(plant, body, layout, params, delta, support) if touches else (),
+        _add_sides(plant, body, obj, params, height, side_stiffness) if touches else (),
         _add_visual(plant, scene_graph, body, obj, height, color) if visual else (),
         layout, height, delta, side_stiffness,
     )  # fmt: skip
-    ApplyGridObjectFilters(plant, scene_graph, handle, table)
+    if touches:
+        ApplyGridObjectFilters(plant, scene_graph, handle, table)
     return handle
 
 

@@ -9,6 +9,7 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.others import leave_out
 from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import MakeFingerRegion, Station, StationMaker
 from gridpush_drake.station.task import (
@@ -115,22 +116,24 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
 
     def __init__(
         self,
-        scenario: PushScenario,
+        scenario: PushScenario | ResolvedScenario,
         meshcat: Meshcat | None = None,
         make_station: StationMaker = MakePushStation,
     ) -> None:
         """Makes the Diagram.
 
         Args:
-            scenario: what stands where, and how it is poked.
+            scenario: resolved or not, what stands where, and how it is poked.
             meshcat: to show it in; None for none.
             make_station: of a scenario; a simulated one by default.
 
         Raises:
             ScenarioError, StationError: see `MakePushStation`.
         """
+        resolved = resolve(scenario)
+        scenario = resolved.scenario
         builder = DiagramBuilder()
-        station = builder.AddSystem(make_station(scenario, meshcat, show_object=False))
+        station = builder.AddSystem(make_station(resolved, meshcat, show_object=False))
         self.controller = builder.AddNamedSystem("policy", _make_policy(station))
         super().__init__(builder, station, self.controller, meshcat)
 

@@ -25,10 +25,11 @@ from gridpush_drake.multibody.grid_object import (
     GridObjectInPlant,
 )
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.camera import AddIdealCamera, AddSeenVisual
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import MakeTruth, load_others
+from gridpush_drake.station.scene import MakeTruth
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 
 
@@ -60,14 +61,13 @@ def AddOthers(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     scenario: PushScenario,
+    objects: Sequence[GridObject],
     table: Sequence[GeometryId],
     pushed: GridObjectInPlant,
 ) -> tuple[OtherObject, ...]:
     """Adds a scenario's other objects to a plant, before Finalize; they stand on the table and touch one another."""
     others = []
-    for number, (config, obj) in enumerate(
-        zip(scenario.others, load_others(scenario), strict=True)
-    ):
+    for number, (config, obj) in enumerate(zip(scenario.others, objects, strict=True)):
         name = f"other_{number}"
         part = AddGridObject(
             plant,

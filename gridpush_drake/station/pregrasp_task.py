@@ -31,6 +31,7 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
 from gridpush_drake.station.others import place_others
 from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import (
     Learning,
@@ -161,14 +162,14 @@ class PreGraspTask(StationTask[PreGraspRecord]):
 
     def __init__(
         self,
-        scenario: PushScenario,
+        scenario: PushScenario | ResolvedScenario,
         meshcat: Meshcat | None = None,
         make_station: StationMaker = MakePushStation,
     ) -> None:
         """Makes the Diagram.
 
         Args:
-            scenario: what stands where, and how it is done; its scene has a gripper.
+            scenario: resolved or not, what stands where, and how it is done; its scene has a gripper.
             meshcat: to show it in; None for none.
             make_station: of a scenario; a simulated one by default.
 
@@ -178,9 +179,11 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             PlanningError: the object is too thick for the gripper, its pads fit nowhere on it, or
                 the table is smaller than it.
         """
+        resolved = resolve(scenario)
+        scenario = resolved.scenario
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(
-            make_station(scenario, meshcat, show_object=False, learning=Learning())
+            make_station(resolved, meshcat, show_object=False, learning=Learning())
         )
         station = self.station
         if station.robot.gripper is None:

@@ -23,7 +23,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from gridpush_drake.display.server import KeepToItsThread
 from gridpush_drake.geometry.se2 import wrap_angle
-from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
+from gridpush_drake.multibody.contact_material import TABLE, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import (
     SetGridObjectParameters,
@@ -38,8 +38,6 @@ from gridpush_drake.perception.sight import Sight
 from gridpush_drake.station.arm import (
     DRIVER_OUTPUTS,
     AddArmDriver,
-    CalcStartPosture,
-    MakeControlPlant,
     SetJointServos,
 )
 from gridpush_drake.station.camera import (
@@ -49,28 +47,23 @@ from gridpush_drake.station.camera import (
     AddRgbdCamera,
     AddSeenVisual,
     FoundObject,
-    PhotographedScene,
     StationCamera,
     calc_pose_age,
-    find_object,
 )
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
 from gridpush_drake.station.others import AddOtherCameras, AddOthers, SetOthersStart
-from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant, find_robot
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import (
     AddScene,
-    CalcBasePose,
-    CalcHome,
     MakeSupport,
     MakeTruth,
-    check_scenario,
 )
 from gridpush_drake.station.station import (
     POSE_LOG,
     AddRobotControl,
     Learning,
-    LoadPushedObject,
     MakeSetting,
     RobotControl,
     Setting,
@@ -159,34 +152,12 @@ def AddStationScene(
     return instances, table
 
 
-def TakePhotograph(scenario: PushScenario, true_obj: GridObject) -> FoundObject:
-    """Finds the object in a photograph of the scene as a run begins; see `find_object`."""
-    builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
-    robot = find_robot(scenario.directives)
-    instances, table = AddStationScene(plant, scene_graph, scenario, robot)
-    truth = MakeTruth(true_obj, scenario.truth, scenario.seed)
-    height, base = scenario.object_height, cast(Base, scenario.base)
-    part = AddGridObject(
-        plant, scene_graph, true_obj, truth, base, table=table, height=height, visual=False
-    )
-    AddSeenVisual(plant, scene_graph, part)
-    others = [
-        (other.part, other.pose) for other in AddOthers(plant, scene_graph, scenario, table, part)
-    ]
-    plant.Finalize()
-    control_plant = MakeControlPlant(robot, CalcBasePose(plant, robot))
-    q_start = CalcStartPosture(control_plant, robot, CalcHome(plant, robot))
-    table_top = FindTableOutline(plant, scene_graph.model_inspector())
-    scene = PhotographedScene(plant, scene_graph, instances.arm, part, others, q_start, table_top)
-    return find_object(scenario, true_obj, builder, scene)
-
-
 @dataclass(frozen=True, eq=False)
 class World:
     """The simulated part of a station: the plant with robot, object and table, and what is known of it.
 
     Attributes:
+        resolved: the scenario that it is made from.
         setting: what the robot knows; the plant is the world's.
         true_obj: the plant's object, on whose cells the truth is drawn.
         truth: what it weighs and how it rubs by the scenario's seed, on the cells of `setting.obj`.
@@ -196,6 +167,7 @@ class World:
         table: the table's collision geometries.
     """
 
+    resolved: ResolvedScenario
     setting: Setting
     true_obj: GridObject
     truth: CellParameters
@@ -229,17 +201,22 @@ class World:
         SetGridObjectPose(plant, plant_context, self.object_in_plant, scenario.object_pose)
         if seed is None:
             return None
-        truth = MakeTruth(self.true_obj, scenario.truth, seed)
-        support = MakeSupport(self.true_obj, truth, scenario, seed)
+        resolved = self.resolved
+        truth, support = resolved.truth, resolved.support
+        if seed != resolved.scenario.seed:
+            truth = MakeTruth(self.true_obj, scenario.truth, seed)
+            support = MakeSupport(self.true_obj, truth, scenario, seed)
         SetGridObjectParameters(
             plant, self.scene_graph, root_context, self.object_in_plant, truth, support
         )
+        if truth is resolved.truth:
+            return self.truth
         return resample_parameters(self.true_obj, truth, self.setting.obj)
 
 
 def AddWorld(
     builder: DiagramBuilder,
-    scenario: PushScenario,
+    resolved: ResolvedScenario,
     show_object: bool = True,
     drake_models: Path | None = None,
 ) -> World:
@@ -247,7 +224,7 @@ def AddWorld(
 
     Args:
         builder: empty.
-        scenario: what stands where.
+        resolved: what stands where.
         show_object: whether the object's plain outline is shown.
         drake_models: folder of the meshes that the robot is shown with; None for its primitives.
 
@@ -255,16 +232,13 @@ def AddWorld(
         The world.
 
     Raises:
-        ScenarioError: the scenario makes no sense, see `check_scenario`.
-        StationError: the arm cannot take the posture in which it begins.
+        ScenarioError: the camera does not see an object.
+        StationError: nothing can be rendered here.
     """
-    robot = check_scenario(scenario)
-    obj = true_obj = LoadPushedObject(scenario, robot)
-    found = None
-    if scenario.camera.kind == "rgbd":
-        found = TakePhotograph(scenario, true_obj)
-        obj, true_obj = found.obj, found.true_obj
-    true_truth = MakeTruth(true_obj, scenario.truth, scenario.seed)
+    scenario, robot, found = resolved.scenario, resolved.robot, resolved.found
+    true_obj = resolved.obj if found is None else found.true_obj
+
+    # The plant: scene, object, other objects.
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
     plant.set_name("plant")
     plant.set_stiction_tolerance(scenario.simulation.stiction_tolerance)
@@ -274,29 +248,38 @@ def AddWorld(
         plant,
         scene_graph,
         true_obj,
-        true_truth,
+        resolved.truth,
         cast(Base, scenario.base),
         table=table,
         height=scenario.object_height,
-        support=MakeSupport(true_obj, true_truth, scenario, scenario.seed),
+        support=resolved.support,
         visual=show_object,
     )
-    others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)
+    others = AddOthers(plant, scene_graph, scenario, resolved.others, table, object_in_plant)
     if found is not None:
         AddSeenVisual(plant, scene_graph, object_in_plant)
         seen = {
             "object_pose": found.pose.tolist(),
-            "object_height": obj.height or scenario.object_height,
+            "object_height": found.obj.height or scenario.object_height,
         }
         scenario = scenario.model_copy(update=seen)
     if drake_models is not None:
         AddVisualMeshes(plant, scene_graph, drake_models)
     plant.Finalize()
-    table_top = FindTableOutline(plant, scene_graph.model_inspector())
-    setting = MakeSetting(scenario, obj, found, others, plant, robot, table_top)
+
+    # What the robot knows of it, and what only the world knows.
+    setting = MakeSetting(resolved, scenario, plant, found, others)
     plant.SetDefaultPositions(instances.arm, setting.q_start)
-    truth = resample_parameters(true_obj, true_truth, obj)
-    return World(setting, true_obj, truth, scene_graph, instances, object_in_plant, table)
+    return World(
+        resolved=resolved,
+        setting=setting,
+        true_obj=true_obj,
+        truth=resample_parameters(true_obj, resolved.truth, setting.obj),
+        scene_graph=scene_graph,
+        robot_in_plant=instances,
+        object_in_plant=object_in_plant,
+        table=table,
+    )
 
 
 class PushStation(Station):
@@ -401,7 +384,7 @@ class PushStation(Station):
 
 
 def MakePushStation(
-    scenario: PushScenario,
+    scenario: PushScenario | ResolvedScenario,
     meshcat: Meshcat | None = None,
     *,
     show_object: bool = True,
@@ -419,7 +402,7 @@ def MakePushStation(
     station, or of what it is connected to, keeps all of it for good: keep their indices instead.
 
     Args:
-        scenario: what stands where.
+        scenario: what stands where, resolved or not.
         meshcat: to show it in; None for none.
         show_object: whether the object's plain outline is shown; not where its estimate is drawn in
             its place.
@@ -431,21 +414,23 @@ def MakePushStation(
         The station. Call its `SetStart` on each new Context.
 
     Raises:
-        ScenarioError: the scenario makes no sense, see `check_scenario`.
-        StationError: the arm cannot take the posture in which it begins.
+        ScenarioError: the scenario makes no sense, see `resolve`.
+        StationError: nothing can be rendered here.
     """
     builder = DiagramBuilder()
+    resolved = resolve(scenario)
     world = AddWorld(
-        builder, scenario, show_object, find_drake_models() if meshcat is not None else None
+        builder, resolved, show_object, find_drake_models() if meshcat is not None else None
     )
     setting, plant, arm = world.setting, world.plant, world.robot_in_plant.arm
-    scenario, gripper, found = setting.scenario, world.robot_in_plant.gripper, setting.found
+    seen = setting.scenario
+    gripper, found = world.robot_in_plant.gripper, setting.found
     driver = AddArmDriver(builder, plant, setting.robot, arm, setting.control_plant)
     sensors = AddSensors(
-        builder, world.scene_graph, scenario, setting.robot, world.object_in_plant, found
+        builder, world.scene_graph, seen, setting.robot, world.object_in_plant, found
     )
     camera, true_pose = sensors.camera.source, sensors.ground_truth.GetOutputPort("object_pose")
-    other_cameras = AddOtherCameras(builder, scenario, setting.others)
+    other_cameras = AddOtherCameras(builder, seen, setting.others)
     true_parameters = builder.AddNamedSystem("truth", TrueParameters(world.truth))
     control = AddRobotControl(
         builder,

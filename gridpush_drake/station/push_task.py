@@ -19,6 +19,7 @@ from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.others import place_others
 from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import (
     Learning,
@@ -107,14 +108,14 @@ class PushTask(StationTask[PushTaskRecord]):
 
     def __init__(
         self,
-        scenario: PushScenario,
+        scenario: PushScenario | ResolvedScenario,
         meshcat: Meshcat | None = None,
         make_station: StationMaker = MakePushStation,
     ) -> None:
         """Makes the Diagram.
 
         Args:
-            scenario: what stands where, and where the object should go.
+            scenario: resolved or not, what stands where, and where the object should go.
             meshcat: to show it in; None for none.
             make_station: of a scenario; a simulated one by default.
 
@@ -122,9 +123,11 @@ class PushTask(StationTask[PushTaskRecord]):
             ScenarioError: the scenario makes no sense.
             StationError: see `MakePushStation`.
         """
+        resolved = resolve(scenario)
+        scenario = resolved.scenario
         builder = DiagramBuilder()
         station = builder.AddSystem(
-            make_station(scenario, meshcat, show_object=False, learning=Learning())
+            make_station(resolved, meshcat, show_object=False, learning=Learning())
         )
         self.surface = make_surface(station.table_top)
         goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))

@@ -1,6 +1,6 @@
-"""What a scenario names, made: the object, its truth and the scene's models; and whether it makes sense as a whole.
+"""What a scenario names, made piece by piece: objects, their truth, and the scene's models.
 
-The object lies on the table, the arm gets to it, and the finger clears it.
+`station.resolve` puts it together, once, and checks that it makes sense as a whole.
 """
 
 from collections.abc import Iterable
@@ -8,9 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import shapely
-from numpy.typing import ArrayLike, NDArray
-from pydrake.geometry import SceneGraph, SceneGraphInspector, Sphere
+from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import (
     ModelDirectives,
@@ -18,21 +16,15 @@ from pydrake.multibody.parsing import (
     Parser,
     ProcessModelDirectives,
 )
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.systems.framework import DiagramBuilder
-from shapely.geometry.base import BaseGeometry
+from pydrake.multibody.plant import MultibodyPlant
 
-from gridpush_drake.errors import ObjectError, ScenarioError, StationError
+from gridpush_drake.errors import ObjectError, ScenarioError
 from gridpush_drake.files import is_file
-from gridpush_drake.geometry.se2 import transform_shape
-from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.ground_truth import calc_support, sample_ground_truth
-from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
-from gridpush_drake.station.robot import Robot, check_robot, find_robot
+from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import PushScenario, TruthConfig
 
 
@@ -53,14 +45,16 @@ def load_object(scenario: PushScenario) -> GridObject:
     )
 
 
-def use_object(scenario: PushScenario, name: str) -> None:
-    """Gives a scenario another object, with the height that its file says.
+def use_object(scenario: PushScenario, name: str) -> GridObject:
+    """Gives a scenario another object, with the height that its file says; returns the object for `resolve`.
 
     Raises:
         ScenarioError: as `load_object`.
     """
     scenario.object = name
-    scenario.object_height = load_object(scenario).height or scenario.object_height
+    obj = load_object(scenario)
+    scenario.object_height = obj.height or scenario.object_height
+    return obj
 
 
 def load_others(scenario: PushScenario) -> list[GridObject]:
@@ -119,45 +113,6 @@ def _first_line(lines: Iterable[str]) -> str:
     return next((line.strip() for line in lines if line.strip()), "cannot be carried out")
 
 
-TIP_TOLERANCE = 1e-6
-"""m, between the measured tip radius and the model's."""
-
-TURNS = 36
-"""Headings that are tried where the object does not lie on the table, to say whether it could."""
-
-
-def check_scenario(scenario: PushScenario, source: Path | None = None) -> Robot:
-    """Checks that a scenario can be built and makes sense; returns its robot.
-
-    Raises:
-        ScenarioError: a value will not do; the object is unknown, larger than the table, or does
-            not lie on it; the finger cannot clear the object; the workspace or the object is out of
-            the arm's reach; a directive cannot be carried out. The message names the file,
-            `source`, where there is one, the field and the expected form.
-    """
-    try:
-        return _check_scenario(scenario)
-    except ScenarioError as error:
-        raise ScenarioError(f"{source}: {error}" if source else str(error)) from error
-
-
-def _check_scenario(scenario: PushScenario) -> Robot:
-    scenario.check()
-    obj = load_object(scenario)
-    _check_truth(scenario, obj)
-    plant, scene_graph = ParseScene(scenario)
-    robot = find_robot(scenario.directives)
-    check_robot(plant, robot)
-    _check_heights(scenario, robot.finger.tip_radius)
-    inspector = scene_graph.model_inspector()
-    table = FindTableOutline(plant, inspector)
-    _check_on_table(("object", "object_pose"), obj, scenario.object_pose, table)
-    _check_others(scenario, obj, table, robot.finger.tip_radius)
-    _check_tip(robot, plant, inspector)
-    _check_reach(scenario, plant, robot)
-    return robot
-
-
 def CalcTipReach(
     plant: MultibodyPlant, robot: Robot, tip_height: float
 ) -> tuple[NDArray[np.float64], float, float]:
@@ -196,165 +151,6 @@ def CalcHome(plant: MultibodyPlant, robot: Robot) -> tuple[float, float, float]:
     x, y, z = robot.arm.home
     p_WR = CalcBasePose(plant, robot).translation()
     return float(p_WR[0] + x), float(p_WR[1] + y), z
-
-
-def ParseScene(scenario: PushScenario) -> tuple[MultibodyPlant, SceneGraph]:
-    """Makes a plant, finalised, of what stands in the scene besides the object; it is part of no Diagram."""
-    builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
-    AddScene(MakeParser(plant), scenario)
-    plant.Finalize()
-    return plant, scene_graph
-
-
-def _check_truth(scenario: PushScenario, obj: GridObject) -> None:
-    labels = [part.label for part in scenario.truth.parts]
-    for at, label in enumerate(labels):
-        if label in labels[:at]:
-            raise ScenarioError(
-                f"truth.parts[{at}].label is {label} once more; expected each part once"
-            )
-    truth = MakeTruth(obj, scenario.truth, scenario.seed)
-    support = MakeSupport(obj, truth, scenario, scenario.seed)
-    if support is not None and scenario.base != "free":
-        raise ScenarioError(
-            f"truth.support is {scenario.truth.support} and base {scenario.base}; expected base free, or own_weight"
-        )
-
-
-def _check_heights(scenario: PushScenario, tip_radius: float) -> None:
-    finger, height = scenario.finger, scenario.object_height
-    if not tip_radius < finger.push_height <= height:
-        raise ScenarioError(
-            f"finger.push_height is {finger.push_height:g} m; expected more than the tip's radius, "
-            f"{tip_radius:g} m, and at most the object's height, {height:g} m"
-        )
-    if finger.travel_height <= height + tip_radius:
-        raise ScenarioError(
-            f"finger.travel_height is {finger.travel_height:g} m; expected more than the object's height "
-            f"and the tip's radius, {height + tip_radius:g} m"
-        )
-
-
-def _check_others(
-    scenario: PushScenario, obj: GridObject, table: BaseGeometry, tip_radius: float
-) -> None:
-    lying = [("object_pose", transform_shape(scenario.object_pose, obj.outline))]
-    for at, (config, other) in enumerate(zip(scenario.others, load_others(scenario), strict=True)):
-        field = f"others[{at}].pose"
-        _check_on_table((f"others[{at}].object", field), other, config.pose, table)
-        if config.height + tip_radius >= scenario.finger.travel_height:
-            raise ScenarioError(
-                f"others[{at}].height is {config.height:g} m; expected less than finger.travel_height "
-                f"less the tip's radius, {scenario.finger.travel_height - tip_radius:g} m, so that the finger passes "
-                "over it"
-            )
-        outline = transform_shape(config.pose, other.outline)
-        for name, before in lying:
-            if before.intersects(outline):
-                raise ScenarioError(
-                    f"{field} is {config.pose}: there the object lies in that of {name}; expected room"
-                )
-        lying.append((field, outline))
-
-
-def _check_on_table(
-    fields: tuple[str, str], obj: GridObject, pose: list[float], table: BaseGeometry
-) -> None:
-    """Of the `fields` a message names the first where the object is too large, the second where it is misplaced."""
-    if table.covers(transform_shape(pose, obj.outline)):
-        return
-    middle = np.array(table.centroid.coords[0])
-    for turn in np.linspace(0, 2 * np.pi, TURNS, endpoint=False):
-        turned = transform_shape([0.0, 0.0, turn], obj.outline)
-        left, low, right, high = turned.bounds
-        at = middle - ((left + right) / 2, (low + high) / 2)
-        if table.covers(transform_shape([*at, turn], obj.outline)):
-            x, y, theta = pose
-            near, far = table.bounds[:2], table.bounds[2:]
-            raise ScenarioError(
-                f"{fields[1]} is [{x:g}, {y:g}, {theta:g}]: there the object is not wholly on the table; expected "
-                f"a pose on it; the table spans x {near[0]:g} to {far[0]:g} m and y {near[1]:g} to {far[1]:g} m"
-            )
-    raise ScenarioError(
-        f"{fields[0]}: {obj.name}, {_describe_size(obj.outline)}, is larger than the table, {_describe_size(table)}; "
-        "expected one that can lie on it"
-    )
-
-
-def _check_tip(robot: Robot, plant: MultibodyPlant, inspector: SceneGraphInspector) -> None:
-    model, tip = robot.finger_model, robot.finger.tip_frame
-    body = plant.GetBodyByName(tip, plant.GetModelInstanceByName(model))
-    shapes = [
-        inspector.GetShape(geometry) for geometry in plant.GetCollisionGeometriesForBody(body)
-    ]
-    radii = [shape.radius() for shape in shapes if isinstance(shape, Sphere)]
-    if len(radii) != 1 or len(shapes) != 1:
-        raise ScenarioError(
-            f"directives: body {model}::{tip} must have one sphere, and nothing else, to touch with"
-        )
-    if abs(radii[0] - robot.finger.tip_radius) > TIP_TOLERANCE:
-        raise ScenarioError(
-            f"finger.yaml: tip_radius is {robot.finger.tip_radius:g} m; "
-            f"expected {radii[0]:g} m, as the finger's model has it"
-        )
-
-
-def _check_reach(scenario: PushScenario, plant: MultibodyPlant, robot: Robot) -> None:
-    workspace = scenario.workspace
-    box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
-    if robot.arm.reach is not None:
-        p_WR, least, greatest = CalcTipReach(plant, robot, scenario.finger.push_height)
-        reach, axis = (
-            f"between {least:.2f} and {greatest:.2f} m from the robot's axis",
-            shapely.Point(p_WR),
-        )
-        if box.distance(axis) >= greatest or box.hausdorff_distance(axis) <= least:
-            raise ScenarioError(
-                f"workspace is out of the arm's reach; expected a box with points {reach}"
-            )
-    x, y = scenario.object_pose[:2]
-    if not box.covers(shapely.Point(x, y)):
-        raise ScenarioError(
-            f"workspace does not contain the object's position, ({x:g}, {y:g}) m; expected that it does"
-        )
-    _check_home(scenario, plant, robot, box)
-
-
-WORKSPACE_STEP = 0.1
-"""m, between places of the workspace that an arm is asked about."""
-
-
-def _check_home(
-    scenario: PushScenario, plant: MultibodyPlant, robot: Robot, box: BaseGeometry
-) -> None:
-    """That the arm reaches its home and, where no formula says it, the workspace from there."""
-    X_WR, home = CalcBasePose(plant, robot), CalcHome(plant, robot)
-    control_plant, base = MakeControlPlant(robot, X_WR), _describe_point(X_WR.translation())
-    try:
-        q_start = CalcStartPosture(control_plant, robot, home)
-    except StationError as error:
-        raise ScenarioError(
-            f"directives: {robot.arm_model} on its base at {base} does not reach its home, {_describe_point(home)}, "
-            "with the finger down; expected a base about as high as the table, a home in reach, and a posture near it, "
-            "where the flange's z axis points down"
-        ) from error
-    height = scenario.finger.push_height
-    reach = ArmReach(control_plant, robot, q_start)
-    if robot.arm.reach is None and reach.find_region(box.bounds, height, WORKSPACE_STEP).is_empty:
-        raise ScenarioError(
-            f"workspace is out of the arm's reach; expected a box with points that {robot.arm_model} on its base at "
-            f"{base} reaches at z = {height:g} m"
-        )
-
-
-def _describe_point(point: ArrayLike) -> str:
-    return "({:.3g}, {:.3g}, {:.3g}) m".format(*np.asarray(point, float))
-
-
-def _describe_size(shape: BaseGeometry) -> str:
-    left, low, right, high = shape.bounds
-    return f"{right - left:.2f} x {high - low:.2f} m"
 
 
 def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters:

@@ -6,7 +6,7 @@ the tip and the object are; what it gives is where the arm's joints and the grip
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -30,8 +30,6 @@ from gridpush_drake.pushes.stream import make_samples
 from gridpush_drake.station.arm import (
     AddArmKinematics,
     ArmReach,
-    CalcStartPosture,
-    MakeControlPlant,
 )
 from gridpush_drake.station.camera import FoundObject, calc_pose_age
 from gridpush_drake.station.grasping import (
@@ -42,9 +40,10 @@ from gridpush_drake.station.grasping import (
     make_grasp_trajectory_options,
 )
 from gridpush_drake.station.others import OtherObject, leave_out
-from gridpush_drake.station.robot import Robot, find_robot
+from gridpush_drake.station.resolve import ResolvedScenario
+from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import CalcBasePose, CalcHome, CalcTipReach, load_object
+from gridpush_drake.station.scene import CalcBasePose, CalcTipReach
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.messages import GraspCommand, PushCommand
@@ -124,18 +123,6 @@ def AddLogs(builder: DiagramBuilder, ports: dict[str, OutputPort], period: float
         LogVectorOutput(port, builder, period).set_name(name)
 
 
-def LoadPushedObject(scenario: PushScenario, robot: Robot | None = None) -> GridObject:
-    """Reads the scenario's object, with its finger as the pusher. Raises ScenarioError where there is none.
-
-    In a planar plant every cell bears its own weight, however high it is pushed.
-    """
-    obj, finger = load_object(scenario), (robot or find_robot(scenario.directives)).finger
-    height = scenario.finger.push_height if scenario.base == "free" else None
-    return replace(
-        obj, prior=replace(obj.prior, pusher_radius=finger.tip_radius, push_height=height)
-    )
-
-
 def make_style(scenario: PushScenario, robot: Robot) -> PushTrajectoryOptions:
     """How the scenario's finger pushes."""
     finger = scenario.finger
@@ -177,22 +164,32 @@ class Setting:
 
 
 def MakeSetting(
+    resolved: ResolvedScenario,
     scenario: PushScenario,
-    obj: GridObject,
-    found: FoundObject | None,
-    others: tuple[OtherObject, ...],
     plant: MultibodyPlant,
-    robot: Robot,
-    table_top: BaseGeometry,
+    found: FoundObject | None = None,
+    others: tuple[OtherObject, ...] = (),
 ) -> Setting:
-    """Makes a setting, with the arm at its home; see `Setting`. Raises StationError where it does not get there."""
-    home, control_plant = (
-        CalcHome(plant, robot),
-        MakeControlPlant(robot, CalcBasePose(plant, robot)),
-    )
-    q_start = CalcStartPosture(control_plant, robot, home)
+    """Makes a setting of a resolved scenario, with the arm at its home; see `Setting`.
+
+    Args:
+        resolved: what is known of robot, object and table.
+        scenario: the resolved one, or a copy in which pose and height of the object are as seen.
+        plant: the scene, finalised.
+        found: the object in the photograph; None where the robot is told the object.
+        others: further objects in the plant.
+    """
     return Setting(
-        scenario, obj, found, others, plant, control_plant, robot, table_top, home, q_start
+        scenario=scenario,
+        obj=resolved.obj if found is None else found.obj,
+        found=found,
+        others=others,
+        plant=plant,
+        control_plant=resolved.control_plant,
+        robot=resolved.robot,
+        table_top=resolved.table_top,
+        home=resolved.home,
+        q_start=resolved.q_start,
     )
 
 

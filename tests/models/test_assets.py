@@ -16,8 +16,8 @@ from gridpush_drake.multibody.contact_material import (
 )
 from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
-from gridpush_drake.station.scene import check_scenario
 
 FILES = sorted(
     path.relative_to(find_models()).as_posix()
@@ -205,7 +205,7 @@ def test_table_top_is_a_stiff_partner_for_feet(file):
 
 @pytest.mark.parametrize("file", SCENARIOS)
 def test_scenario_is_read_and_makes_sense(file):
-    check_scenario(read_scenario(find_models() / file))
+    resolve(read_scenario(find_models() / file))
 
 
 def test_default_scenario_shows_every_field_as_it_is_by_default(tmp_path):

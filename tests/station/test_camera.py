@@ -23,7 +23,8 @@ from gridpush_drake.pushes.stream import record_pushes
 from gridpush_drake.station import camera as station_camera
 from gridpush_drake.station.camera import calc_pose_age, make_camera
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
-from gridpush_drake.station.push_station import MakePushStation, TakePhotograph
+from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import (
     CameraConfig,
     PushScenario,
@@ -31,7 +32,6 @@ from gridpush_drake.station.scenario import (
     parse_scenario,
     read_scenario,
 )
-from gridpush_drake.station.station import LoadPushedObject
 from tests.helpers.renderer import require_renderer
 from tests.helpers.shapes import make_shape
 
@@ -72,8 +72,10 @@ def photograph(renderer):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(station_camera, "_take_photograph", keep)
         scenario = make_scenario()
-        true_obj = LoadPushedObject(scenario)
-        return scenario, true_obj, TakePhotograph(scenario, true_obj), taken[0]
+        resolved = resolve(scenario)
+        found = resolved.found
+        assert resolved.found is found and len(taken) == 1  # it is taken once
+        return scenario, resolved.obj, found, taken[0]
 
 
 def test_the_camera_is_where_the_pictures_are_taken_from(photograph):
@@ -153,7 +155,7 @@ def test_what_is_out_of_view_is_said(renderer):
     scenario = make_scenario()
     scenario.camera.rgbd.X_PB.translation = [0.6, -1.8, 1.0]
     with pytest.raises(ScenarioError, match="camera: no object"):
-        TakePhotograph(scenario, LoadPushedObject(scenario))
+        resolve(scenario).found  # noqa: B018 - the photograph is taken when it is asked for
     scenario.camera.rgbd.X_PB.base_frame = "iiwa::iiwa_link_7"
     with pytest.raises(ScenarioError, match=r"camera\.rgbd: X_PB: expected .* world"):
         make_camera(scenario.camera)
@@ -239,7 +241,7 @@ def test_where_nothing_can_be_rendered_it_says_what_is_missing(monkeypatch):
     monkeypatch.setattr(station_camera.ctypes, "CDLL", refuse)
     scenario = make_scenario()
     with pytest.raises(StationError, match="libegl1"):
-        TakePhotograph(scenario, LoadPushedObject(scenario))
+        resolve(scenario).found  # noqa: B018 - the photograph is taken when it is asked for
 
 
 @pytest.mark.parametrize(("latency", "age"), [(0.0, 0.1), (0.05, 0.1), (0.1, 0.1), (0.25, 0.3)])

@@ -15,7 +15,7 @@ from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.others import place_others
 from gridpush_drake.station.pregrasp_task import PreGraspTask
 from gridpush_drake.station.push_task import PushTask, make_rules
-from gridpush_drake.station.scene import check_scenario
+from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.station import MakeFingerRegion, make_surface
 from gridpush_drake.station.task import TaskStatus
 from tests.helpers.renderer import require_renderer
@@ -164,9 +164,7 @@ def test_pokes_and_pushes_to_a_goal_leave_them_where_they_are():
 )
 def test_what_makes_no_sense_is_refused(fields, says):
     with pytest.raises(ScenarioError, match=says):
-        check_scenario(
-            PushScenario(others=[{"object": "pliers", "pose": [0.6, 0.25, 0.5]} | fields])
-        )
+        resolve(PushScenario(others=[{"object": "pliers", "pose": [0.6, 0.25, 0.5]} | fields]))
 
 
 def test_a_slide_to_the_edge_keeps_clear_of_them():

@@ -16,6 +16,7 @@ from gridpush_drake.station import IdentifyTask, TaskStatus
 from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import (
     FingerMeasures,
     find_robot,
@@ -23,7 +24,7 @@ from gridpush_drake.station.robot import (
     read_measures,
 )
 from gridpush_drake.station.scenario import PushScenario, read_scenario
-from gridpush_drake.station.scene import CalcTipReach, check_scenario
+from gridpush_drake.station.scene import CalcTipReach
 from gridpush_drake.station.station import MakeRing
 from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.twin_bench import TwinBench
@@ -81,7 +82,7 @@ def advance_until_settled(simulator, station, limit):
 
 def test_a_second_arm_pushes(second_arm):
     scenario = read_scenario(second_arm)
-    check_scenario(scenario)
+    resolve(scenario)
     station = MakePushStation(scenario)
     simulator = Simulator(station)
     context = simulator.get_mutable_context()
@@ -195,7 +196,7 @@ def test_a_tip_radius_that_is_not_the_models_is_refused(second_arm):
     )
     second_arm.write_text(text)
     with pytest.raises(ScenarioError, match=r"tip_radius is 0\.01 m; expected 0\.008 m"):
-        check_scenario(read_scenario(second_arm))
+        resolve(read_scenario(second_arm))
 
 
 @pytest.mark.parametrize(
@@ -264,7 +265,7 @@ def test_a_robot_that_is_not_there_is_refused(second_arm, old, new, message):
     else:
         path.write_text(path.read_text().replace(old, new))
     with pytest.raises(ScenarioError, match=message) as caught:
-        check_scenario(read_scenario(second_arm))
+        resolve(read_scenario(second_arm))
     assert "\n" not in str(caught.value)
 
 
@@ -288,7 +289,7 @@ def test_an_arm_whose_joints_will_not_do_is_refused(second_arm, old, new, messag
     path = second_arm.parent / "arm.urdf"
     path.write_text(re.sub(old, new, path.read_text(), count=1, flags=re.DOTALL))
     with pytest.raises(ScenarioError, match=message):
-        check_scenario(read_scenario(second_arm))
+        resolve(read_scenario(second_arm))
 
 
 def test_a_gripper_that_does_not_open_as_drakes_controller_has_it_is_refused(tmp_path):
@@ -302,7 +303,7 @@ def test_a_gripper_that_does_not_open_as_drakes_controller_has_it_is_refused(tmp
     with pytest.raises(
         ScenarioError, match="gripper gripper does not open by two joints; expected the first"
     ):
-        check_scenario(read_scenario(tmp_path / "scenario.yaml"))
+        resolve(read_scenario(tmp_path / "scenario.yaml"))
 
 
 @pytest.mark.parametrize("name", ["gantry", "iiwa14"])
@@ -319,7 +320,7 @@ def test_a_base_from_where_nothing_is_reached_is_refused(name, tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text(text.replace(base, base + "\n    X_PC: {translation: [0.0, 0.0, 2.0]}"))
     with pytest.raises(ScenarioError, match="reach"):
-        check_scenario(read_scenario(path))
+        resolve(read_scenario(path))
 
 
 @pytest.mark.parametrize(
@@ -339,6 +340,6 @@ def test_a_folder_of_ones_own_names_its_scene(second_arm):
     for robot in (second_arm.parent, second_arm.with_name("robot.yaml")):
         directives = make_robot_directives(str(robot), grasping=False)
         assert find_robot(directives).arm_model == "arm"
-        check_scenario(PushScenario(directives=directives, object_pose=[0.65, 0.0, 0.0]))
+        resolve(PushScenario(directives=directives, object_pose=[0.65, 0.0, 0.0]))
     with pytest.raises(ScenarioError, match="has no gripper"):
         make_robot_directives(str(second_arm.parent), grasping=True)

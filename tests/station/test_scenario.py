@@ -19,6 +19,7 @@ from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
+from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.scenario import (
     PartTruth,
@@ -29,8 +30,7 @@ from gridpush_drake.station.scenario import (
     read_scenario,
     write_scenario,
 )
-from gridpush_drake.station.scene import AddScene, check_scenario, load_object
-from gridpush_drake.station.station import LoadPushedObject
+from gridpush_drake.station.scene import AddScene, load_object
 from tests.helpers.shapes import rectangle
 
 ROUND = "package://gridpush_drake/scenes/iiwa_push_round.dmd.yaml"
@@ -284,7 +284,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
 
 @pytest.mark.parametrize("name", list_shipped_objects())
 def test_every_shipped_object_lies_on_the_default_table(name):
-    check_scenario(PushScenario(object=name))
+    resolve(PushScenario(object=name))
 
 
 def directives(*files):
@@ -324,7 +324,7 @@ def directives(*files):
 )
 def test_a_scenario_that_makes_no_sense_is_refused(changes, message):
     with pytest.raises(ScenarioError, match=message):
-        check_scenario(PushScenario(**changes))
+        resolve(PushScenario(**changes))
 
 
 @pytest.mark.parametrize(
@@ -360,7 +360,7 @@ def test_a_part_of_a_scenario_that_makes_no_sense_is_refused(place, value, messa
     group, name = place.split(".")
     setattr(getattr(scenario, group), name, value)
     with pytest.raises(ScenarioError, match=message):
-        check_scenario(scenario)
+        resolve(scenario)
 
 
 def test_only_a_free_object_stands_on_other_than_its_own_weight():
@@ -368,7 +368,7 @@ def test_only_a_free_object_stands_on_other_than_its_own_weight():
     with pytest.raises(
         ScenarioError, match=r"truth\.support is foundation and base planar; expected base free"
     ):
-        check_scenario(scenario)
+        resolve(scenario)
 
 
 def test_an_object_that_lies_on_the_table_nowhere_is_larger_than_it(tmp_path):
@@ -377,11 +377,11 @@ def test_an_object_that_lies_on_the_table_nowhere_is_larger_than_it(tmp_path):
         ScenarioError,
         match=r"object: slab, 1\.30 x 0\.90 m, is larger than the table, 0\.80 x 1\.20 m",
     ):
-        check_scenario(PushScenario(object=large))
+        resolve(PushScenario(object=large))
     long = write_rectangle(tmp_path / "long.yaml", 1.1, 0.1)  # fits when it is turned
     with pytest.raises(ScenarioError, match="object_pose is"):
-        check_scenario(PushScenario(object=long, object_pose=[0.6, 0.0, 0.0]))
-    check_scenario(PushScenario(object=long, object_pose=[0.6, 0.0, pi / 2]))
+        resolve(PushScenario(object=long, object_pose=[0.6, 0.0, 0.0]))
+    resolve(PushScenario(object=long, object_pose=[0.6, 0.0, pi / 2]))
 
 
 def test_the_tables_edge_is_where_the_check_has_it():
@@ -395,10 +395,10 @@ def test_the_tables_edge_is_where_the_check_has_it():
         scenario.object_pose = [x, 0.0, 0.0]
         scenario.workspace.x = [0.3, 1.2]
         if passes:
-            check_scenario(scenario)
+            resolve(scenario)
         else:
             with pytest.raises(ScenarioError, match="object_pose is"):
-                check_scenario(scenario)
+                resolve(scenario)
 
 
 def test_a_table_may_be_turned_and_moved_and_of_several_pieces():
@@ -485,7 +485,7 @@ def test_friction_is_what_object_file_and_scenario_both_allow(tmp_path):
 
 def test_one_friction_range_from_the_scenario_to_the_model(tmp_path):
     """What the robot is told is what the object's file, the model, its reading and its report say."""
-    obj = LoadPushedObject(read_scenario(find_models() / "scenarios/grasp.yaml"))
+    obj = resolve(read_scenario(find_models() / "scenarios/grasp.yaml")).obj
     obj.write_yaml(tmp_path / "object.yaml")
     again = GridObject.from_yaml(tmp_path / "object.yaml")
     write_model(tmp_path / "model.yaml", describe_prior(again))

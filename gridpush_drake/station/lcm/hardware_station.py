@@ -16,7 +16,6 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import DRIVER_OUTPUTS, ArmPosture
@@ -30,12 +29,11 @@ from gridpush_drake.station.lcm.robot_messages import (
     find_arm_messages,
 )
 from gridpush_drake.station.lcm.twin import check_tracked
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import ParseScene, check_scenario
 from gridpush_drake.station.station import (
     AddRobotControl,
     Learning,
-    LoadPushedObject,
     MakeSetting,
     RobotControl,
     Setting,
@@ -184,7 +182,7 @@ class HardwareStation(Station):
 
 
 def MakeHardwareStation(
-    scenario: PushScenario,
+    scenario: PushScenario | ResolvedScenario,
     meshcat: Meshcat | None = None,
     *,
     lcm: DrakeLcmInterface,
@@ -198,7 +196,7 @@ def MakeHardwareStation(
     `HardwareLink` lets only such ones through, and moves the station's time on by the robot's.
 
     Args:
-        scenario: what stands where; the object's truth and the simulation's settings have no
+        scenario: what stands where, resolved or not; the object's truth and the simulation's settings have no
             effect.
         meshcat: has no effect: nothing is simulated that could be shown.
         lcm: on which the robot is.
@@ -213,14 +211,12 @@ def MakeHardwareStation(
         ScenarioError: the scenario makes no sense, or has several objects.
         StationError: the arm cannot take the posture of its home.
     """
+    resolved = resolve(scenario)
+    scenario, robot, obj = resolved.scenario, resolved.robot, resolved.obj
     check_tracked(scenario)
-    robot = check_scenario(scenario)
-    plant, scene_graph = ParseScene(scenario)
-    table_top = FindTableOutline(plant, scene_graph.model_inspector())
-    obj = LoadPushedObject(scenario, robot)
     if scenario.camera.kind == "rgbd" and obj.height:  # as the tracker found it
         scenario = scenario.model_copy(update={"object_height": obj.height})
-    setting = MakeSetting(scenario, obj, None, (), plant, robot, table_top)
+    setting = MakeSetting(resolved, scenario, resolved.scene.plant)
     n, messages = len(setting.q_start), find_arm_messages(robot)
     builder = DiagramBuilder()
     status = messages.AddStatusReceiver(builder, lcm, n)

@@ -22,7 +22,6 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import GridPushError, PerceptionError
-from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.detection import DetectedObject, find_off_table
@@ -40,10 +39,10 @@ from gridpush_drake.station.lcm.robot_messages import (
     find_arm_messages,
 )
 from gridpush_drake.station.lcm.twin import check_tracked
-from gridpush_drake.station.robot import GetRobotInPlant, find_robot
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.robot import GetRobotInPlant
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import AddScene
-from gridpush_drake.station.station import LoadPushedObject
 from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS, make_status
 
@@ -58,18 +57,19 @@ another clock than the robot's, and left out."""
 class RobotSilhouette:
     """Where a scenario's robot is in the pictures of its camera."""
 
-    def __init__(self, scenario: PushScenario) -> None:
+    def __init__(self, resolved: ResolvedScenario) -> None:
         """Makes the scene without the object; see `TwinCamera` for what may be raised."""
+        scenario = resolved.scenario
         builder = DiagramBuilder()
         self.plant, scene_graph = AddMultibodyPlantSceneGraph(
             builder, scenario.simulation.time_step
         )
         AddScene(MakeParser(self.plant), scenario)
         self.plant.Finalize()
-        self.table_top = FindTableOutline(self.plant, scene_graph.model_inspector())
+        self.table_top = resolved.table_top
         rgbd = AddRgbdCamera(builder, self.plant, scene_graph, scenario, None)
         self.camera, self._labels, self._sensor = rgbd.camera, list(rgbd.hidden_by), rgbd.sensor
-        self._robot = GetRobotInPlant(self.plant, find_robot(scenario.directives))
+        self._robot = GetRobotInPlant(self.plant, resolved.robot)
         self.num_joints = self.plant.num_positions(self._robot.arm)
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
@@ -124,7 +124,7 @@ class PictureTracker:
 
     def __init__(
         self,
-        scenario: PushScenario,
+        scenario: PushScenario | ResolvedScenario,
         lcm: DrakeLcmInterface,
         obj: GridObject | None = None,
         clock: Callable[[], float] = monotonic,
@@ -132,7 +132,7 @@ class PictureTracker:
         """Listens from now on.
 
         Args:
-            scenario: robot, table and camera; which object lies there only says a name and what is
+            scenario: robot, table and camera, resolved or not; which object lies there only says a name and what is
                 known beforehand.
             lcm: on which pictures and the arm's status come, and the pose is said.
             obj: to follow; None for what the detector finds.
@@ -143,14 +143,15 @@ class PictureTracker:
             StationError: nothing can be rendered here, or nobody knows what the robot's driver
                 speaks.
         """
+        resolved = resolve(scenario)
+        scenario, robot = resolved.scenario, resolved.robot
         check_tracked(scenario)
-        robot = find_robot(scenario.directives)
-        self._told = LoadPushedObject(scenario, robot)
+        self._told = resolved.obj
         self.obj, self.message = obj, ""
         self.detected: DetectedObject | None = None
         self.report = TrackerReport()
         self._scenario, self._lcm, self._messages = scenario, lcm, find_arm_messages(robot)
-        self._silhouette = RobotSilhouette(scenario)
+        self._silhouette = RobotSilhouette(resolved)
         self._off_table = find_off_table(self._silhouette.camera, self._silhouette.table_top)
         self._statuses: deque[tuple[int, Sequence[float]]] = deque(maxlen=STATUSES)
         self._opening: float | None = None

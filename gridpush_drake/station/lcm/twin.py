@@ -19,6 +19,7 @@ from gridpush_drake.station.lcm.robot_messages import (
     find_arm_messages,
 )
 from gridpush_drake.station.push_station import AddSensors, AddWorld, World
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import Setting
 from gridpush_drake.systems.arm_guard import CommandRamp
@@ -92,14 +93,16 @@ class Twin(Diagram):
             self._camera.SetSeed(root_context, seed)
 
 
-def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = True) -> Twin:
+def MakeTwin(
+    scenario: PushScenario | ResolvedScenario, lcm: DrakeLcmInterface, *, listens: bool = True
+) -> Twin:
     """Makes the twin: plant, driver, gripper and camera of a scenario, with LCM in the place of what commands them.
 
     An ideal camera says the object's pose; pictures of an rgbd one are taken beside it, see
     `TwinCamera`.
 
     Args:
-        scenario: what stands where, and what the object truly weighs.
+        scenario: what stands where, resolved or not, and what the object truly weighs.
         lcm: on which it speaks.
         listens: whether it hears what came whenever its time moves; what comes must then be whole,
             for Drake ends the process over a command that is not. On a network that others are on,
@@ -113,9 +116,11 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = 
         ScenarioError: the scenario makes no sense, or has several objects.
         StationError: the arm cannot take the posture in which it begins.
     """
+    resolved = resolve(scenario)
+    scenario = resolved.scenario
     check_tracked(scenario)
     builder = DiagramBuilder()
-    world = AddWorld(builder, scenario)
+    world = AddWorld(builder, resolved)
     setting, plant = world.setting, world.plant
     robot, instances = setting.robot, world.robot_in_plant
     if listens:

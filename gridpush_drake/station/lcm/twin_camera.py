@@ -21,6 +21,7 @@ from gridpush_drake.station.lcm.hardware_link import open_lcm
 from gridpush_drake.station.lcm.picture_messages import encode_frame
 from gridpush_drake.station.lcm.robot_messages import PICTURES
 from gridpush_drake.station.push_station import AddWorld
+from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario, format_scenario, parse_scenario
 
 ENDS_WITHIN = 5.0
@@ -44,7 +45,7 @@ class TwinCamera:
             StationError: nothing can be rendered here.
         """
         builder = DiagramBuilder()
-        world = AddWorld(builder, scenario.model_copy(deep=True))
+        world = AddWorld(builder, resolve(scenario.model_copy(deep=True)))
         setting, part = world.setting, world.object_in_plant
         camera = AddRgbdCamera(builder, world.plant, world.scene_graph, setting.scenario, part)
         self._plant, self._noise = world.plant, camera.noise
