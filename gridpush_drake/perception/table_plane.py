@@ -124,8 +124,13 @@ def make_rays(camera: Camera) -> Array:
 
 def make_basis(shape: tuple[int, ...], order: int) -> Array:
     """(height, width, m) monomials of total degree up to `order` over the picture, its sides at -1 and 1."""
-    y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in shape[:2]), indexing="ij")
-    return np.stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)], axis=-1)
+    # Powers are taken of a row and a column only, which is a hundred times less than of every pixel.
+    y, x = (np.linspace(-1, 1, side) for side in shape[:2])
+    powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+    basis = np.empty((len(y), len(x), len(powers)))
+    for at, (i, j) in enumerate(powers):
+        np.multiply(x[None, :] ** i, y[:, None] ** j, out=basis[..., at])
+    return basis
 
 
 def _find_plane(rays: Array, z: Array) -> tuple[Array, float]:
