@@ -135,7 +135,8 @@ def test_what_cannot_be_run_says_why(monkeypatch):
     assert (refused.status, refused.outcome) == (REFUSED, GAVE_UP)
     assert "no model gripper" in refused.message
 
-    def stumble(scenario):
+    def stumble(resolved):
+        scenario = resolved.scenario
         raise RuntimeError(f"with {scenario.object}, seed {scenario.seed}")
 
     monkeypatch.setitem(TASKS, "push", CampaignTask(stumble, TaskStatus.REACHED))

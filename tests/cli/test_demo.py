@@ -228,8 +228,8 @@ def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, r
     def refuse():
         raise StationError("pictures need libegl1")
 
-    def take(self, scenario, meshcat, realtime_rate):
-        taken.append(scenario.camera.kind)
+    def take(self, resolved, meshcat, realtime_rate):
+        taken.append(resolved.scenario.camera.kind)
         raise GridPushError("no further")
 
     taken = []
