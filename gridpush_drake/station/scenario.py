@@ -3,7 +3,7 @@
 Lengths are in m, angles in rad, times in s, masses in kg. Poses (x, y, theta) are the object's body
 frame B in the world frame W, whose plane z = 0 is the top of the table. Each field's description is
 what a message says it should hold. Whether a scenario makes sense as a whole is
-`station.scene.check_scenario`'s to say.
+`station.resolve`'s to say.
 """
 
 from collections.abc import Mapping
