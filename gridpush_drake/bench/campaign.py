@@ -6,7 +6,7 @@ that whoever runs it again sees the same. What came of it is one line of a file 
 
 import shlex
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -19,39 +19,17 @@ from pydrake.multibody.parsing import ModelDirectives
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.table import CONFIDENCE, MM, PERCENT, Share, Table, Value, calc_mean
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.station.identify_task import IdentifyTask
-from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
-from gridpush_drake.station.push_task import PushTask
-from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.pregrasp_task import PreGraspRecord
+from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario, format_scenario, parse_scenario
 from gridpush_drake.station.scene import use_object
-from gridpush_drake.station.task import StationTask, TaskRecord, TaskStatus
+from gridpush_drake.station.task import TaskRecord, TaskStatus
+from gridpush_drake.station.tasks import TASKS, calc_center_error
 
 SCENARIO, EPISODES, TABLE, REPLAYS = "scenario.yaml", "episodes.jsonl", "table.md", "replays"
 """In a campaign's folder: what its episodes are of, a line for each, what came of all, and those
 that were replayed."""
 
-
-@dataclass(frozen=True)
-class CampaignTask:
-    """A task that episodes are of.
-
-    Attributes:
-        make: the task, of a scenario.
-        done: status of a run in which all went well.
-    """
-
-    make: Callable[[ResolvedScenario], StationTask[Any]]
-    done: TaskStatus
-
-
-TASKS = {
-    "identify": CampaignTask(IdentifyTask, TaskStatus.FINISHED),
-    "push": CampaignTask(PushTask, TaskStatus.REACHED),
-    "pregrasp": CampaignTask(PreGraspTask, TaskStatus.HELD),
-}
-"""By the names that `gridpush demo` has for them."""
 
 REFUSED, BROKEN = "refused", "error"
 """Statuses, beside a task's, of episodes that could not be run: for a reason that the package
@@ -133,7 +111,7 @@ def run_episode(job: EpisodeJob) -> Episode:
         scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
         told = use_object(scenario, job.object)
         scenario.seed = job.seed
-        task = TASKS[job.task].make(resolve(scenario, told=told))
+        task = TASKS[job.task].station(resolve(scenario, told=told))
         record = task.run()
     except GridPushError as error:
         return Episode(
@@ -165,13 +143,6 @@ def _make_episode(job: EpisodeJob, record: TaskRecord, outcome: str, wall: float
         job.object, job.seed, str(record.status), record.message, outcome, len(record.log), pokes, slides, raised,
         error, record.duration, wall,
     )  # fmt: skip
-
-
-def calc_center_error(record: TaskRecord, params: CellParameters) -> float:
-    """Distance of an estimate's center of mass from the true one, m."""
-    assert record.truth is not None  # a simulated object's is known
-    found, truth = (each.center_of_mass(record.obj) for each in (params, record.truth))
-    return float(np.linalg.norm(found - truth))
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,16 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_notice
+from gridpush_drake.cli.console import count_progress, print_json, print_line, print_notice
 from gridpush_drake.cli.interrupts import EXIT_INTERRUPTED
+
+if TYPE_CHECKING:
+    from gridpush_drake.station.tasks import TaskKind
 
 EXIT_NOT_DONE = 1
 """Where everything went as it should but the robot did not get there."""
@@ -97,13 +100,13 @@ def demo(
 
     Exit code 1 where the robot did not reach its goal.
     """
-    from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
     from gridpush_drake.display.server import StartMeshcatServer
     from gridpush_drake.files import make_folder
     from gridpush_drake.station.resolve import resolve
     from gridpush_drake.station.robot import make_robot_directives
     from gridpush_drake.station.scenario import read_scenario
     from gridpush_drake.station.scene import use_object
+    from gridpush_drake.station.tasks import TASKS, write_files
 
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(
@@ -130,7 +133,8 @@ def demo(
     print_notice(f"Watch it at {meshcat.web_url()}")
     if open_browser:
         typer.launch(meshcat.web_url())
-    record = chosen.run(resolved, meshcat, realtime_rate)
+    with count_progress("the robot", chosen.count_steps(scenario)) as report_step:
+        record = chosen.run(resolved, meshcat, realtime_rate, report_step)
     print_notice(f"Writing to {out} ...")
     written = write_files(chosen, out, scenario, record, meshcat, force)
     summary = chosen.summarize(record)
@@ -145,6 +149,13 @@ def demo(
         raise typer.Exit(EXIT_INTERRUPTED)
     if not summary.get("done", True):
         raise typer.Exit(EXIT_NOT_DONE)
+
+
+def print_summary(task: "TaskKind", summary: dict[str, Any], written: list[Path]) -> None:
+    """Prints what came of a run, and what was written."""
+    for line in task.describe(summary):
+        print_line(line)
+    print_line(f"\nIn {written[0].parent}: {', '.join(path.name for path in written)}.")
 
 
 def _choose_camera() -> Literal["ideal", "rgbd"]:

@@ -15,7 +15,7 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_progress, print_json, print_line, print_notice
-from gridpush_drake.cli.demo import EXIT_NOT_DONE, TaskName
+from gridpush_drake.cli.demo import EXIT_NOT_DONE, TaskName, print_summary
 from gridpush_drake.cli.interrupts import (
     EXIT_INTERRUPTED,
     SIGNALED,
@@ -34,10 +34,10 @@ from gridpush_drake.cli.twin import (
 from gridpush_drake.errors import GridPushError, ScenarioError
 
 if TYPE_CHECKING:
-    from gridpush_drake.cli.demo_tasks import DemoTask
     from gridpush_drake.station.lcm.hardware_link import HardwareLink
     from gridpush_drake.station.scenario import PushScenario
     from gridpush_drake.station.task import StationTask
+    from gridpush_drake.station.tasks import TaskKind
     from gridpush_drake.systems.messages import PushCommand
 
 LOG = "robot.log"
@@ -80,11 +80,11 @@ def robot(
 
     Exit code 1 where the task was not done, 128 + its number after a signal: 130 after Ctrl-C.
     """
-    from gridpush_drake.cli.demo_tasks import TASKS
     from gridpush_drake.files import make_folder
     from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
     from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
     from gridpush_drake.station.resolve import resolve
+    from gridpush_drake.station.tasks import TASKS
 
     chosen, scenario = TASKS[task], read_robot_scenario(scenario_file, object_file, seed)
     scenario.simulation.answer_delay = None  # a real arm waits for nobody
@@ -170,7 +170,7 @@ def _run(task: "StationTask[Any]", link: "HardwareLink") -> Any:
 
 
 def _report(
-    task: "DemoTask",
+    task: "TaskKind",
     scenario: "PushScenario",
     record: Any,
     link: "HardwareLink",
@@ -179,8 +179,8 @@ def _report(
     json: bool,
 ) -> dict[str, Any]:
     """Writes and prints what a run came to, and returns its summary; after a failure, as much as there is."""
-    from gridpush_drake.cli.demo_tasks import print_summary, write_files
     from gridpush_drake.files import write_whole
+    from gridpush_drake.station.tasks import write_files
 
     # the log first: it does not depend on how far the run came
     write_whole(out / LOG, _format_log(link), force)

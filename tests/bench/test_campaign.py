@@ -20,7 +20,6 @@ from gridpush_drake.bench.campaign import (
     REFUSED,
     TASKS,
     Campaign,
-    CampaignTask,
     Episode,
     EpisodeJob,
     Share,
@@ -32,7 +31,6 @@ from gridpush_drake.bench.jobs import Execution, LostJobsError, open_results
 from gridpush_drake.cli.demo import TaskName, demo
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.station.scenario import PushScenario, format_scenario
-from gridpush_drake.station.task import TaskStatus
 from tests.helpers.command_line import run_gridpush
 
 HELD = Episode("pliers", 0, "held", "It was lifted.", "held", 5, 3, 2, 0.1, 0.002, 60.0, 30.0)
@@ -139,7 +137,7 @@ def test_what_cannot_be_run_says_why(monkeypatch):
         scenario = resolved.scenario
         raise RuntimeError(f"with {scenario.object}, seed {scenario.seed}")
 
-    monkeypatch.setitem(TASKS, "push", CampaignTask(stumble, TaskStatus.REACHED))
+    monkeypatch.setattr(TASKS["push"], "station", stumble, raising=False)
     broken = run_episode(EpisodeJob("pliers", 4, task="push", scenario=text))
     assert (broken.status, broken.outcome) == (BROKEN, GAVE_UP)
     assert broken.message.startswith("RuntimeError in test_campaign.py, line ")

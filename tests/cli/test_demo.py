@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from gridpush_drake.cli.demo import TaskName
-from gridpush_drake.cli.demo_tasks import TASKS, DemoTask
 from gridpush_drake.display.cell_colors import CellColors
 from gridpush_drake.display.server import StartMeshcatServer, looks_like_recording
 from gridpush_drake.errors import GridPushError, StationError
@@ -23,6 +22,7 @@ from gridpush_drake.station import camera as station_camera
 from gridpush_drake.station import scenario as station_scenario
 from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.scenario import read_scenario
+from gridpush_drake.station.tasks import TASKS, TaskKind
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
 from tests.helpers.renderer import require_renderer
 
@@ -228,13 +228,13 @@ def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, r
     def refuse():
         raise StationError("pictures need libegl1")
 
-    def take(self, resolved, meshcat, realtime_rate):
+    def take(self, resolved, meshcat, realtime_rate, report):
         taken.append(resolved.scenario.camera.kind)
         raise GridPushError("no further")
 
     taken = []
     monkeypatch.setattr(station_camera, "check_renderer", (lambda: None) if renders else refuse)
-    monkeypatch.setattr(DemoTask, "run", take)
+    monkeypatch.setattr(TaskKind, "run", take)
     if more == ["--scenario"]:
         more = ["--scenario", str(tmp_path / "scenario.yaml")]
         station_scenario.write_scenario(tmp_path / "scenario.yaml", TASKS[task].make_scenario())

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench.campaign import calc_center_error
-from gridpush_drake.cli.demo_tasks import PreGraspDemo
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
 from gridpush_drake.station.pregrasp_task import HELD, LOST, PreGraspTask
+from gridpush_drake.station.tasks import PreGraspKind
 from gridpush_drake.systems.messages import PreGraspMode, PushCommand, PushPhase
 
 TIMEOUT = PreGraspLoopOptions().timeout
@@ -56,7 +56,7 @@ class Stranger:
 
 def make_scenario_of_seed_0():
     """The shipped one, with a heavy handle."""
-    scenario = PreGraspDemo().make_scenario()
+    scenario = PreGraspKind().make_scenario()
     scenario.seed = 0
     return scenario
 

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gridpush_drake.cli.demo_tasks import PreGraspDemo
 from gridpush_drake.errors import PlanningError, ScenarioError
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.parameters import CellParameters
@@ -16,6 +15,7 @@ from gridpush_drake.station.pregrasp_task import LIFTED_SHARE, PreGraspTask
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.station.tasks import PreGraspKind
 from gridpush_drake.systems.messages import PreGraspMode, PreGraspStatus
 
 
@@ -25,7 +25,7 @@ def test_a_scene_without_a_gripper_is_refused():
 
 
 def test_an_object_too_thick_for_the_gripper_is_refused():
-    scenario = PreGraspDemo().make_scenario()
+    scenario = PreGraspKind().make_scenario()
     scenario.object, scenario.object_height = "open_book", 0.085
     with pytest.raises(PlanningError, match=r"0\.085 m thick; expected at most .* 0\.08 m"):
         PreGraspTask(scenario)
@@ -52,7 +52,7 @@ def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there(heav
 
 
 def test_what_stays_on_the_table_is_not_lifted():
-    task = PreGraspTask(PreGraspDemo().make_scenario())
+    task = PreGraspTask(PreGraspKind().make_scenario())
     record = task.make_record()
     record.last, record.raised = PreGraspStatus(mode=PreGraspMode.HOLDING), 0.001
     task.read = lambda name: np.zeros(3)
@@ -61,7 +61,7 @@ def test_what_stays_on_the_table_is_not_lifted():
 
 @pytest.mark.slow
 def test_a_panda_lifts_the_hammer_with_its_own_hand():
-    scenario = PreGraspDemo().make_scenario()
+    scenario = PreGraspKind().make_scenario()
     scenario.directives = make_robot_directives("panda", grasping=True)
     task = PreGraspTask(scenario)
     record = task.run()

@@ -1,4 +1,9 @@
-"""What `gridpush demo` can do: how each task is run, what it leaves in the folder, and what it says."""
+"""The one registry of tasks in the station, for `gridpush demo`, `robot` and `campaign`.
+
+Of each: how it is made, in which scenario, when it is done, what its run leaves in a folder, and
+how that is described and summarized. A task of your own is a `TaskKind` more in `TASKS`, and a word
+more in `cli.demo.TaskName`.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,8 +13,6 @@ import numpy as np
 import yaml
 from pydrake.geometry import Meshcat
 
-from gridpush_drake.bench.campaign import calc_center_error
-from gridpush_drake.cli.console import MM, count_noun, count_progress, print_line
 from gridpush_drake.display.cell_colors import CellColors
 from gridpush_drake.display.overlay import (
     Mark,
@@ -25,6 +28,8 @@ from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.multibody.ground_truth import describe_truth
+from gridpush_drake.notebook import MM
+from gridpush_drake.notebook import count as count_noun
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
@@ -37,7 +42,7 @@ from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
 from gridpush_drake.station.push_task import GOAL_COLOR, PushTask, PushTaskRecord
 from gridpush_drake.station.resolve import ResolvedScenario
 from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
-from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.station.task import TaskRecord, TaskStatus
 from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PushStatus
 
 FRAMES_PER_SECOND = 20.0
@@ -77,20 +82,26 @@ PREGRASP_TITLES = {
 """Likewise; `status` is the controller's."""
 
 
-class DemoTask:
+Report = Callable[[str, str, int], None]
+"""Told what is being done, a detail that changes all the time, and how far the count is."""
+
+
+class TaskKind:
     """A task of the demo. `record` is what its run came to: a `TaskRecord` of its own kind.
 
     Attributes:
         station: the kind of task that the robot does.
         scenario: name of the shipped scenario that it has by itself; None for an iiwa with a finger.
-        done: status of a run in which all went well; None where there is nothing to reach.
+        done: status of a run in which all went well.
+        has_goal: whether there is something to reach, so that a run may end without it.
         files: that it leaves in its folder, the report first.
         marks: of the recording's legend, besides the estimate's.
     """
 
     station: Callable[..., Any]
     scenario: str | None = None
-    done: TaskStatus | None = None
+    done: TaskStatus = TaskStatus.FINISHED
+    has_goal: bool = True
     files: tuple[str, ...] = FILES
     marks: tuple[Mark, ...] = ()
 
@@ -98,18 +109,26 @@ class DemoTask:
         """The scenario that it has by itself."""
         return PushScenario() if self.scenario is None else read_scenario(self.scenario)
 
-    def run(self, resolved: ResolvedScenario, meshcat: Meshcat, realtime_rate: float) -> Any:
-        """Runs the task and records it from the moment when all is set up; returns the record."""
+    def run(
+        self, resolved: ResolvedScenario, meshcat: Meshcat, realtime_rate: float, report: Report
+    ) -> Any:
+        """Runs the task and records it from the moment when all is set up; returns the record.
+
+        Args:
+            resolved: what stands where.
+            meshcat: to show and record it in.
+            realtime_rate: at most so many simulated seconds a second; 0 for as fast as possible.
+            report: told after every step what is being done, for how long, and how far the count is.
+        """
         task = self.station(resolved, meshcat)
         task.AimCamera(meshcat)
-        with count_progress("the robot", self.count_steps(resolved.scenario)) as report:
 
-            def show(status: PushStatus, logged: int) -> None:
-                doing, count = self.describe_step(task, status)
-                report(doing, f"{task.simulator.get_context().get_time():.0f} s simulated", count)
+        def show(status: PushStatus, logged: int) -> None:
+            doing, steps = self.describe_step(task, status)
+            report(doing, f"{task.simulator.get_context().get_time():.0f} s simulated", steps)
 
-            meshcat.StartRecording(FRAMES_PER_SECOND)
-            return task.run(progress=show, realtime_rate=realtime_rate)
+        meshcat.StartRecording(FRAMES_PER_SECOND)
+        return task.run(progress=show, realtime_rate=realtime_rate)
 
     def count_steps(self, scenario: PushScenario) -> int:
         """How many steps the progress counts to."""
@@ -154,7 +173,7 @@ class DemoTask:
         return {
             "object": record.obj.name,
             "status": record.status,
-            **({} if self.done is None else {"done": record.status == self.done}),
+            **({"done": record.status == self.done} if self.has_goal else {}),
             "message": record.message,
             "simulated_seconds": record.duration,
             "limit_report": vars(limits) | {"touched": sorted(map(list, limits.touched))},
@@ -166,7 +185,7 @@ class DemoTask:
 
 
 def write_files(
-    task: DemoTask,
+    task: TaskKind,
     folder: Path,
     scenario: PushScenario,
     record: Any,
@@ -210,17 +229,10 @@ def write_files(
     return [folder / name for name in task.files if name in written]
 
 
-def print_summary(task: DemoTask, summary: dict[str, Any], written: list[Path]) -> None:
-    """Prints what came of a run, and what was written."""
-    for line in task.describe(summary):
-        print_line(line)
-    print_line(f"\nIn {written[0].parent}: {', '.join(path.name for path in written)}.")
-
-
-class IdentifyDemo(DemoTask):
+class IdentifyKind(TaskKind):
     """A robot pokes an object it knows nothing about, and comes to know it."""
 
-    station = IdentifyTask
+    station, has_goal = IdentifyTask, False
     files = (*FILES[:5], HELD_OUT, *FILES[5:])
 
     def count_steps(self, scenario: PushScenario) -> int:
@@ -304,7 +316,7 @@ class IdentifyDemo(DemoTask):
         return lines
 
 
-class PushDemo(DemoTask):
+class PushKind(TaskKind):
     """A robot pushes an object it knows nothing about to a goal, and learns it on the way."""
 
     station, done = PushTask, TaskStatus.REACHED
@@ -376,7 +388,7 @@ class PushDemo(DemoTask):
         )
 
 
-class PreGraspDemo(DemoTask):
+class PreGraspKind(TaskKind):
     """A robot pokes an object, learns it, slides it to the table's edge, grasps what hangs over, and lifts it."""
 
     station, done, scenario = PreGraspTask, TaskStatus.HELD, GRASP_SCENARIO
@@ -461,12 +473,19 @@ class PreGraspDemo(DemoTask):
         )
 
 
-TASKS: dict[str, DemoTask] = {
-    "identify": IdentifyDemo(),
-    "push": PushDemo(),
-    "pregrasp": PreGraspDemo(),
+TASKS: dict[str, TaskKind] = {
+    "identify": IdentifyKind(),
+    "push": PushKind(),
+    "pregrasp": PreGraspKind(),
 }
 """By the words of `demo.TaskName`."""
+
+
+def calc_center_error(record: TaskRecord, params: CellParameters) -> float:
+    """Distance of an estimate's center of mass from the true one, m."""
+    assert record.truth is not None  # a simulated object's is known
+    found, truth = (each.center_of_mass(record.obj) for each in (params, record.truth))
+    return float(np.linalg.norm(found - truth))
 
 
 def _calc_center_errors(record: Any) -> dict[str, float]:
