@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import MAX_NUMBER, PushLogError
+from gridpush_drake.errors import MAX_NUMBER, PushError, PushLogError
 from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import compose, invert, rotate, transform_back
 from gridpush_drake.objects.grid_object import GridObject
@@ -225,18 +225,24 @@ class CmuImporter:
         digits = len(str(count))
         pushes = []
         for place, i in enumerate(order, start=1):
-            if (
-                not np.linalg.norm(logged[i].tool[-1, 1:3] - logged[i].tool[0, 1:3]) * MM
-                > STANDSTILL
-            ):
-                raise PushLogError(f"{path}: push {i + 1}: the tool does not move; expected a path")
-            pushes.append(_observe(logged[i], f"push_{place:0{digits}}", self.calibrate))
+            try:
+                seen = _observe(logged[i], f"push_{place:0{digits}}", self.calibrate)
+            except PushError as error:
+                raise PushLogError(f"{path}: push {i + 1}: {error}") from error
+            if seen is None:
+                raise PushLogError(
+                    f"{path}: push {i + 1}: the tool does not move; expected a path, at times that increase"
+                )
+            pushes.append(seen)
         return PushLog(tuple(pushes), str(path)), triangle_block(self.uniform_plate)
 
 
-def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush:
+def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush | None:
+    """Makes the log's entry of a push; None where the tool does not move."""
     q_before, q_after = _centroid_pose(logged.before), _centroid_pose(logged.after)
     tool = _without_standstill(_in_time_order(logged.tool))
+    if tool is None:
+        return None
     yaw = _calc_yaw(tool[:, 4:])
     t, p = tool[:, 0] - tool[0, 0], tool[:, 1:3] * MM
     force = _force_on_object(logged.force, tool[:, 0], yaw)
@@ -301,12 +307,17 @@ def _in_time_order(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return rows[np.append(True, t[1:] > np.maximum.accumulate(t)[:-1])]
 
 
-def _without_standstill(tool: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The tool's rows from the last at the place where it starts to the first at the place where it ends."""
+def _without_standstill(tool: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """The tool's rows from the last at the place where it starts to the first at the place where it ends.
+
+    None where it ends where it starts, or never leaves.
+    """
     p = tool[:, 1:3] * MM
-    left = np.linalg.norm(p - p[0], axis=1) > STANDSTILL
-    not_yet = np.linalg.norm(p - p[-1], axis=1) > STANDSTILL
-    return tool[np.flatnonzero(left)[0] - 1 : np.flatnonzero(not_yet)[-1] + 2]
+    left = np.flatnonzero(np.linalg.norm(p - p[0], axis=1) > STANDSTILL)
+    not_yet = np.flatnonzero(np.linalg.norm(p - p[-1], axis=1) > STANDSTILL)
+    if np.linalg.norm(p[-1] - p[0]) <= STANDSTILL or not len(left) or not len(not_yet):
+        return None
+    return tool[left[0] - 1 : not_yet[-1] + 2]
 
 
 def _calc_yaw(q: NDArray[np.float64]) -> NDArray[np.float64]:

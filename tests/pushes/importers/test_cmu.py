@@ -281,3 +281,26 @@ def test_real_pushes_as_a_whole(name, tmp_path):
         np.testing.assert_array_equal(seen.push.xy, again.push.xy)
         np.testing.assert_array_equal(seen.final_pose, again.final_pose)
         np.testing.assert_array_equal(seen.force, again.force)
+
+
+def test_one_number_changed_is_read_or_refused_in_a_line(tmp_path):
+    """Times that go back leave a tool that never moves, whatever its places say."""
+    pose = "0 0 0 1 0 0 0"
+    tool = [f"{0.1 * i:g} {i} 0 0 1 0 0 0" for i in range(5)]
+    lines = ["1", pose, pose, "2", "0 0 0", "1 0.1 0.2", "5", *tool]
+    path = tmp_path / "log.txt"
+    refused_lines = set()
+    for i, line in enumerate(lines):
+        for j in range(len(line.split())):
+            for number in ("0", "1", "2", "1e9", "-1e12"):
+                words = line.split()
+                words[j] = number
+                changed = [*lines[:i], " ".join(words), *lines[i + 1 :]]
+                path.write_text("\n".join(changed))
+                for calibrate in (True, False):
+                    try:
+                        CmuImporter(calibrate=calibrate).read(path)
+                    except PushLogError as error:
+                        assert str(path) in str(error) and "\n" not in str(error)
+                        refused_lines.add(i)
+    assert 7 in refused_lines  # the first row's time, after all others
