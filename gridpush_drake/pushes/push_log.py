@@ -8,16 +8,19 @@ together), t, tip_x, tip_y (the disc's center), object_x, object_y, object_theta
 row, and wherever else it was observed; empty elsewhere) and, where they are known, force_x, force_y
 on the object, overhang: 1 while a part of the object hung over the table's edge, 0 or empty
 otherwise (one such row marks the push), and table: its top in W as well-known text, POLYGON ((x y,
-x y, ...)), once in the file. Times are counted from each push's first row.
+x y, ...)), once in the file. Times are counted from each push's first row. A cell that holds nan
+counts as empty, and further columns are passed over with a warning.
 """
 
 import csv
 import difflib
 import io
 import math
+import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import groupby, pairwise
+from itertools import groupby, islice, pairwise
 from pathlib import Path
 from typing import NamedTuple, NoReturn, overload
 
@@ -27,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import MAX_NUMBER, PushLogError
+from gridpush_drake.errors import MAX_NUMBER, PushLogError, PushLogWarning
 from gridpush_drake.files import check_writable, read_text, write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.notebook import MM, count, describe_move, make_page, make_table
@@ -43,7 +46,11 @@ OVERHANG = "overhang"
 TABLE = "table"
 COLUMNS = (*REQUIRED, *FORCE, OVERHANG, TABLE)
 
-FLAGS = {"": False, "0": False, "1": True}  # what may stand in a column that says yes or no
+FLAGS = {"0": False, "1": True, "0.0": False, "1.0": True}
+"""What may stand in a column that says yes or no; pandas writes such a column with points."""
+
+NO_NUMBER = "nan"
+"""What stands in an empty cell where pandas or NumPy wrote the file."""
 
 WHAT = "a push log (CSV)"
 
@@ -53,7 +60,19 @@ UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
 SUGGESTION_CUTOFF = (
     0.5  # similarity (0 to 1) from which a known column is suggested for an unknown one
 )
+TYPO_CUTOFF = 0.88
+"""Similarity (0 to 1) to a column that is not there, from which a further column is taken for a
+misspelled one and refused, lest what it holds is lost."""
+
+MAX_ROWS = 50_000
+"""Most rows of one push: 50 s of a robot that writes a thousand a second."""
+
+MAX_POSES = 300
+"""Most poses of one push that are kept after the first; of more, this many evenly spread ones. The
+work of learning grows with their square, and neighbors tell nearly the same."""
+
 MAX_SHOWN = 60  # characters of a refused value that a message repeats
+MAX_NAMED = 5  # further columns that a warning names
 MIN_TIME_STEP = 1e-9  # s between two rows of a push
 
 
@@ -201,6 +220,10 @@ class PushLog(Frozen):
             PushLogError: the file cannot be read or breaks the form; the message names the file,
                 the line, the column and the expected form.
             PushError: the radius is not positive.
+
+        Warns:
+            PushLogWarning: the file has further columns, which are passed over, or so many poses of
+                a push that only some of them are kept.
         """
         return _read_push_csv(Path(path), radius, require_final)
 
@@ -322,9 +345,16 @@ def _read_push_csv(path: Path, radius: float | None, require_final: bool) -> Pus
         _parse_row(path, line, cells)
         for line, cells in read_table(path, WHAT, REQUIRED, _check_header)
     )
+    dense = list[tuple[str, int]]()
     for _, group in groupby(read, lambda row: row.push):
-        rows = list(group)
+        rows = list(islice(group, MAX_ROWS + 1))
         first = rows[0]
+        if len(rows) > MAX_ROWS:
+            fail(
+                path, rows[-1].line, "push",
+                f"push {first.push!r} has more than {MAX_ROWS} rows; expected one push: a stream of "
+                "many is cut into pushes by `gridpush record`",
+            )  # fmt: skip
         if first.push in seen:
             fail(
                 path, first.line, "push",
@@ -337,16 +367,40 @@ def _read_push_csv(path: Path, radius: float | None, require_final: bool) -> Pus
                     path, row.line, TABLE, "is another one than before; expected one table in a log"
                 )
             table = table if row.table is None else row.table
+        rows, poses = _thin_poses(rows)
+        if poses > MAX_POSES:
+            dense.append((first.push, poses))
         pushes.append(
             _observed_push(
                 path, rows, DEFAULT_PUSHER_RADIUS if radius is None else radius, require_final
             )
+        )
+    if dense:
+        name, poses = dense[0]
+        more = f" (and {len(dense) - 1} more)" if len(dense) > 1 else ""
+        warnings.warn(
+            f"{path}: push {name!r}{more} has {poses} poses after its first row; {MAX_POSES} of "
+            "them, evenly spread, are kept",
+            PushLogWarning,
+            stacklevel=3,
         )
     if not pushes:
         raise PushLogError(
             f"{path}: holds no push; expected rows below the header {','.join(REQUIRED)}"
         )
     return PushLog(tuple(pushes), str(path), radius_given=radius is not None, table=table)
+
+
+def _thin_poses(rows: list[_Row]) -> tuple[list[_Row], int]:
+    """The rows of a push with at most MAX_POSES poses after the first row's, and how many there were."""
+    later = [i for i, row in enumerate(rows) if i and row.pose is not None]
+    if len(later) <= MAX_POSES:
+        return rows, len(later)
+    kept = {later[k] for k in np.linspace(0, len(later) - 1, MAX_POSES).round().astype(int)}
+    thinned = [
+        row if i == 0 or i in kept else row._replace(pose=None) for i, row in enumerate(rows)
+    ]
+    return thinned, len(later)
 
 
 def _write_push_csv(log: PushLog, path: Path, force: bool) -> None:
@@ -408,8 +462,15 @@ def read_table(
 ) -> Iterator[tuple[int, dict[str, str]]]:
     """The rows of a CSV file: their lines' numbers, and their cells by column.
 
-    Raises PushLogError: the file cannot be read, is empty or no CSV, or a row is longer or shorter
-    than the header.
+    Args:
+        path: the file.
+        what: it should hold, for messages.
+        required: the columns that it must have, for messages.
+        check_header: is called with path, line and header before the first row.
+
+    Raises:
+        PushLogError: the file cannot be read, is empty or no CSV, or a row is longer or shorter
+            than the header.
     """
     text = read_text(path, what, PushLogError)
     if "\0" in text:
@@ -445,13 +506,54 @@ def _check_header(path: Path, line: int, header: list[str]) -> None:
         close = close or difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)
         hint = f"; rename {close[0]!r} to {name!r}?" if close else ""
         fail(path, line, name, f"is missing{hint}; {form}")
-    if unknown:
-        close = difflib.get_close_matches(unknown[0], COLUMNS, 1, SUGGESTION_CUTOFF)
-        hint = f"did you mean {close[0]!r}? " if close else ""
-        fail(path, line, unknown[0], f"is unknown; {hint}{form}")
     missing = [name for name in FORCE if name not in header]
+    refuse_misspelled(path, line, header, COLUMNS, form)
     if len(missing) == 1:
         fail(path, line, missing[0], f"is missing; the columns {' and '.join(FORCE)} come together")
+    warn_of_further(path, header, COLUMNS)
+
+
+def refuse_misspelled(
+    path: Path, line: int, header: list[str], columns: Sequence[str], form: str
+) -> None:
+    """Refuses a further column that is all but called as one that is not there.
+
+    Args:
+        path: the file, for the message.
+        line: of its header.
+        header: the columns that it has.
+        columns: those that it may have.
+        form: what is expected, for the message.
+
+    Raises:
+        PushLogError: there is such a column.
+    """
+    absent = [name for name in columns if name not in header]
+    for name in header:
+        if name not in columns:
+            close = difflib.get_close_matches(name.lower(), absent, 1, TYPO_CUTOFF)
+            if close:
+                fail(path, line, name, f"is unknown; did you mean {close[0]!r}? {form}")
+
+
+def warn_of_further(path: Path, header: list[str], columns: Sequence[str]) -> None:
+    """Says which further columns of a file are passed over, with a PushLogWarning."""
+    further = [name for name in header if name not in columns]
+    if further:
+        shown = ", ".join(name[:MAX_SHOWN] or "(without a name)" for name in further[:MAX_NAMED])
+        more = f" and {len(further) - MAX_NAMED} more" if len(further) > MAX_NAMED else ""
+        noun = "columns" if len(further) > 1 else "column"
+        warnings.warn(
+            f"{path}: passed over the {noun} {shown}{more}; known are {','.join(columns)}",
+            PushLogWarning,
+            stacklevel=2,
+        )
+
+
+def is_empty(cell: str) -> bool:
+    """Whether a cell holds nothing: blanks, or nan as pandas and NumPy write it."""
+    text = cell.strip()
+    return not text or text.lower() == NO_NUMBER
 
 
 def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
@@ -460,22 +562,23 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
         fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
     pose, force = (
         [_read_number(path, line, column, cells[column]) for column in columns]
-        if any(cells.get(column, "").strip() for column in columns)
+        if not all(is_empty(cells.get(column, "")) for column in columns)
         else None
         for columns in (POSE, FORCE)
     )
     tip = [_read_number(path, line, column, cells[column]) for column in TIP]
     flag = cells.get(OVERHANG, "").strip()
-    if flag not in FLAGS:
-        fail(path, line, OVERHANG, f"is {flag!r}; expected 0 or 1, or empty")
+    hangs_over = False if is_empty(flag) else FLAGS.get(flag)
+    if hangs_over is None:
+        fail(path, line, OVERHANG, f"is {flag[:MAX_SHOWN]!r}; expected 0 or 1, or empty")
     table = _table(path, line, cells.get(TABLE, "").strip())
     return _Row(
-        line, name, _read_number(path, line, "t", cells["t"]), tip, pose, force, FLAGS[flag], table
+        line, name, _read_number(path, line, "t", cells["t"]), tip, pose, force, hangs_over, table
     )
 
 
 def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
-    if not cell:
+    if is_empty(cell):
         return None
     try:
         with np.errstate(invalid="ignore"):
@@ -493,23 +596,33 @@ def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
 
 
 def _read_number(path: Path, line: int, column: str, cell: str) -> float:
-    group = next((columns for columns in (POSE, FORCE) if column in columns), None)
-    form = f"a finite number ({UNITS.get(column, 'm')})" + (
-        f", or {', '.join(group)} empty" if group else ""
-    )
-    return read_number(path, line, column, cell, form)
+    value = parse_number(cell)
+    if value is None:
+        group = next((columns for columns in (POSE, FORCE) if column in columns), None)
+        form = f"a finite number ({UNITS.get(column, 'm')})" + (
+            f", or {', '.join(group)} empty" if group else ""
+        )
+        value = read_number(path, line, column, cell, form)
+    return value
+
+
+def parse_number(cell: str) -> float | None:
+    """A cell's number; None where it is not one that was measured."""
+    try:
+        value = float(cell)
+    except ValueError:
+        return None
+    return value if abs(value) <= MAX_NUMBER and "_" not in cell else None
 
 
 def read_number(path: Path, line: int, column: str, cell: str, form: str) -> float:
     """A cell's number. Raises PushLogError where it is not one that was measured; `form` says what is expected."""
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or abs(value) > MAX_NUMBER or "_" in cell:
-        limit = (
-            f", at most {MAX_NUMBER:g}" if math.isfinite(value) and abs(value) > MAX_NUMBER else ""
-        )
+    value = parse_number(cell)
+    if value is None:
+        large = False
+        with suppress(ValueError):
+            large = MAX_NUMBER < abs(float(cell)) < math.inf
+        limit = f", at most {MAX_NUMBER:g}" if large else ""
         fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}{limit}")
     return value
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import OutputError, PushError, PushLogError
+from gridpush_drake.errors import OutputError, PushError, PushLogError, PushLogWarning
+from gridpush_drake.pushes import push_log
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 HEADER = "push,t,tip_x,tip_y,object_x,object_y,object_theta"
@@ -131,6 +132,53 @@ def test_same_log_in_other_clothes(write, content):
     np.testing.assert_array_equal(log[0].final_pose, [0.02, 0, 0.1])
 
 
+def test_further_columns_are_passed_over_with_a_warning(write):
+    rows = GOOD.splitlines()
+    more = [f"label,{rows[0]},force_z,,table_id,c1,c2,c3"]
+    more += [f"x,{row},1,2,3,4,5,6" for row in rows[1:]]
+    with pytest.warns(
+        PushLogWarning,
+        match=r"passed over the columns label, force_z, \(without a name\), table_id, c1 and 2 more",
+    ):
+        log = PushLog.read_csv(write("\n".join(more)))
+    assert [seen.name for seen in log] == ["a", "b"] and log[0].force is None
+
+
+def test_nan_counts_as_empty(write):
+    """As pandas writes a log: nan where a column of numbers has nothing, and flags with a point."""
+    header = f"{HEADER},force_x,force_y,overhang,table"
+    rows = [
+        "a,0,-0.1,0,0,0,0,nan,nan,0.0,nan",
+        "a,1,-0.05,0,nan,NaN,,1.5,-2,NaN,",
+        "a,2,0,0,0.02,0,0.1,NAN,nan,1.0,nan",
+    ]
+    (seen,) = PushLog.read_csv(write("\n".join([header, *rows])))
+    np.testing.assert_array_equal(seen.poses_observed, [[0.02, 0, 0.1]])
+    np.testing.assert_array_equal(seen.force, [[1.5, -2]])
+    assert seen.overhang
+
+
+def test_an_endless_push_is_refused_early(write, monkeypatch):
+    parsed = []
+    parse = push_log._parse_row
+    monkeypatch.setattr(push_log, "_parse_row", lambda *row: parsed.append(row) or parse(*row))
+    monkeypatch.setattr(push_log, "MAX_ROWS", 100)
+    rows = "".join(f"a,{i},0,0,0,0,0\n" for i in range(10_000))
+    refused(write(f"{HEADER}\n{rows}"), "line 102", "'a' has more than 100 rows", "gridpush record")
+    assert len(parsed) == 101
+
+
+def test_of_very_many_poses_evenly_spread_ones_are_kept(write):
+    count = 20 * push_log.MAX_POSES
+    rows = "".join(f"a,{i},{i}e-5,0,{i}e-6,0,0\n" for i in range(count))
+    with pytest.warns(PushLogWarning, match=r"push 'a' has 5999 poses after its first row; 300 of"):
+        (seen,) = PushLog.read_csv(write(f"{HEADER}\n{rows}"))
+    assert len(seen.t_observed) == push_log.MAX_POSES
+    assert seen.t_observed[-1] == count - 1 and seen.push.t[-1] == count - 1
+    assert len(seen.push.t) == count
+    assert np.diff(seen.t_observed).min() >= 19 and np.diff(seen.t_observed).max() <= 21
+
+
 def test_without_final_pose_only_when_asked(write):
     path = write(f"{HEADER}\na,0,0,0,0,0,0\na,1,1,0,,,\n")
     refused(path, "line 3", "object_x", "later row", "'a'")
@@ -165,7 +213,7 @@ def replaced(old, new):
             FORCED.replace("force_y", "forcey"),
             ["column forcey", "unknown", "did you mean 'force_y'"],
         ),
-        (FORCED.replace("force_y", "zebra"), ["column zebra", "unknown", "expected"]),
+        (FORCED.replace("force_y", "zebra"), ["column force_y", "is missing", "together"]),
         (
             "\n".join(line.rpartition(",")[0] for line in FORCED.splitlines()),
             ["column force_y", "missing", "together"],
