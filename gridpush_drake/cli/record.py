@@ -1,6 +1,6 @@
 """`gridpush record`: a continuous stream of poses to a push log."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from math import isfinite
 from pathlib import Path
 from typing import Annotated
@@ -9,9 +9,6 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found
-
-MS = 1e3
-"""Milliseconds in a second."""
 
 ENGAGED_BELOW = 0.05
 """`SegmenterOptions.engaged_below`, which takes long to import, m."""
@@ -25,8 +22,8 @@ def record(
         Path,
         typer.Argument(
             metavar="STREAM.csv",
-            help="A CSV file with the columns t, tip_x, tip_y, object_x, object_y, object_theta and, if known, tip_z"
-            " and tip_vx, tip_vy, tip_vz; cells are empty where something was not seen.",
+            help="A CSV file with the columns t, tip_x, tip_y, object_x, object_y, object_theta and, if known, tip_z,"
+            " tip_vx, tip_vy, tip_vz and, in the first row, object_delay; cells are empty where nothing was seen.",
             show_default=False,
         ),
     ],
@@ -44,8 +41,13 @@ def record(
         typer.Option(help="Height of the tip's center below which it can touch the object, m."),
     ] = ENGAGED_BELOW,
     pose_delay: Annotated[
-        float, typer.Option(help="How much older the object's poses are than their times say, s.")
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            metavar="S",
+            help="How much later the object's poses are than their times say, s; by default, what the stream says in"
+            " its column object_delay, or else what its pushes say.",
+        ),
+    ] = None,
     table: Annotated[
         str | None,
         typer.Option(
@@ -61,20 +63,40 @@ def record(
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.planning.support_surface import stayed_supported
     from gridpush_drake.pushes.plausibility import check_plausible
+    from gridpush_drake.pushes.pose_delay import choose_delay
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
     from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
-    from gridpush_drake.pushes.stream import estimate_delay, read_stream_csv, record_pushes
+    from gridpush_drake.pushes.stream import (
+        DELAY,
+        MAX_TOLD_DELAY,
+        read_stream_csv,
+        record_pushes,
+    )
 
     options.check_outputs(force, out, inputs=(stream, object_file))
-    for option, value in (("--engaged-below", engaged_below), ("--pose-delay", pose_delay)):
-        if not isfinite(value):
-            raise options.OptionError(f"{option}: is {value}; expected a finite number")
+    if not isfinite(engaged_below):
+        raise options.OptionError(
+            f"--engaged-below: is {engaged_below}; expected a finite number (m)"
+        )
+    if pose_delay is not None and not abs(pose_delay) <= MAX_TOLD_DELAY:
+        raise options.OptionError(
+            f"--pose-delay: is {pose_delay}; expected a number (s), at most {MAX_TOLD_DELAY:g}"
+        )
     surface = None if table is None else options.parse_shape("--table", table)
     obj = options.load_object(object_file)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    how = SegmenterOptions(engaged_below=engaged_below), RecordOptions(pose_delay=pose_delay)
-    samples = read_stream_csv(stream)
-    recorded = record_pushes(samples, obj, radius, *how, str(stream))
+    segmenter = SegmenterOptions(engaged_below=engaged_below)
+    read = read_stream_csv(stream)
+    samples = read.samples
+    # what the user says goes before what the file says, and that before what the pushes say
+    told, told_by = (
+        (pose_delay, "--pose-delay") if pose_delay is not None else (read.pose_delay, DELAY)
+    )
+    delay = choose_delay(
+        samples, obj, segmenter, told=told, told_by="" if told is None else told_by
+    )
+    record_options = RecordOptions(pose_delay=delay.value)
+    recorded = record_pushes(samples, obj, radius, segmenter, record_options, str(stream))
     log = recorded.log
     if not len(log):
         ended = (
@@ -97,25 +119,25 @@ def record(
         log = replace(log, pushes=pushes, table=surface.corners)
     check_plausible(obj, replace(log, source=str(stream)), learning=True)
     log.write_csv(out, force)
-    delay = estimate_delay(samples, obj, radius, *how)
     found = {
         "object": obj.name,
         "pushes": len(log),
-        "delay": None
-        if delay is None
-        else {key: getattr(delay, key) for key in ("value", "std", "pushes")},
+        "delay": {
+            "applied": delay.value,
+            "told_by": delay.told_by or None,
+            "found": None if delay.found is None else asdict(delay.found),
+            "contradicted": delay.is_contradicted,
+        },
         "overhanging": [seen.name for seen in log if seen.overhang],
         "unusable": list(recorded.unusable),
         "unfinished": recorded.unfinished,
         "written": [str(out)],
     }
     length = sum(seen.push.length for seen in log) / len(log)
-    lines = [f"{count_noun(len(log), 'push')}, {length * MM:.0f} mm long on average."]
-    if delay is not None:
-        lines.append(
-            f"The object's poses are {delay.value * MS:.0f} +- {delay.std * MS:.0f} ms later than --pose-delay says, "
-            f"by {delay.pushes} pushes."
-        )
+    lines = [
+        f"{count_noun(len(log), 'push')}, {length * MM:.0f} mm long on average.",
+        delay.describe(),
+    ]
     if recorded.unfinished:
         lines.append("The stream ends within a push, which is left out.")
     lines += [f"Left out: {text}." for text in recorded.unusable]

@@ -121,7 +121,9 @@ def track(
     lost = int((~np.isfinite(poses).all(axis=1)).sum())
     samples = make_samples(t, tips, calc_velocities(t, tips), poses)
     if stream is not None:
-        write_stream_csv(samples, stream, force)
+        # a tag on the pusher is seen in the same pictures as the object, another clock may be off
+        same_clock = 0.0 if find_tip.tag is not None else None
+        write_stream_csv(samples, stream, force, same_clock)
     if picture is not None and pictures:
         drawn = seen_by.undistort(pictures[-1][0].color)
         for _, pose in pictures:

@@ -15,21 +15,27 @@ along the tip's path. That path is as measured, without the samples that straigh
 others replace to within `path_tolerance`.
 """
 
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import hypot, isfinite
+from math import hypot, inf, isfinite
 from typing import NamedTuple
 
 import numpy as np
 from shapely import LineString
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.errors import GridPushError, PushLogError
 from gridpush_drake.geometry.se2 import Array, transform_back, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, nearest_turn
 
 Numbers = tuple[float, float, float]
+
+MAX_SAMPLES = 50_000
+"""Most samples of one motion of the tip: 50 s of a robot that says a thousand times a second where
+its tip is."""
 
 
 class Sample(NamedTuple):
@@ -88,6 +94,7 @@ class SegmenterState:
     path: tuple[
         Sample, ...
     ] = ()  # the present push while the tip is down; empty where there is none
+    lowest: float = inf  # height of the tip at its lowest on that path, m
     after: tuple[Sample, ...] = ()  # from its stop on, lifted or not; empty while it moves
     lifted: bool = False  # whether it has ended by lifting
 
@@ -103,20 +110,18 @@ def advance(
         return state, None
     moving = sample.tip[2] < options.engaged_below and _slides(sample.velocity, options)
     if not state.path:
-        kept = tuple(seen for seen in state.rest if seen.t >= sample.t - options.rest_window)
+        oldest = bisect_left(state.rest, sample.t - options.rest_window, key=lambda seen: seen.t)
+        kept = state.rest[oldest:]
         return (_begin(state.rest, sample) if moving else SegmenterState((*kept, sample))), None
-    lift_height = min(options.engaged_below, min(seen.tip[2] for seen in state.path) + options.lift)
+    lift_height = min(options.engaged_below, state.lowest + options.lift)
     lifted = state.lifted or sample.tip[2] > lift_height
     stopped_for = sample.t - state.after[0].t if state.after else 0.0
     if moving and (state.lifted or (not lifted and stopped_for >= options.pause)):
         return _begin(state.after, sample), Episode(state.rest, state.path, state.after)
     if moving and not lifted:
-        return replace(state, path=(*state.path, sample), after=()), None
+        return replace(_go_on(state, sample), after=()), None
     state = replace(
-        state,
-        lifted=lifted,
-        after=(*state.after, sample),
-        path=state.path if lifted else (*state.path, sample),
+        state if lifted else _go_on(state, sample), lifted=lifted, after=(*state.after, sample)
     )
     if stopped_for >= (options.settle_lifted if lifted else options.settle):
         return SegmenterState(rest=state.after), Episode(state.rest, state.path, state.after)
@@ -131,7 +136,34 @@ def _slides(velocity: Numbers, options: SegmenterOptions) -> bool:
 
 def _begin(rest: tuple[Sample, ...], sample: Sample) -> SegmenterState:
     """Starts a push; the sample before, with the tip still at rest, is where its path begins."""
-    return SegmenterState(rest, (*rest[-1:], sample))
+    path = (*rest[-1:], sample)
+    return SegmenterState(rest, path, min(seen.tip[2] for seen in path))
+
+
+def _go_on(state: SegmenterState, sample: Sample) -> SegmenterState:
+    """Lengthens the present push by a sample.
+
+    Raises:
+        PushLogError: it has MAX_SAMPLES already.
+    """
+    if len(state.path) >= MAX_SAMPLES:
+        raise PushLogError(
+            f"the motion of the tip that begins at t = {state.path[0].t:g} s has more than "
+            f"{MAX_SAMPLES} samples; expected pushes, with the tip at rest or lifted in between"
+        )
+    return replace(state, path=(*state.path, sample), lowest=min(state.lowest, sample.tip[2]))
+
+
+def find_episodes(samples: Iterable[Sample], options: SegmenterOptions) -> Iterator[Episode]:
+    """Finds the motions of the tip in a stream that may be pushes, one after another.
+
+    A motion that the stream's end cuts short is not among them.
+    """
+    state = SegmenterState()
+    for sample in samples:
+        state, episode = advance(state, sample, options)
+        if episode is not None:
+            yield episode
 
 
 SAME_TIME = 1e-6  # s; times that differ by less are one
@@ -175,7 +207,7 @@ def make_observed_push(
     before and after.
     """
     pose = calc_rest_pose(episode.before, options)
-    t, xy = _trim(episode.path, options.still)
+    t, xy = trim_path(episode.path, options.still)
     if pose is None or len(t) < 2:
         return None
     traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
@@ -200,7 +232,7 @@ def make_observed_push(
 
 def find_begin(episode: Episode, options: RecordOptions) -> float:
     """When the push that an episode is written down as begins, s: its time 0."""
-    return float(_trim(episode.path, options.still)[0][0])
+    return float(trim_path(episode.path, options.still)[0][0])
 
 
 def calc_rest_pose(
@@ -253,7 +285,7 @@ def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array
     return times[wanted], places[wanted]
 
 
-def _trim(path: tuple[Sample, ...], still: float) -> tuple[Array, Array]:
+def trim_path(path: tuple[Sample, ...], still: float) -> tuple[Array, Array]:
     """Times and places of the tip from its last moment at rest to its first."""
     t, xy = np.array([sample.t for sample in path]), np.array([sample.tip[:2] for sample in path])
     moved = np.flatnonzero(np.linalg.norm(xy - xy[0], axis=1) > still)

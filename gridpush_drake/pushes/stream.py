@@ -4,18 +4,19 @@ A stream is one CSV file, a row a sample, SI units and radians, world frame. Its
 tip_y (the center of the pusher's disc); optionally tip_z, its height above the table, 0 where it is
 not there, and tip_vx, tip_vy, tip_vz, its velocity, found from its places where it is not there;
 object_x, object_y, object_theta. The tip's cells, or the object's, are empty where it was not seen.
+Where it is known how much later the object's poses are than their times say, such as the age of a
+camera's pictures, that stands in the column object_delay, s, in the first row and nowhere else.
 """
 
 import csv
 import io
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
@@ -26,8 +27,11 @@ from gridpush_drake.pushes.push_log import (
     ObservedPush,
     PushLog,
     fail,
+    is_empty,
     read_number,
     read_table,
+    refuse_misspelled,
+    warn_of_further,
 )
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,
@@ -45,9 +49,13 @@ from gridpush_drake.pushes.segmentation import (
 TIP = ("tip_x", "tip_y", "tip_z")
 VELOCITY = ("tip_vx", "tip_vy", "tip_vz")
 REQUIRED = ("t", "tip_x", "tip_y", *POSE)
-COLUMNS = ("t", *TIP, *VELOCITY, *POSE)
+DELAY = "object_delay"
+COLUMNS = ("t", *TIP, *VELOCITY, *POSE, DELAY)
 
 WHAT = "a stream of poses (CSV)"
+
+MAX_TOLD_DELAY = 10.0
+"""Greatest delay of the object's poses that is believed, s; a larger one is in another unit."""
 
 VELOCITY_WINDOW = 0.1  # over which a velocity is found from places by a straight line, s
 
@@ -152,101 +160,42 @@ def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sa
     return [Sample(time, tuple(pose), tuple(place), tuple(v)) for time, pose, place, v in rows]
 
 
-DELAY_RANGE = 0.3  # greatest delay that is looked for, s
-DELAY_ROUNDS = 3  # of writing the pushes down with the delay found so far
-DELAY_OBSERVATIONS = 100  # most poses a push that the delay is found from
-MIN_OBSERVATIONS = 5  # of a push whose delay can be estimated
-LAST_SHARE = 0.2  # of a push's path, at its end, on which the object moves with the tip
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """What a stream's file holds.
 
-END_VARIANCE = 9.0
-"""Of a parabola's value at the end of its N points, in variances of one of them by N; that of the
-rest is small."""
-
-MAD_TO_STD = 1.4826  # standard deviation by median absolute deviation, of normal errors
-
-
-@dataclass(frozen=True)
-class Delay:
-    """How late the object's poses are against the tip's places."""
-
-    value: float  # s, positive where the poses are late
-    std: float  # of it, s
-    pushes: int  # from which it was found
-
-
-def estimate_delay(
-    samples: Sequence[Sample],
-    obj: GridObject,
-    radius: float,
-    segmenter: SegmenterOptions | None = None,
-    record: RecordOptions | None = None,
-) -> Delay | None:
-    """Estimates how late the object's poses are in a stream, from its standing still when the tip stops.
-
-    Over the last part of a push the pose is q(t) = q_end + b d + c d^2, d = s(t - delay) - s_end, s
-    the tip's path: the delay, b and c that fit it best. Of all pushes the median counts: in some
-    the tip slides off before it stops. As the poses at rest are chosen by the delay, the pushes are
-    written down once more with what was found.
-
-    The arguments are those of `record_pushes`; delays are beyond `record.pose_delay`. None where
-    poses are too few.
+    Attributes:
+        samples: later and later.
+        pose_delay: how much later the object's poses are than their times say, s; None where the
+            file does not say.
     """
-    record = replace(record or RecordOptions(), observations=DELAY_OBSERVATIONS)
-    start, found, errors = record.pose_delay, list[float](), list[float]()
-    for _ in range(DELAY_ROUNDS):
-        log = record_pushes(samples, obj, radius, segmenter, record).log
-        fits = [
-            fit for seen in log if (fit := _fit_delay(seen, obj.radius_of_gyration)) is not None
-        ]
-        if not fits:
-            return None
-        found, errors = (
-            [value + record.pose_delay - start for value, _ in fits],
-            [std for _, std in fits],
-        )
-        record = replace(record, pose_delay=start + float(np.median(found)))
-    median = float(np.median(found))
-    spread = max(
-        MAD_TO_STD * float(np.median(np.abs(np.array(found) - median))), float(np.median(errors))
-    )
-    return Delay(median, spread * math.sqrt(math.pi / 2 / len(found)), len(found))
+
+    samples: list[Sample]
+    pose_delay: float | None = None
 
 
-def _fit_delay(seen: ObservedPush, rho: float) -> tuple[float, float] | None:
-    """A push's delay and its standard deviation, s; None where there is too little to see."""
-    end = float(seen.push.distance_at(seen.push.duration))
-    late = seen.push.distance_at(seen.t_observed) > (1 - LAST_SHARE) * end
-    late[-1:] = False
-    count = int(late.sum())
-    if count < MIN_OBSERVATIONS:
-        return None
-    moved = (seen.poses_observed[late] - seen.final_pose) * (1.0, 1.0, rho)
-
-    def fit(delay: float) -> tuple[float, Array]:
-        d = seen.push.distance_at(seen.t_observed[late] - delay) - end
-        basis = np.column_stack([d, d**2]) / end
-        factors = np.asarray(np.linalg.lstsq(basis, moved, rcond=None)[0], dtype=np.float64)
-        return float(np.linalg.norm(moved - basis @ factors)), factors
-
-    best = minimize_scalar(
-        lambda delay: fit(delay)[0], bounds=(-DELAY_RANGE, DELAY_RANGE), method="bounded"
-    ).x
-    misfit, factors = fit(best)
-    duration = seen.t_observed[late][-1] - seen.t_observed[late][0]
-    speed = float(np.linalg.norm(factors[0])) * LAST_SHARE / duration
-    if abs(best) > (1 - 1 / MIN_OBSERVATIONS) * DELAY_RANGE or not speed > 0:
-        return None
-    return float(best), misfit / math.sqrt(moved.size) * math.sqrt(END_VARIANCE / count) / speed
-
-
-def write_stream_csv(samples: Sequence[Sample], path: Path | str, force: bool = False) -> None:
+def write_stream_csv(
+    samples: Sequence[Sample],
+    path: Path | str,
+    force: bool = False,
+    pose_delay: float | None = None,
+) -> None:
     """Writes a stream so that `read_stream_csv` gives its numbers back bit for bit.
 
-    Raises OutputError: the file exists and `force` is not set, or it cannot be written.
+    Args:
+        samples: later and later.
+        path: the file to be written.
+        force: whether an existing file may be replaced.
+        pose_delay: how much later the object's poses are than their times say, s; None where it is
+            not known.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, or it cannot be written.
     """
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    told = [] if pose_delay is None else [repr(float(pose_delay))]
+    writer.writerow(COLUMNS if told else COLUMNS[:-1])
     for sample in samples:
         row = [repr(float(sample.t))]
         for numbers in ((*sample.tip, *sample.velocity), sample.pose):
@@ -254,38 +203,62 @@ def write_stream_csv(samples: Sequence[Sample], path: Path | str, force: bool = 
                 repr(float(number)) if all(map(math.isfinite, numbers)) else ""
                 for number in numbers
             ]
-        writer.writerow(row)
+        writer.writerow([*row, *told])
+        told = [""] * len(told)
     write_whole(path, buffer.getvalue(), force)
 
 
-def read_stream_csv(path: Path | str) -> list[Sample]:
+def read_stream_csv(path: Path | str) -> Stream:
     """Reads a stream.
 
-    Raises PushLogError: the file cannot be read or breaks the form; the message names file, line,
-    column and form.
+    Raises:
+        PushLogError: the file cannot be read or breaks the form; the message names file, line,
+            column and form.
+
+    Warns:
+        PushLogWarning: the file has further columns, which are passed over.
     """
     path = Path(path)
     t, groups = list[float](), list[list[list[float]]]()
     measured = False
+    pose_delay: float | None = None
     for line, row in read_table(path, WHAT, REQUIRED, _check_header):
         t.append(_read_time(path, line, row["t"], t))
         groups.append([_read_group(path, line, row, group) for group in (TIP, VELOCITY, POSE)])
         measured = VELOCITY[0] in row
+        if not is_empty(row.get(DELAY, "")):
+            pose_delay = _read_delay(path, line, row[DELAY], pose_delay)
     if not t:
         raise PushLogError(f"{path}: is empty; expected rows below the header {','.join(REQUIRED)}")
     times, (tip, velocity, poses) = np.array(t), np.array(groups).transpose(1, 0, 2)
-    return make_samples(times, tip, velocity if measured else calc_velocities(times, tip), poses)
+    if not measured:
+        velocity = calc_velocities(times, tip)
+    return Stream(make_samples(times, tip, velocity, poses), pose_delay)
+
+
+def _read_delay(path: Path, line: int, cell: str, before: float | None) -> float:
+    """The delay in a row's cell, which must be the one of the rows before it, s."""
+    form = f"how late the object's poses are (s), at most {MAX_TOLD_DELAY:g}"
+    delay = read_number(path, line, DELAY, cell, form)
+    if abs(delay) > MAX_TOLD_DELAY:
+        fail(path, line, DELAY, f"is {delay:g}; expected {form}: in milliseconds?")
+    if before is not None and delay != before:
+        fail(path, line, DELAY, f"is {delay!r} after {before!r}; expected one delay in a file")
+    return delay
 
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
-    form = f"expected {','.join(REQUIRED)} and, if known, {TIP[2]} and {', '.join(VELOCITY)}"
+    known = f"{TIP[2]}, {DELAY} and {', '.join(VELOCITY)}"
+    form = f"expected {','.join(REQUIRED)} and, if known, {known}"
     for name in header:
-        if name not in COLUMNS or header.count(name) > 1:
-            fail(path, line, name, f"is {'there twice' if name in COLUMNS else 'unknown'}; {form}")
+        if header.count(name) > 1:
+            fail(path, line, name, f"is there twice; {form}")
+    refuse_misspelled(path, line, header, COLUMNS, form)
     there = [name for name in VELOCITY if name in header]
     for name in (*REQUIRED, *(VELOCITY if there else ())):
         if name not in header:
             fail(path, line, name, f"is missing; {form}")
+    warn_of_further(path, header, COLUMNS)
 
 
 def _read_time(path: Path, line: int, cell: str, before: list[float]) -> float:
@@ -300,7 +273,7 @@ def _read_group(
 ) -> list[float]:
     """The numbers of columns that are empty together; 0 for a column that the file does not have."""
     there = [name for name in columns if name in row]
-    if not any(row[name].strip() for name in there):
+    if all(is_empty(row[name]) for name in there):
         return [math.nan] * len(columns) if there else [0.0] * len(columns)
     return [_read_number(path, line, name, row[name]) if name in row else 0.0 for name in columns]
 

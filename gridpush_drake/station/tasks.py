@@ -37,6 +37,7 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.stream import write_stream_csv
 from gridpush_drake.report.page import ReportSummary, make_report
 from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
+from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.identify_task import IdentifyTask, IdentifyTaskRecord
 from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
 from gridpush_drake.station.push_task import GOAL_COLOR, PushTask, PushTaskRecord
@@ -216,7 +217,7 @@ def write_files(
         write_whole(folder / "truth.yaml", truth, force)
         written.add("truth.yaml")
     write_scenario(folder / "scenario.yaml", scenario, force)
-    write_stream_csv(record.stream, folder / "stream.csv", force)
+    write_stream_csv(record.stream, folder / "stream.csv", force, calc_pose_age(scenario.camera))
     training, held_out = task.split_log(record)
     if record.estimates:
         training.write_csv(folder / "pushes.csv", force)

@@ -20,7 +20,6 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station import camera as station_camera
 from gridpush_drake.station import scenario as station_scenario
-from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.scenario import read_scenario
 from gridpush_drake.station.tasks import TASKS, TaskKind
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
@@ -92,12 +91,11 @@ def test_learns_and_reports(gridpush, tmp_path):
 
 
 def check_recorded_again(gridpush, out, path, pushes, table):
-    """`gridpush record` makes the demo's pushes of its stream."""
+    """`gridpush record` makes the demo's pushes of its stream, which says how late its poses are."""
     scenario = read_scenario(out / "scenario.yaml")
     height = GridObject.from_yaml(out / "object.yaml").height or scenario.object_height
     outcome = gridpush(
         "record", out / "stream.csv", "--object", out / "object.yaml", "--out", path,
-        "--pose-delay", calc_pose_age(scenario.camera),
         "--engaged-below", height, "--table", table,
     )  # fmt: skip
     assert outcome.code == 0, outcome.err

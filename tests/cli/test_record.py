@@ -36,33 +36,59 @@ def test_writes_the_pushes_of_a_stream(gridpush, script, stream, thing, tmp_path
     assert outcome.code == 0, outcome.err
     found = json.loads(outcome.out)
     assert (found["pushes"], found["unfinished"], found["overhanging"]) == (4, False, [])
-    assert abs(found["delay"]["value"]) < 3 * found["delay"]["std"]
+    delay = found["delay"]
+    assert delay["applied"] == 0 and delay["told_by"] is None
+    assert abs(delay["found"]["value"]) < 2 * delay["found"]["std"]
     expected = record_pushes(script.samples, script.obj, 0.005).log
     for one, other in zip(expected, PushLog.read_csv(out), strict=True):
         np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
         np.testing.assert_array_equal(one.push.xy, other.push.xy)
 
 
-def test_says_what_the_delay_is_and_what_hangs_over(gridpush, script, stream, thing, tmp_path):
+def test_a_delay_is_found_taken_out_and_agreed_with(gridpush, script, stream, thing, tmp_path):
     late = [
         now._replace(pose=old.pose)
         for now, old in zip(script.samples[3:], script.samples[:-3], strict=True)
     ]
     write_stream_csv(late, stream, force=True)
+
+    def record(name, *more):
+        outcome = gridpush(
+            "record", stream, "--object", thing, "--out", tmp_path / name, *more, "--json"
+        )
+        assert outcome.code == 0, outcome.err
+        return json.loads(outcome.out)["delay"], PushLog.read_csv(tmp_path / name)
+
+    found, log = record("found.csv")
+    assert found["applied"] == found["found"]["value"] == pytest.approx(3 * PERIOD, abs=0.02)
+    # told its own number, it writes the same pushes, and has nothing to object
+    told, again = record("told.csv", "--pose-delay", found["applied"])
+    assert told["found"] == found["found"] and not told["contradicted"]
+    for one, other in zip(log, again, strict=True):
+        np.testing.assert_array_equal(one.t_observed, other.t_observed)
+        np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
+    # what the file says goes before what is found, and what the user says before both
+    write_stream_csv(late, stream, force=True, pose_delay=3 * PERIOD)
+    of_file, _ = record("file.csv")
+    assert (of_file["applied"], of_file["told_by"]) == (3 * PERIOD, "object_delay")
+    of_user, _ = record("user.csv", "--pose-delay", 0.0)
+    assert (of_user["applied"], of_user["told_by"]) == (0.0, "--pose-delay")
+    assert of_user["contradicted"]
+    outcome = gridpush(
+        "record", stream, "--object", thing, "--out", tmp_path / "said.csv", "--pose-delay", "0"
+    )
+    assert "taken to be 0 ms late, as --pose-delay says, but they are" in outcome.out
+
+
+def test_says_what_hangs_over(gridpush, script, stream, thing, tmp_path):
     x = script.truth[-1][0] + 0.02
     table = f"polygon:-1,-1;{x},-1;{x},1;-1,1"
     outcome = gridpush(
         "record", stream, "--object", thing, "--out", tmp_path / "a.csv", "--table", table
     )
     assert outcome.code == 0, outcome.err
-    said = float(outcome.out.split("poses are ")[1].split(" +-")[0])
-    assert said == pytest.approx(3e3 * PERIOD, abs=30)
     flags = [seen.overhang for seen in PushLog.read_csv(tmp_path / "a.csv")]
     assert flags[-1] and not flags[0]
-    outcome = gridpush(
-        "record", stream, "--object", thing, "--out", tmp_path / "b.csv", "--pose-delay", 3 * PERIOD
-    )
-    assert float(outcome.out.split("poses are ")[1].split(" +-")[0]) == pytest.approx(0, abs=30)
 
 
 def test_refuses_a_stream_in_degrees(refuses, script, stream, thing, tmp_path):
@@ -139,6 +165,10 @@ def test_refuses(refuses, stream, thing, tmp_path):
         "nan",
         says=["--pose-delay"],
     )
+    refuses(
+        "record", stream, "--object", thing, "--out", out, "--pose-delay", "100",
+        says=["--pose-delay: is 100", "(s), at most 10"],
+    )  # fmt: skip
     refuses(
         "record",
         stream,

@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.errors import PushLogError
+from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.pushes import segmentation
+from gridpush_drake.pushes.pose_delay import choose_delay, estimate_delay
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.segmentation import RecordOptions, Sample
+from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.pushes.stream import (
     calc_velocities,
-    estimate_delay,
     read_stream_csv,
     record_pushes,
     write_stream_csv,
 )
-from tests.helpers.scripted_stream import PERIOD, RADIUS, Script, poke_four_times
+from tests.helpers.scripted_stream import RADIUS, Script, poke_four_times
 from tests.helpers.shapes import make_shape
 
 
@@ -40,7 +41,9 @@ def test_a_stream_survives_its_file_bit_for_bit(script, tmp_path):
     samples[5] = samples[5]._replace(pose=(np.nan,) * 3)
     samples[7] = samples[7]._replace(tip=(np.nan,) * 3)
     write_stream_csv(samples, tmp_path / "stream.csv")
-    back = read_stream_csv(tmp_path / "stream.csv")
+    read = read_stream_csv(tmp_path / "stream.csv")
+    assert read.pose_delay is None
+    back = read.samples
     assert len(back) == len(samples)
     for one, other in zip(samples, back, strict=True):
         tip = Sample(one.t, one.pose, (np.nan,) * 3, (np.nan,) * 3) if np.isnan(one.tip[0]) else one
@@ -71,7 +74,7 @@ def test_velocities_need_not_be_in_the_file(script, tmp_path):
     rows = [line.split(",") for line in path.read_text().splitlines()]
     path.write_text("\n".join(",".join(row[:4] + row[7:]) for row in rows))
     with_them, without = (
-        record_pushes(s, obj, RADIUS).log for s in (script.samples, read_stream_csv(path))
+        record_pushes(s, obj, RADIUS).log for s in (script.samples, read_stream_csv(path).samples)
     )
     assert len(without) == len(with_them) == 4
     for one, other in zip(with_them, without, strict=True):
@@ -92,27 +95,82 @@ def test_velocities_of_an_uneven_noisy_motion():
     assert np.isnan(calc_velocities(np.array([0.0, 1.0]), np.array([[0.0], [np.nan]]))).all()
 
 
-@pytest.mark.parametrize("late", [0, 1, 3])
-def test_a_delay_is_found(script, late):
-    samples = script.samples
-    delayed = [
-        now._replace(pose=old.pose)
-        for now, old in zip(samples[late:], samples[: len(samples) - late], strict=True)
+def make_late(script: Script, delay: float, every: int = 1, seed: int = 0) -> list[Sample]:
+    """What a tracker says whose poses are late by any time, s; and of it each `every`-th sample."""
+    t = np.array([sample.t for sample in script.samples])
+    truth = np.array(script.truth)
+    seen = np.column_stack([np.interp(t - delay, t, truth[:, axis]) for axis in range(3)])
+    seen += script.noise * np.random.default_rng(seed).normal(size=truth.shape)
+    late = [
+        sample._replace(pose=tuple(pose))
+        for sample, pose in zip(script.samples, seen.tolist(), strict=True)
     ]
-    delay = estimate_delay(delayed, script.obj, RADIUS)
-    assert delay.pushes == 4 and delay.std < 0.012
-    assert abs(delay.value - late * PERIOD) < 3 * delay.std
-    known = estimate_delay(
-        delayed, script.obj, RADIUS, record=RecordOptions(pose_delay=late * PERIOD)
-    )
-    assert abs(known.value) < 3 * known.std
+    return late[::every]
+
+
+@pytest.mark.parametrize("every", [1, 3])
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.1, 0.15])
+def test_a_delay_is_found(script, delay, every):
+    errors, stds = [], []
+    for seed in range(4):
+        found = estimate_delay(make_late(script, delay, every, seed), script.obj)
+        assert found.pushes >= 2
+        errors.append(found.value - delay)
+        stds.append(found.std)
+    errors, stds = np.array(errors), np.array(stds)
+    assert (np.abs(errors) < 3.5 * stds).all()
+    assert abs(errors.mean()) < 0.012
+    assert stds.mean() < (0.012 if every == 1 else 0.025)
+
+
+def test_who_is_told_what_was_found_finds_it_again(script):
+    samples = make_late(script, 0.147)
+    found = choose_delay(samples, script.obj)
+    assert found.found is not None and found.value == found.found.value
+    again = choose_delay(samples, script.obj, told=found.value, told_by="--pose-delay")
+    assert again.found == found.found and not again.is_contradicted
+    assert "and they are" in again.describe()
+    wrong = choose_delay(samples, script.obj, told=0.0, told_by="--pose-delay")
+    assert wrong.value == 0.0 and wrong.is_contradicted and "but they are" in wrong.describe()
 
 
 def test_no_push_has_no_delay(script):
-    assert estimate_delay(script.samples[:10], script.obj, RADIUS) is None
+    assert estimate_delay(script.samples[:10], script.obj) is None
+    chosen = choose_delay(script.samples[:10], script.obj)
+    assert chosen.value == 0 and "the pushes do not tell it" in chosen.describe()
+
+
+def test_a_file_says_its_delay(script, tmp_path):
+    path = tmp_path / "stream.csv"
+    write_stream_csv(script.samples, path, pose_delay=0.1)
+    lines = path.read_text().splitlines()
+    assert lines[0].endswith(",object_delay")
+    assert lines[1].endswith(",0.1") and lines[2].endswith(",")
+    read = read_stream_csv(path)
+    assert read.pose_delay == 0.1 and len(read.samples) == len(script.samples)
+
+
+def test_further_columns_and_nan_are_passed_over(tmp_path):
+    path = tmp_path / "stream.csv"
+    path.write_text(
+        "frame,t,tip_x,tip_y,object_x,object_y,object_theta,object_delay\n"
+        "1,0,0,0,NaN,nan,,0.1\n2,1,,nan,0.1,0.2,0.3,nan\n"
+    )
+    with pytest.warns(PushLogWarning, match=r"stream\.csv: passed over the column frame; known"):
+        read = read_stream_csv(path)
+    assert read.pose_delay == 0.1
+    assert np.isnan(read.samples[0].pose).all() and np.isnan(read.samples[1].tip).all()
+    assert read.samples[1].pose == (0.1, 0.2, 0.3)
+
+
+def test_a_motion_without_an_end_is_refused(script, monkeypatch):
+    monkeypatch.setattr(segmentation, "MAX_SAMPLES", 50)
+    with pytest.raises(PushLogError, match=r"begins at t = .* s has more than 50 samples"):
+        record_pushes(script.samples, script.obj, RADIUS)
 
 
 HEADER = "t,tip_x,tip_y,object_x,object_y,object_theta\n"
+DELAYED = HEADER[:-1] + ",object_delay\n"
 
 
 @pytest.mark.parametrize(
@@ -129,6 +187,10 @@ HEADER = "t,tip_x,tip_y,object_x,object_y,object_theta\n"
         (HEADER + "0,0,,0,0,0\n", "column tip_y: is ''"),
         (HEADER + "0,0,0,0,nan,0\n", "column object_y: is 'nan'"),
         (HEADER + "now,0,0,0,0,0\n", "column t: is 'now'"),
+        (HEADER[:-1] + ",object_delays\n0,0,0,0,0,0,1\n", "did you mean 'object_delay'?"),
+        (DELAYED + "0,0,0,0,0,0,100\n", "column object_delay: is 100; expected how late"),
+        (DELAYED + "0,0,0,0,0,0,soon\n", "column object_delay: is 'soon'; expected how late"),
+        (DELAYED + "0,0,0,0,0,0,0.1\n1,0,0,0,0,0,0.2\n", "is 0.2 after 0.1; expected one delay"),
     ],
 )
 def test_a_file_of_another_form_is_refused(tmp_path, text, says):

@@ -5,6 +5,7 @@ positions by lines, orientations along great circles, and nothing across gaps. W
 stream, and the pushes are cut from it.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,29 +15,26 @@ from warnings import warn
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.errors import MAX_NUMBER, PushLogError, PushLogWarning
 from gridpush_drake.files import exists
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.pose_delay import MS, ChosenDelay, choose_delay
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
-from gridpush_drake.pushes.segmentation import Sample, SegmenterOptions
-from gridpush_drake.pushes.stream import (
-    Delay,
-    calc_velocities,
-    estimate_delay,
-    make_samples,
-    record_pushes,
-)
+from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
+from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
 
 EXTRA = "pip install 'gridpush-drake[bags]'"
 
 NS = 1e-9  # seconds in a nanosecond
-MS = 1e3  # milliseconds in a second
 FORCE_SIZE = 3  # numbers of a force, and of a position
 MAX_SHOWN = 200  # characters of another package's message
 MAX_GAP = 6  # median periods of a topic, across which nothing is interpolated
+QUATERNION_TOLERANCE = 0.01  # largest difference of a quaternion's length from 1
 MIN_MESSAGES = 2  # of a topic that can be interpolated
-MIN_DELAY, SURE = 0.005, 3.0  # s, and standard deviations, from which on an unstated delay is told
+MAX_RATE = 1000.0  # of the samples that are made of a bag, Hz
+MAX_SAMPLES = 500_000  # so many in all: 4 h at 30 Hz
+MAX_SHIFT = 1e9  # of a delay that is told, s
 
 TF = "TFMessage"
 
@@ -87,9 +85,11 @@ class BagImporter:
     force_topic: str = field(
         default="", metadata={"help": "Of the force, WrenchStamped, in the frame of the poses."}
     )
-    object_delay: float = field(
-        default=0.0,
-        metadata={"help": "How much later the object's stamps are than what was seen, s."},
+    object_delay: float | None = field(
+        default=None,
+        metadata={
+            "help": "How much later the object's stamps are than what was seen, s; by default, what the pushes say."
+        },
     )
     tip_delay: float = field(default=0.0, metadata={"help": "The same of the tip's stamps, s."})
     rate: float = field(default=30.0, metadata={"help": "Samples a second, Hz."})
@@ -129,10 +129,22 @@ class BagImporter:
                     f"{path}: {other.what} is in frame {other.frame!r}, {thing.what} in {thing.frame!r}; "
                     "expected the same frame"
                 )
-        samples = make_stream(path, thing, tip, self.rate, self.table_height)
+        late = (self.object_delay or 0.0) - self.tip_delay
+        samples, rest = make_stream(path, thing, tip, self.rate, self.table_height, late)
         radius = self.obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         segmenter = SegmenterOptions(engaged_below=self.engaged_below)
-        found = record_pushes(samples, self.obj, radius, segmenter, source=str(path))
+        # The tip's stamps are late, too: the stream's delay is that of the object against the tip.
+        told = None if self.object_delay is None else rest
+        chosen = choose_delay(
+            samples,
+            self.obj,
+            segmenter,
+            told=told,
+            told_by="--object-delay less --tip-delay",
+            otherwise=rest,
+        )
+        record = RecordOptions(pose_delay=chosen.value)
+        found = record_pushes(samples, self.obj, radius, segmenter, record, source=str(path))
         if not len(found.log):
             raise PushLogError(
                 f"{path}: holds no push of {self.obj.name}; expected a tip that comes below {self.engaged_below:g} m "
@@ -140,7 +152,7 @@ class BagImporter:
             )
         for text in found.unusable:
             warn(f"{path}: {text}", PushLogWarning, stacklevel=2)
-        _tell_delay(path, estimate_delay(samples, self.obj, radius, segmenter))
+        _tell_delay(path, chosen, late - rest, self.tip_delay)
         if force is None:
             return found.log, self.obj
         values = -force.values if self.negate_force else force.values
@@ -150,11 +162,23 @@ class BagImporter:
         return replace(found.log, pushes=tuple(felt)), self.obj
 
     def _check_numbers(self) -> None:
-        for name in ("object_delay", "tip_delay", "rate", "table_height", "engaged_below"):
+        """Raises PushLogError where an option's number is none that can be."""
+        limits = {
+            "object_delay": MAX_SHIFT,
+            "tip_delay": MAX_SHIFT,
+            "rate": MAX_RATE,
+            "table_height": MAX_NUMBER,
+            "engaged_below": MAX_NUMBER,
+        }
+        for name, limit in limits.items():
             value = getattr(self, name)
-            if not np.isfinite(value) or (name == "rate" and value <= 0):
+            if value is None:
+                continue
+            if not abs(value) <= limit or (name == "rate" and value <= 0):
                 kind = "a positive number (Hz)" if name == "rate" else "a finite number"
-                raise PushLogError(f"--{name.replace('_', '-')}: is {value!r}; expected {kind}")
+                raise PushLogError(
+                    f"--{name.replace('_', '-')}: is {value!r}; expected {kind}, at most {limit:g}"
+                )
 
     def _read_tracks(self, path: Path) -> dict[str, Track]:
         wanted = {
@@ -162,26 +186,40 @@ class BagImporter:
             "--tip-topic": self.tip_topic,
             "--force-topic": self.force_topic,
         }
-        delays = {
-            "--object-topic": self.object_delay,
-            "--tip-topic": self.tip_delay,
-            "--force-topic": self.tip_delay,
-        }
         with _Bag(path) as bag:
             return {
-                option: _make_track(path, bag.read(option, name), name, delays[option])
+                option: _make_track(path, bag.read(option, name), name)
                 for option, name in wanted.items()
                 if name or option != "--force-topic"
             }
 
 
 def make_stream(
-    path: Path, thing: Track, tip: Track, rate: float, table_height: float
-) -> list[Sample]:
-    """Brings two tracks to one clock of a rate, Hz, from where both begin to where one ends.
+    path: Path, thing: Track, tip: Track, rate: float, table_height: float, late: float = 0.0
+) -> tuple[list[Sample], float]:
+    """Brings two tracks to the tip's clock at a rate, from where both begin to where one ends.
 
-    Raises PushLogError: the tracks do not overlap.
+    The object's track is taken to be late by whole periods only. So its poses are always
+    interpolated at the same of its own times, and what is found from them does not depend on what
+    was told.
+
+    Args:
+        path: of the bag, for messages.
+        thing: the object's track.
+        tip: the tip's.
+        rate: of the samples, Hz.
+        table_height: height of the table's top in the tracks' frame, m.
+        late: how much later the object's stamps are than the tip's, s.
+
+    Returns:
+        The samples, and by how much the object's poses in them are still late, s: less than half a
+        period, if `late` is right.
+
+    Raises:
+        PushLogError: the tracks do not overlap, or there would be more than MAX_SAMPLES.
     """
+    shift = round(late * rate)
+    thing = thing._replace(t=thing.t - shift / rate)
     first, last = max(thing.t[0], tip.t[0]), min(thing.t[-1], tip.t[-1])
     if last <= first:
         spans = " and ".join(
@@ -190,14 +228,24 @@ def make_stream(
         raise PushLogError(
             f"{path}: the clocks do not overlap: {spans}; expected both to run at the same time"
         )
-    t = first + np.arange(int((last - first) * rate) + 1) / rate
+    if (last - first) * rate > MAX_SAMPLES:
+        raise PushLogError(
+            f"{path}: {last - first:.0f} s at --rate {rate:g} make more than {MAX_SAMPLES} samples; "
+            "expected a lower rate (Hz), or a part of the bag"
+        )
+    t = np.arange(math.ceil(first * rate), math.floor(last * rate) + 1) / rate
+    if not len(t):
+        raise PushLogError(f"{path}: is shorter than one period of --rate {rate:g} (Hz)")
     poses, tips = (interpolate(track, t) for track in (thing, tip))
     places = tips[:, :3] - (0.0, 0.0, table_height)
     yaw = np.full(len(t), np.nan)
     seen = np.isfinite(poses).all(axis=1)
     x, y, z, w = poses[seen, 3:].T
     yaw[seen] = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    return make_samples(t, places, calc_velocities(t, places), np.column_stack([poses[:, :2], yaw]))
+    samples = make_samples(
+        t, places, calc_velocities(t, places), np.column_stack([poses[:, :2], yaw])
+    )
+    return samples, late - shift / rate
 
 
 def interpolate(track: Track, t: Array) -> Array:
@@ -220,17 +268,32 @@ def _add_force(seen: ObservedPush, begin: float, t: Array, force: Array) -> Obse
     )
 
 
-def _tell_delay(path: Path, delay: Delay | None) -> None:
-    if delay is not None and abs(delay.value) > max(MIN_DELAY, SURE * delay.std):
-        warn(
-            f"{path}: the object's poses are {delay.value * MS:.0f} +- {delay.std * MS:.0f} ms later than "
-            "--object-delay and --tip-delay say",
-            PushLogWarning,
-            stacklevel=2,
-        )
+def _tell_delay(path: Path, chosen: ChosenDelay, shifted: float, tip_delay: float) -> None:
+    """Warns of a delay that was found and taken out, or of one that contradicts what was told.
+
+    Args:
+        path: of the bag.
+        chosen: the delay of the samples.
+        shifted: by how much the object's track was shifted before they were made, s.
+        tip_delay: of the tip's stamps, s.
+    """
+    found = chosen.found
+    if found is None:
+        return
+    applied = not chosen.told_by and chosen.value == found.value
+    if not (applied or chosen.is_contradicted):
+        return
+    total = found.value + shifted + tip_delay
+    size = f"{total * MS:.0f} ± {found.std * MS:.0f} ms late, by {found.pushes} pushes"
+    what = (
+        "--object-delay says otherwise, and is believed"
+        if not applied
+        else f"this was taken out; --object-delay {total:.4g} says so"
+    )
+    warn(f"{path}: the object's poses are {size}; {what}", PushLogWarning, stacklevel=3)
 
 
-def _make_track(path: Path, messages: "list[_Message]", name: str, delay: float) -> Track:
+def _make_track(path: Path, messages: "list[_Message]", name: str) -> Track:
     if len(messages) < MIN_MESSAGES:
         raise PushLogError(
             f"{path}: {name} has {len(messages)} messages; expected at least {MIN_MESSAGES}"
@@ -242,17 +305,24 @@ def _make_track(path: Path, messages: "list[_Message]", name: str, delay: float)
         )
     t, first = np.unique([message.t for message in messages], return_index=True)
     values = np.array([messages[i].values for i in first])
-    if not np.isfinite(values).all():
-        raise PushLogError(f"{path}: {name} holds a number that is not finite")
+    if not (np.abs(values) <= MAX_NUMBER).all():
+        raise PushLogError(
+            f"{path}: {name} holds a number that is not finite, or larger than {MAX_NUMBER:g}; expected m, N and a "
+            "unit quaternion"
+        )
     if len(t) < MIN_MESSAGES:
         raise PushLogError(
             f"{path}: {name} has the same time in all its headers; expected times that increase"
         )
-    if values.shape[1] > FORCE_SIZE and not np.linalg.norm(values[:, FORCE_SIZE:], axis=1).all():
-        raise PushLogError(
-            f"{path}: {name} holds an orientation of all zeros; expected a unit quaternion"
-        )
-    return Track(name, frames[0], t - delay, values)
+    if values.shape[1] > FORCE_SIZE:
+        norms = np.linalg.norm(values[:, FORCE_SIZE:], axis=1)
+        wrong = np.flatnonzero(np.abs(norms - 1) > QUATERNION_TOLERANCE)
+        if len(wrong):
+            raise PushLogError(
+                f"{path}: {name} holds an orientation of length {norms[wrong[0]]:.3g} at "
+                f"t = {t[wrong[0]]:.3f} s; expected a unit quaternion"
+            )
+    return Track(name, frames[0], t, values)
 
 
 class _Message(NamedTuple):

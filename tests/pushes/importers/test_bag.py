@@ -2,12 +2,14 @@
 
 import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gridpush_drake.errors import PushLogError, PushLogWarning
-from gridpush_drake.pushes.importers.bag import BagImporter, Track, interpolate
+from gridpush_drake.pushes.importers.bag import BagImporter, Track, _Bag, interpolate, make_stream
+from gridpush_drake.pushes.pose_delay import estimate_delay
 from gridpush_drake.pushes.stream import record_pushes
 from tests.helpers.scripted_stream import RADIUS, Script, poke_four_times
 from tests.helpers.shapes import make_shape
@@ -119,19 +121,70 @@ def test_forces_are_those_of_their_push(bags, obj):
         )
 
 
-def test_a_delay_is_told_and_taken_out(script, obj, tmp_path):
-    path = write_bag(tmp_path, "bag", see(script, delay=0.1))
-    with pytest.warns(PushLogWarning, match=r"poses are (8|9|10|11)\d* .*--object-delay"):
-        read(path, obj)
+def test_a_delay_is_found_taken_out_and_agreed_with(script, obj, tmp_path):
+    late, on_time = tmp_path / "late", tmp_path / "on_time"
+    for folder in (late, on_time):
+        folder.mkdir()
+    path = write_bag(late, "bag", see(script, delay=0.147))
+    with pytest.warns(
+        PushLogWarning, match=r"poses are 1[345]\d ± \d+ ms late, by 4 pushes; this was taken out"
+    ) as caught:
+        found = read(path, obj)
+    number = float(str(caught[0].message).split("--object-delay ")[1].split(" ")[0])
+    assert number == pytest.approx(0.147, abs=0.02)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        stated = read(path, obj, object_delay=0.1)
-    now = write_bag(
-        tmp_path / "now" if (tmp_path / "now").mkdir() is None else tmp_path, "bag", see(script)
-    )
-    for one, other in zip(stated, read(now, obj), strict=True):
+        told = read(path, obj, object_delay=number)
+    expected = read(write_bag(on_time, "bag", see(script)), obj)
+    for one, other, right in zip(found, told, expected, strict=True):
         np.testing.assert_allclose(one.final_pose, other.final_pose, atol=1e-4)
-        np.testing.assert_allclose(one.push.xy[-1], other.push.xy[-1], atol=4 * JITTER * SPEED)
+        np.testing.assert_allclose(one.final_pose, right.final_pose, atol=2e-4)
+        np.testing.assert_allclose(one.push.xy[-1], right.push.xy[-1], atol=4 * JITTER * SPEED)
+    with pytest.warns(PushLogWarning, match=r"--object-delay says otherwise, and is believed"):
+        read(path, obj, object_delay=0.0)
+
+
+@pytest.mark.parametrize("told", [0.02, 0.05, 0.147, -0.1])
+def test_what_is_found_does_not_depend_on_what_was_told(script, obj, told):
+    tip = make_track(script, lambda seen: (*seen.tip, 0, 0, 0, 1))
+    thing = make_track(script, lambda seen: (*seen.pose[:2], 0, *turn(seen.pose[2])))
+    known = estimate_delay(make_stream(Path(), thing, tip, 27, 0.0)[0], obj)
+    samples, rest = make_stream(Path(), thing, tip, 27, 0.0, told)
+    assert abs(rest) <= 0.5 / 27
+    found = estimate_delay(samples, obj)
+    assert found.value - rest + told == pytest.approx(known.value, abs=3e-4)
+
+
+def test_what_would_take_gigabytes_is_refused(script, obj, tmp_path):
+    path = write_bag(tmp_path, "bag", see(script))
+    with pytest.raises(PushLogError, match=r"--rate: is 1000000\.0; .* at most 1000"):
+        read(path, obj, rate=1e6)
+    track = Track("/object", "", np.array([0.0, 1e6]), np.tile([0.1, 0, 0, 0, 0, 0, 1.0], (2, 1)))
+    with pytest.raises(PushLogError, match=r"1000000 s at --rate 30 make more than 500000 samples"):
+        make_stream(Path("long.bag"), track, track, 30.0, 0.0)
+
+
+@pytest.mark.parametrize("number", [1e300, 0.5, 0.0])
+def test_an_orientation_that_is_none_is_refused(script, obj, tmp_path, monkeypatch, number):
+    path = write_bag(tmp_path, "bag", see(script))
+    convert = _Bag._convert
+
+    def spoil(self, kind, t, message, child):
+        for made in convert(self, kind, t, message, child):
+            yield made._replace(values=[*made.values[:3], 0.0, 0.0, 0.0, number])
+
+    monkeypatch.setattr(_Bag, "_convert", spoil)
+    with pytest.raises(PushLogError, match=r"/object holds .*; expected .*unit quaternion"):
+        read(path, obj)
+
+
+def make_track(script, value):
+    t = np.array([seen.t for seen in script.samples])
+    return Track("track", "", t, np.array([value(seen) for seen in script.samples], dtype=float))
+
+
+def turn(theta):
+    return (0.0, 0.0, np.sin(theta / 2), np.cos(theta / 2))
 
 
 def test_nothing_is_interpolated_across_a_gap():

@@ -7,7 +7,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers import IMPORTERS, find_importer
 
-KINDS = (bool, int, float, str, str | None, GridObject | None)
+KINDS = (bool, int, float, float | None, str, str | None, GridObject | None)
 
 
 @pytest.mark.parametrize("name", IMPORTERS)

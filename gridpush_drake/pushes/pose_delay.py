@@ -1,0 +1,284 @@
+"""How late the object's poses are against the tip's places, found from the pushes of a stream.
+
+A tracker's clock is seldom the robot's, and a picture takes time. While the tip pushes, the
+object's pose is a smooth function of the tip's path, and it stands still from when the tip does
+(`docs/theory/identification.md`, section 9). What is found is the whole delay of the stream's
+poses, whatever somebody said of it before: whoever is told the number found finds it again.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.segmentation import (
+    Episode,
+    RecordOptions,
+    Sample,
+    SegmenterOptions,
+    find_episodes,
+    trim_path,
+)
+
+MAX_DELAY = 0.3
+"""Greatest delay that is looked for, s."""
+
+DELAY_STEP = 0.002
+"""Between the delays that are tried before the best is refined, s."""
+
+LAST_SHARE = 0.2
+"""Share of a push's path, at its end, on which the object's pose is taken for a parabola of the
+path."""
+
+REST = 0.5
+"""How long after the tip's stop, and the delay, the poses at rest are used, s."""
+
+MIN_MOVING = 6
+"""Fewest poses on the last share of a path from which a push's delay is found."""
+
+MAX_LAST_SHARE = 0.6
+"""Share that is taken at most, where poses are so rare that MIN_MOVING of them need a longer one."""
+
+MIN_MOTION = 0.002
+"""By how much the object must move on the last share of the path for its stop to be seen, m."""
+
+ROUNDS = 8
+"""Most rounds of choosing poses by the delay found so far."""
+
+CONVERGED = 1e-4
+"""A change of the delay from one round to the next at which it is found, s."""
+
+MIN_TELLING = 0.005
+"""Delays, and differences from a delay that was told, below this are not spoken of, s."""
+
+SURE = 2.0
+"""Standard deviations from which a delay is told apart from none, or from the one that was said."""
+
+MS = 1e3
+"""Milliseconds in a second."""
+
+MAD_TO_STD = 1.4826
+"""Standard deviation by median absolute deviation, of normal errors."""
+
+MEDIAN_VARIANCE = math.pi / 2
+"""Variance of a median of normal numbers, in variances of their mean."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """How late the object's poses are against the tip's places.
+
+    Attributes:
+        value: the whole delay, s, positive where the poses are late.
+        std: its standard deviation, s.
+        pushes: how many pushes it was found from.
+    """
+
+    value: float
+    std: float
+    pushes: int
+
+    def differs_from(self, told: float) -> bool:
+        """Whether it contradicts a delay that was told, s."""
+        return abs(self.value - told) > max(MIN_TELLING, SURE * self.std)
+
+
+@dataclass(frozen=True)
+class ChosenDelay:
+    """The delay with which a stream's pushes are written down, and where it is from.
+
+    Attributes:
+        value: s.
+        found: what the pushes say; None where they do not tell.
+        told_by: who said it: "--pose-delay", for instance; empty where nobody did, and `value` is
+            what was found, or 0 where that is not told apart from none.
+    """
+
+    value: float
+    found: Delay | None
+    told_by: str = ""
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the pushes say another delay than was told."""
+        return bool(self.told_by) and self.found is not None and self.found.differs_from(self.value)
+
+    def describe(self) -> str:
+        """Says in a sentence what the delay is, how well it is known and what was done about it."""
+        applied = f"{self.value * MS:.0f} ms"
+        if self.found is None:
+            why = "the pushes do not tell it"
+            return (
+                f"The object's poses are taken to be {applied} late, as {self.told_by} says; {why}."
+                if self.told_by
+                else f"The object's poses are taken to be on time; {why}."
+            )
+        found = (
+            f"{self.found.value * MS:.0f} ± {self.found.std * MS:.0f} ms late, "
+            f"by {self.found.pushes} pushes"
+        )
+        if self.told_by:
+            relation = "but they are" if self.is_contradicted else "and they are"
+            return (
+                f"The object's poses are taken to be {applied} late, as {self.told_by} says, "
+                f"{relation} {found}."
+            )
+        if self.value == self.found.value:
+            return f"The object's poses are {found}; that was taken out of their times."
+        return f"The object's poses are {found}, which is not told apart from being on time."
+
+
+def choose_delay(
+    samples: Sequence[Sample],
+    obj: GridObject,
+    segmenter: SegmenterOptions | None = None,
+    record: RecordOptions | None = None,
+    told: float | None = None,
+    told_by: str = "",
+    otherwise: float = 0.0,
+) -> ChosenDelay:
+    """Chooses the delay with which a stream is written down: what was told, or else what is found.
+
+    Args:
+        samples: of the stream, later and later.
+        obj: the object.
+        segmenter: when a push begins and ends.
+        record: how a push is written down.
+        told: the delay as somebody says it, s; None where nobody does.
+        told_by: who does.
+        otherwise: the delay that is taken where nobody says one, and the pushes do not tell it
+            apart from this one, s.
+    """
+    found = estimate_delay(samples, obj, segmenter, record)
+    if told is not None:
+        return ChosenDelay(told, found, told_by)
+    telling = found is not None and found.differs_from(otherwise)
+    return ChosenDelay(found.value if found is not None and telling else otherwise, found)
+
+
+@dataclass(frozen=True, eq=False)
+class _LastPart:
+    """A push's end: times and places of the tip, and the poses from there on until the next push.
+
+    Attributes:
+        t: (K,) times of the tip's path, s.
+        traveled: (K,) length of the path by then, m.
+        t_seen: (N,) times of the poses as the stream has them, s.
+        seen: (N, 3) poses, the angle times the radius of gyration, m.
+    """
+
+    t: Array
+    traveled: Array
+    t_seen: Array
+    seen: Array
+
+
+def estimate_delay(
+    samples: Iterable[Sample],
+    obj: GridObject,
+    segmenter: SegmenterOptions | None = None,
+    record: RecordOptions | None = None,
+) -> Delay | None:
+    """Estimates how late the object's poses are in a stream, from its standing still when the tip stops.
+
+    Over the last part of a push the pose is q(t) = q_end + b d + c d², d = s(t - delay) - s_end, s
+    the tip's path: the delay, q_end, b and c that fit it best. Of all pushes the median counts: in
+    some the tip slides off before it stops. As the poses are chosen by the delay, this is repeated
+    until the delay does not change any more.
+
+    Args:
+        samples: of the stream, later and later.
+        obj: the object.
+        segmenter: when a push begins and ends.
+        record: how a push is written down; its `pose_delay` has no influence.
+
+    Returns:
+        The delay; None where no push tells it.
+    """
+    record = record or RecordOptions()
+    ends = [
+        end
+        for episode in find_episodes(samples, segmenter or SegmenterOptions())
+        if (end := _cut_end(episode, obj.radius_of_gyration, record)) is not None
+    ]
+    delay = 0.0
+    for _ in range(ROUNDS):
+        fits = [fit for end in ends if (fit := _fit_delay(end, delay)) is not None]
+        if not fits:
+            return None
+        found = np.array([value for value, _ in fits])
+        before, delay = delay, float(np.median(found))
+        if abs(delay - before) < CONVERGED:
+            break
+    spread = MAD_TO_STD * float(np.median(np.abs(found - delay)))
+    spread = max(spread, float(np.median([std for _, std in fits])))
+    return Delay(delay, spread * math.sqrt(MEDIAN_VARIANCE / len(found)), len(found))
+
+
+def _cut_end(episode: Episode, rho: float, record: RecordOptions) -> _LastPart | None:
+    """A push's tip path and the poses seen from its beginning on; None where the tip hardly moved."""
+    t, xy = trim_path(episode.path, record.still)
+    if len(t) < 2:
+        return None
+    traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+    if traveled[-1] < record.min_distance:
+        return None
+    samples: dict[float, Sequence[float]] = {
+        sample.t: sample.pose
+        for sample in (*episode.path, *episode.after)
+        if np.isfinite(sample.pose).all()
+    }
+    if not samples:
+        return None
+    t_seen = np.array(sorted(samples))
+    seen = np.array([samples[time] for time in t_seen.tolist()])
+    seen[:, 2] = rho * np.unwrap(seen[:, 2])
+    return _LastPart(t, traveled, t_seen, seen)
+
+
+def _fit_delay(end: _LastPart, around: float) -> tuple[float, float] | None:
+    """A push's delay and its standard deviation, s; None where there is too little to see.
+
+    Args:
+        end: of the push.
+        around: the delay by which the poses are chosen, s.
+    """
+    stop = float(end.t[-1])
+    longest, usual = (
+        float(np.interp((1 - share) * end.traveled[-1], end.traveled, end.t))
+        for share in (MAX_LAST_SHARE, LAST_SHARE)
+    )
+    before = end.t_seen[end.t_seen < stop + around] - around
+    begin = max(longest, min(usual, float(before[-MIN_MOVING:].min(initial=usual))))
+    chosen = (end.t_seen >= begin + around) & (end.t_seen <= stop + around + REST)
+    moving = int((chosen & (end.t_seen < stop + around)).sum())
+    resting = int(chosen.sum()) - moving
+    if moving < MIN_MOVING or resting < 2:
+        return None
+    t, seen = end.t_seen[chosen], end.seen[chosen]
+    if np.linalg.norm(np.median(seen[moving:], axis=0) - seen[:2].mean(axis=0)) < MIN_MOTION:
+        return None
+
+    def fit(delay: float) -> tuple[float, Array]:
+        d = np.interp(t - delay, end.t, end.traveled) / end.traveled[-1] - 1
+        basis = np.column_stack([np.ones_like(d), d, d**2])
+        factors = np.asarray(np.linalg.lstsq(basis, seen, rcond=None)[0], dtype=np.float64)
+        return float(((seen - basis @ factors) ** 2).sum()), factors
+
+    reach = min(MAX_DELAY, stop - begin + REST / 2)
+    tried = around + np.arange(-reach, reach + DELAY_STEP, DELAY_STEP)
+    misfits = np.array([fit(float(delay))[0] for delay in tried])
+    k = int(np.argmin(misfits))
+    if k in (0, len(tried) - 1):
+        return None
+    # the parabola through the three lowest, and the variance by its curvature
+    low, middle, high = misfits[k - 1 : k + 2]
+    curvature = low - 2 * middle + high
+    if not curvature > 0:
+        return None
+    value = float(tried[k] + DELAY_STEP * (low - high) / (2 * curvature))
+    variance = middle / max(seen.size - 10, 1)
+    return value, DELAY_STEP * math.sqrt(2 * variance / curvature)
