@@ -161,7 +161,13 @@ class Canvas:
 
 
 PUBLISH_PERIOD = 1 / 30
-"""s."""
+"""Time between two updates of the scene, s."""
+
+DEFAULT_PATH = "estimate"
+"""In Meshcat: everything is drawn below it where no other path is asked for."""
+
+OBJECT_PATH = f"{DEFAULT_PATH}/object"
+"""In Meshcat: what moves with the object is drawn below it."""
 
 
 class EstimateVisualizer(AbstractStateSystem[Drawing]):
@@ -210,7 +216,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         meshcat: Meshcat,
         *,
         height: float,
-        path: str = "estimate",
+        path: str = DEFAULT_PATH,
         shows: Shown = "mass",
         limits: tuple[float, float] | None = None,
         period: float = PUBLISH_PERIOD,

@@ -100,7 +100,7 @@ def demo(
 
     Exit code 1 where the robot did not reach its goal.
     """
-    from gridpush_drake.display.server import StartMeshcatServer
+    from gridpush_drake.display.live_page import LivePage
     from gridpush_drake.files import make_folder
     from gridpush_drake.station.resolve import resolve
     from gridpush_drake.station.robot import make_robot_directives
@@ -128,15 +128,15 @@ def demo(
     resolved = resolve(scenario, scenario_file, told=told)
     make_folder(out)
     options.check_outputs(force, *(out / name for name in chosen.files))
-    meshcat = StartMeshcatServer(port)
+    page = LivePage(port)
     options.compile_kernels()
-    print_notice(f"Watch it at {meshcat.web_url()}")
+    print_notice(f"Watch it at {page.url}")
     if open_browser:
-        typer.launch(meshcat.web_url())
+        typer.launch(page.url)
     with count_progress("the robot", chosen.count_steps(scenario)) as report_step:
-        record = chosen.run(resolved, meshcat, realtime_rate, report_step)
+        record = chosen.run(resolved, page, realtime_rate, report_step)
     print_notice(f"Writing to {out} ...")
-    written = write_files(chosen, out, scenario, record, meshcat, force)
+    written = write_files(chosen, out, scenario, record, page.meshcat, force)
     summary = chosen.summarize(record)
     if json:
         print_json({**summary, "written": [str(path) for path in written]})

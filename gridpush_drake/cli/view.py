@@ -11,8 +11,7 @@ from gridpush_drake.cli.console import count_noun, print_found
 from gridpush_drake.errors import GridPushError
 
 if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat
-
+    from gridpush_drake.display.live_page import LivePage
     from gridpush_drake.display.overlay import Overlay
 
 Shows = Literal["mass", "friction", "relative_friction"]
@@ -25,8 +24,8 @@ class ViewError(GridPushError):
     """A file cannot be shown as asked."""
 
 
-Serve = Callable[["Meshcat", "Overlay", dict[str, Any], list[str]], None]
-"""Shows what is in Meshcat, with what stands beside it, what was found, and the same in lines."""
+Serve = Callable[["LivePage", "Overlay", dict[str, Any], list[str]], None]
+"""Shows a scene, with what stands beside it, what was found, and the same in lines."""
 
 
 def view(
@@ -93,9 +92,9 @@ def view(
     options.check_outputs(force, out, inputs=(source,))
 
     def serve(
-        meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str]
+        page: "LivePage", overlay: "Overlay", found: dict[str, Any], lines: list[str]
     ) -> None:
-        _write_or_serve(meshcat, overlay, found, lines, out, open_page, force, json)
+        _write_or_serve(page, overlay, found, lines, out, open_page, force, json)
 
     if film is not None:
         from gridpush_drake.display.film import write_film
@@ -148,14 +147,14 @@ def _view_model(
     source: str, largest_piece: bool, shows: Shows, height: float | None, port: int | None, serve: Serve
 ) -> None:  # fmt: skip
     from gridpush_drake.cli.view_scene import AddModel, describe_colors, make_overlay
-    from gridpush_drake.display.server import StartMeshcatServer
+    from gridpush_drake.display.live_page import LivePage
 
     target = options.load_target(source, largest_piece)
-    meshcat = StartMeshcatServer(port)
-    AddModel(meshcat, target, shows, options.choose_height(height, target.obj))
+    page = LivePage(port)
+    AddModel(page.meshcat, target, shows, options.choose_height(height, target.obj))
     lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(shows)]
     kind = "model" if target.model else "object"
-    serve(meshcat, make_overlay(target, shows), {"kind": kind, "object": target.obj.name}, lines)
+    serve(page, make_overlay(target, shows), {"kind": kind, "object": target.obj.name}, lines)
 
 
 def _find_target(
@@ -185,7 +184,7 @@ def _view_pushes(
     serve: Serve,
 ) -> None:  # fmt: skip
     from gridpush_drake.cli.view_scene import AddPushes, describe_colors, make_overlay
-    from gridpush_drake.display.server import StartMeshcatServer
+    from gridpush_drake.display.live_page import LivePage
     from gridpush_drake.identification.learning import choose_regime
     from gridpush_drake.identification.prediction import predict, summarize_errors
 
@@ -204,10 +203,9 @@ def _view_pushes(
     judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
     errors = summarize_errors(target.obj, judged, picked.supported) if judged else []
 
-    meshcat = StartMeshcatServer(port)
-    AddPushes(
-        meshcat, target, picked, predictions, shows, options.choose_height(height, target.obj)
-    )
+    page = LivePage(port)
+    tall = options.choose_height(height, target.obj)
+    AddPushes(page.meshcat, target, picked, predictions, shows, tall)
     lines = [f"{target.obj.name}: {count_noun(len(picked), 'push')}"]
     if predictions:
         lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(shows)]
@@ -220,25 +218,26 @@ def _view_pushes(
         lines.append(f"Of these errors, {options.describe_overhanging(overhanging)}")
     found = {"kind": "pushes", "object": target.obj.name, "pushes": [seen.name for seen in picked]}
     overlay = make_overlay(target, shows, picked, predictions)
-    serve(meshcat, overlay, {**found, "errors": [vars(error) for error in errors]}, lines)
+    serve(page, overlay, {**found, "errors": [vars(error) for error in errors]}, lines)
 
 
 def _write_or_serve(
-    meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str], out: Path | None, open_page: bool,
+    page: "LivePage", overlay: "Overlay", found: dict[str, Any], lines: list[str], out: Path | None, open_page: bool,
     force: bool, json: bool,
 ) -> None:  # fmt: skip
     """Writes the page, or serves it until told to stop."""
     from gridpush_drake.display.server import PublishOnce, write_recording
 
-    url = meshcat.web_url()
+    url = page.url
+    page.overlay = overlay
     if out is not None:
-        write_recording(meshcat, out, force, overlay)
+        write_recording(page.meshcat, out, force, overlay)
         print_found(
             {**found, "written": [str(out)]}, [*lines, *options.describe_written(out)], json
         )
         return
     try:  # from the first line on: who reads the address may interrupt at once
-        PublishOnce(meshcat)
+        PublishOnce(page.meshcat)
         last = f"Meshcat shows it at {url} (Enter or Ctrl-C to end)"
         print_found({**found, "url": url, "written": []}, [*lines, last], json)
         if open_page:

@@ -1,15 +1,21 @@
-"""What stands beside a recording: what is being done at each moment, what the colors mean, and what is drawn.
+"""What stands beside Meshcat's scene: what is being done, what the colors mean, a player, and a close-up.
 
-A recording is a page that shows Meshcat's animation. The overlay is HTML above it that follows the
-animation's time: it plays, stops and is wound with it. Fonts and colors are the page's own; nothing
-is loaded. The legend's colors are those of `CellColors` and `display.shapes`.
+The overlay is HTML above a page of Meshcat, a recording or a live one (`display.live_page`). Its
+caption says what is being done at the moment that is shown; where something was recorded, a player
+at the bottom plays it, stops it, and winds it to any moment. The close-up is a second view that
+follows the object, in a corner of the same canvas; a click swaps the two views.
+
+Fonts and colors are the page's own; nothing is loaded. The legend's colors are those of `CellColors`
+and `display.shapes`. The script and the style are in `overlay.html`, with `$` fields to be filled in.
 """
 
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from importlib.resources import files
 from string import Template
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_hex
@@ -27,6 +33,17 @@ SCALE_COLORS = 17  # of a scale; the page blends between them
 TICKS = 5  # of a scale
 GRAM = 1e-3  # in kg
 DIGITS = 2  # of a tick's value
+
+CAPTION_PATH = "caption"
+"""In Meshcat: its `userData` is the list of phases of a live page, as `encode_phases` writes it."""
+
+CLOSE_UP_SHARE = 1.5
+"""Distance of a close-up's camera, in diagonals of the object's outline."""
+
+ROOT = "drake"
+"""Below which Meshcat puts every path that does not begin with a slash."""
+
+TEMPLATE = "overlay.html"
 
 
 @dataclass(frozen=True)
@@ -57,14 +74,27 @@ class Phase:
     title: str  # in a few words
     detail: str = ""  # in a sentence; may be empty
 
+    def says_the_same(self, other: "Phase") -> bool:
+        """Whether another phase has the same words, whenever it begins."""
+        return (self.title, self.detail) == (other.title, other.detail)
+
+
+@dataclass(frozen=True)
+class CloseUp:
+    """A second view that follows something in the scene."""
+
+    path: str  # of what it follows, in Meshcat, such as "estimate/object"
+    distance: float  # of its camera from there, m
+
 
 @dataclass(frozen=True)
 class Overlay:
-    """What stands beside a recording."""
+    """What stands beside a scene."""
 
     scale: ColorScale | None = None  # of the cells' colors; None for none
     marks: tuple[Mark, ...] = ()  # of the legend
     phases: tuple[Phase, ...] = ()  # in order; none where nothing is recorded
+    close_up: CloseUp | None = None  # a second view; None for none
 
 
 def make_color_scale(obj: GridObject, colors: CellColors) -> ColorScale:
@@ -85,6 +115,12 @@ def make_color_scale(obj: GridObject, colors: CellColors) -> ColorScale:
         (float(place), f"{value:.{DIGITS}g}") for place, value in zip(places, shown, strict=True)
     )
     return ColorScale(title, tuple(map(to_hex, colors.calc_colors_of(values))), ticks)
+
+
+def make_close_up(obj: GridObject, path: str) -> CloseUp:
+    """Makes a second view that follows an object, drawn at a path in Meshcat, and has all of it in sight."""
+    x0, y0, x1, y1 = obj.outline.bounds
+    return CloseUp(path, CLOSE_UP_SHARE * float(np.hypot(x1 - x0, y1 - y0)))
 
 
 def list_center_marks() -> tuple[Mark, ...]:
@@ -109,6 +145,14 @@ def to_css(color: Rgba) -> str:
     return str(to_hex((color.r(), color.g(), color.b())))
 
 
+def encode_phases(phases: Sequence[Phase]) -> list[float]:
+    """Writes phases as numbers, a character each, of the JSON that the page reads.
+
+    A property of Meshcat can be a list of numbers, but not a text.
+    """
+    return [float(ord(letter)) for letter in json.dumps(_list_phases(phases))]
+
+
 def add_overlay(page: str, overlay: Overlay) -> str:
     """Inserts an overlay into a page that Meshcat wrote."""
     head, end, tail = page.rpartition(PAGE_END)
@@ -116,13 +160,37 @@ def add_overlay(page: str, overlay: Overlay) -> str:
 
 
 def make_overlay_html(overlay: Overlay) -> str:
-    """The overlay as a piece of HTML with its style and its script."""
-    phases = [[phase.time, phase.title, phase.detail] for phase in overlay.phases]
-    return PIECE.substitute(
-        phase=PHASE if phases else "",
+    """Makes the overlay as a piece of HTML with its style and its script."""
+    text = files("gridpush_drake.display").joinpath(TEMPLATE).read_text(encoding="utf-8")
+    legend: dict[str, Any] = {"scale": None, "marks": [vars(mark) for mark in overlay.marks]}
+    if overlay.scale is not None:
+        legend["scale"] = vars(overlay.scale)
+    close_up = overlay.close_up
+    follows = None if close_up is None else _split_path(close_up.path)
+    return Template(text).substitute(
         legend=_describe_legend(overlay.scale, overlay.marks),
-        phases=json.dumps(phases).replace("</", "<\\/"),
+        legend_data=_to_script(legend),
+        phases=_to_script(_list_phases(overlay.phases)),
+        caption_path=_to_script(_split_path(CAPTION_PATH)),
+        follows=_to_script(follows),
+        distance=_to_script(None if close_up is None else close_up.distance),
     )
+
+
+def _list_phases(phases: Sequence[Phase]) -> list[list[float | str]]:
+    """Phases as the page has them: [time (s), title, detail] each."""
+    return [[phase.time, phase.title, phase.detail] for phase in phases]
+
+
+def _split_path(path: str) -> list[str]:
+    """The names along a path in Meshcat."""
+    whole = path if path.startswith("/") else f"{ROOT}/{path}"
+    return [name for name in whole.split("/") if name]
+
+
+def _to_script(value: Any) -> str:
+    """A value as JSON that may stand inside a page's script."""
+    return json.dumps(value).replace("</", "<\\/")
 
 
 def _describe_legend(scale: ColorScale | None, marks: Sequence[Mark]) -> str:
@@ -132,7 +200,7 @@ def _describe_legend(scale: ColorScale | None, marks: Sequence[Mark]) -> str:
         f'<li><i class="{escape(mark.kind)}" style="--c:{escape(mark.color)}"></i>{escape(mark.text)}</li>'
         for mark in marks
     )
-    return f'<div id="legend">{_describe_scale(scale) if scale else ""}<ul>{items}</ul></div>'
+    return f'<div id="legend" class="gridpush">{_describe_scale(scale) if scale else ""}<ul>{items}</ul></div>'
 
 
 def _describe_scale(scale: ColorScale) -> str:
@@ -143,51 +211,3 @@ def _describe_scale(scale: ColorScale) -> str:
     gradient = f"linear-gradient(to right, {', '.join(map(escape, scale.colors))})"
     bar = f'<div class="bar" style="background:{gradient}"></div>'
     return f'<b>{escape(scale.title)}</b>{bar}<div class="ticks">{ticks}</div>'
-
-
-PHASE = '<div id="phase"><b></b><span></span><small></small></div>'
-
-PIECE = Template("""
-<style>
-#phase, #legend { position: fixed; left: 16px; z-index: 1; box-sizing: border-box; padding: 10px 14px; color: #23272e;
-  background: rgba(255, 255, 255, 0.88); border-radius: 8px; pointer-events: none;
-  font: 14px/1.4 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-#phase { top: 16px; max-width: min(34rem, 60vw); }
-#phase b { display: block; font-size: 20px; }
-#phase span { display: block; }
-#phase small { color: #5c6570; font-variant-numeric: tabular-nums; }
-#legend { bottom: 16px; width: 24rem; max-width: 60vw; }
-#legend .bar { height: 12px; margin: 6px 12px 0; border-radius: 3px; }
-#legend .ticks { position: relative; height: 1.5em; margin: 0 12px; font-size: 12px; }
-#legend .ticks span { position: absolute; transform: translateX(-50%); white-space: nowrap; }
-#legend ul { list-style: none; margin: 4px 0 0; padding: 0; }
-#legend li { display: flex; align-items: center; gap: 10px; }
-#legend i { flex: none; box-sizing: border-box; width: 20px; height: 12px; background: var(--c); }
-#legend i.area { border: 2px solid var(--c); background: color-mix(in srgb, var(--c) 30%, white); }
-#legend i.line { height: 4px; }
-#legend i.dot { width: 12px; margin: 0 4px; border-radius: 6px; }
-</style>
-$phase
-$legend
-<script>
-(() => {
-  const phases = $phases;
-  const box = document.getElementById("phase");
-  if (!box) return;
-  const [title, detail, clock] = box.children;
-  function show() {
-    const actions = viewer.animator.actions;
-    const time = Math.max(0, ...actions.map(action => action.time));
-    const over = actions.length && time >= Math.max(...actions.map(action => action.getClip().duration));
-    let now = phases[0];
-    for (const phase of phases) if (phase[0] <= time || over) now = phase;
-    title.textContent = now[1];
-    detail.textContent = now[2];
-    clock.textContent = time.toFixed(1) + " s";
-  }
-  show();
-  setInterval(show, 50);
-})();
-</script>
-""")
-"""The overlay's HTML, to be filled in."""

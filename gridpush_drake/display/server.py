@@ -50,10 +50,7 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Mesh
     Raises:
         StationError: the port is out of range or in use, or the host is not this machine's.
     """
-    if port is not None and port != 0 and not MIN_PORT <= port <= MAX_PORT:
-        raise StationError(
-            f"port is {port}; expected one from {MIN_PORT} to {MAX_PORT}, or 0 for any free one"
-        )
+    check_port(port)
     params = MeshcatParams(host=host, port=port, show_stats_plot=False)
     log = logging.getLogger("drake")
     level = log.level
@@ -61,12 +58,33 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Mesh
     try:
         meshcat = Meshcat(params)
     except RuntimeError as error:
-        raise StationError(_explain(port, host)) from error
+        raise StationError(explain_port(port, host)) from error
     finally:
         log.setLevel(level)
     ApplySceneStyle(meshcat)
     KeepToItsThread(meshcat)
     return meshcat
+
+
+def check_port(port: int | None) -> None:
+    """Raises StationError where a port is neither None, for any, nor 0, for any free one, nor a user's."""
+    if port is not None and port != 0 and not MIN_PORT <= port <= MAX_PORT:
+        raise StationError(
+            f"port is {port}; expected one from {MIN_PORT} to {MAX_PORT}, or 0 for any free one"
+        )
+
+
+def explain_port(port: int | None, host: str) -> str:
+    """Says why a port cannot be listened on, and what to do."""
+    if port:
+        return (
+            f"port {port} cannot be listened on at {host!r}: it is in use already, or {host!r} is not this machine's "
+            "address; end the program that uses it, or pass another port (0 takes any free one)"
+        )
+    return (
+        f"Meshcat cannot listen at {host!r}: expected this machine's name or address, such as "
+        "'localhost' or '*'"
+    )
 
 
 def KeepToItsThread(meshcat: Meshcat) -> None:
@@ -155,12 +173,3 @@ def _hold_others(phase: str, _: dict[str, int]) -> None:
             for made, thread in _STARTED
             if thread != here and (meshcat := made()) is not None
         ]
-
-
-def _explain(port: int | None, host: str) -> str:
-    if port:
-        return (
-            f"port {port} cannot be listened on at {host!r}: it is in use already, or {host!r} is not this machine's "
-            "address; end the program that uses it, or pass another port (0 takes any free one)"
-        )
-    return f"Meshcat cannot listen at {host!r}: expected this machine's name or address, such as 'localhost' or '*'"

@@ -5,7 +5,7 @@ how that is described and summarized. A task of your own is a `TaskKind` more in
 more in `cli.demo.TaskName`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,13 @@ import yaml
 from pydrake.geometry import Meshcat
 
 from gridpush_drake.display.cell_colors import CellColors
+from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.display.overlay import (
     Mark,
     Overlay,
     Phase,
     list_estimate_marks,
+    make_close_up,
     make_color_scale,
     to_css,
 )
@@ -30,6 +32,7 @@ from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.multibody.ground_truth import describe_truth
 from gridpush_drake.notebook import MM
 from gridpush_drake.notebook import count as count_noun
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
@@ -43,11 +46,29 @@ from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
 from gridpush_drake.station.push_task import GOAL_COLOR, PushTask, PushTaskRecord
 from gridpush_drake.station.resolve import ResolvedScenario
 from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
-from gridpush_drake.station.task import TaskRecord, TaskStatus
-from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PushStatus
+from gridpush_drake.station.task import ADVANCE, TaskRecord, TaskStatus
+from gridpush_drake.systems.estimate_visualizer import OBJECT_PATH
+from gridpush_drake.systems.messages import (
+    ContactPointMode,
+    ContactPointStatus,
+    PreGraspMode,
+    PreGraspStatus,
+    PushStatus,
+)
 
 FRAMES_PER_SECOND = 20.0
 """Of the recording."""
+
+BEFORE_LOOKING = (
+    "The robot looks where the object lies. Colors and ellipse show what it supposes beforehand: "
+    "an even object, of which little is known."
+)
+"""Said beside the scene until the first push."""
+
+FIRST_TITLE = "Looking at the object"
+
+FIRST_REASONS = (ContactPointStatus().reason, PreGraspStatus().reason)
+"""What the controllers say before they have seen anything."""
 
 FILES = (
     "report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "stream.csv", "truth.yaml",
@@ -61,7 +82,7 @@ GRASP_SCENARIO = "grasp"
 """Name of the shipped scenario of the pre-grasp task."""
 
 PUSH_TITLES = {
-    ContactPointMode.WAITING: "Looking at the object",
+    ContactPointMode.WAITING: FIRST_TITLE,
     ContactPointMode.PUSHING: "Push {}, toward the goal",
     ContactPointMode.REACHED: "At the goal",
     ContactPointMode.FAILED: "Given up",
@@ -70,7 +91,7 @@ PUSH_TITLES = {
 """Of the controller's modes, beside the recording; {} is the push's number."""
 
 PREGRASP_TITLES = {
-    PreGraspMode.WAITING: "Looking at the object",
+    PreGraspMode.WAITING: FIRST_TITLE,
     PreGraspMode.EXPLORING: "Poke {status.pokes}, to learn where the mass is",
     PreGraspMode.SLIDING: "Slide {status.slides}, toward the table's edge",
     PreGraspMode.STOPPING: "Breaking off the push",
@@ -111,25 +132,42 @@ class TaskKind:
         return PushScenario() if self.scenario is None else read_scenario(self.scenario)
 
     def run(
-        self, resolved: ResolvedScenario, meshcat: Meshcat, realtime_rate: float, report: Report
+        self, resolved: ResolvedScenario, page: LivePage, realtime_rate: float, report: Report
     ) -> Any:
         """Runs the task and records it from the moment when all is set up; returns the record.
 
         Args:
             resolved: what stands where.
-            meshcat: to show and record it in.
+            page: to show and record it on.
             realtime_rate: at most so many simulated seconds a second; 0 for as fast as possible.
             report: told after every step what is being done, for how long, and how far the count is.
         """
-        task = self.station(resolved, meshcat)
-        task.AimCamera(meshcat)
+        task = self.station(resolved, page.meshcat)
+        task.AimCamera(page.meshcat)
+        page.overlay = self.make_overlay(task.station.obj)
+        phases = [Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)]
+        page.show_phases(phases)
 
         def show(status: PushStatus, logged: int) -> None:
+            time = task.simulator.get_context().get_time()
             doing, steps = self.describe_step(task, status)
-            report(doing, f"{task.simulator.get_context().get_time():.0f} s simulated", steps)
+            report(doing, f"{time:.0f} s simulated", steps)
+            now = self.describe_phase(task, status, time)
+            if now is not None and not now.says_the_same(phases[-1]):
+                phases.append(now)
+                page.show_phases(phases)
 
-        meshcat.StartRecording(FRAMES_PER_SECOND)
+        page.meshcat.StartRecording(FRAMES_PER_SECOND)
         return task.run(progress=show, realtime_rate=realtime_rate)
+
+    def make_overlay(self, obj: GridObject, phases: Sequence[Phase] = ()) -> Overlay:
+        """What stands beside the scene, live and in the recording."""
+        return Overlay(
+            scale=make_color_scale(obj, CellColors()),
+            marks=(*list_estimate_marks(), *self.marks),
+            phases=tuple(phases),
+            close_up=make_close_up(obj, OBJECT_PATH),
+        )
 
     def count_steps(self, scenario: PushScenario) -> int:
         """How many steps the progress counts to."""
@@ -143,12 +181,29 @@ class TaskKind:
         """What a controller's step is called beside the recording."""
         raise NotImplementedError
 
+    def describe_phase(self, task: Any, status: PushStatus, time: float) -> Phase | None:
+        """What is being done at a time, s, for the live page; None where that is not new."""
+        now = task.read("status", task.controller)
+        return self._make_phase(now, time)
+
     def list_phases(self, record: Any) -> list[Phase]:
         """What the robot did when, for the recording: a phase a step of the controller."""
-        return [
-            Phase(step.time, self.name_phase(step.status), step.status.reason)
-            for step in record.steps
-        ]
+        phases = [Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)]
+        for step in record.steps:
+            phase = self._make_phase(step.status, step.time)
+            if phase is not None:
+                phases.append(phase)
+        return phases
+
+    def _make_phase(self, status: Any, time: float) -> Phase | None:
+        """A controller's step, noted at a time, s, as a phase; None where it has done nothing yet.
+
+        A step is noted at the end of the ADVANCE in which it was taken, and what it commands may be
+        drawn since the beginning of that: the phase begins there, so that nothing is drawn early.
+        """
+        if status.reason in FIRST_REASONS:
+            return None
+        return Phase(max(0.0, time - ADVANCE), self.name_phase(status), status.reason)
 
     def split_log(self, record: Any) -> tuple[PushLog, PushLog]:
         """The pushes to learn from and those held out: none."""
@@ -202,11 +257,7 @@ def write_files(
         OutputError: a file exists and `force` is not set, or it cannot be written.
     """
     obj = record.obj
-    overlay = Overlay(
-        make_color_scale(obj, CellColors()),
-        (*list_estimate_marks(), *task.marks),
-        tuple(task.list_phases(record)),
-    )
+    overlay = task.make_overlay(obj, task.list_phases(record))
     written = {"object.yaml", "stream.csv", "scenario.yaml"}
     if meshcat is not None:
         write_recording(meshcat, folder / "recording.html", force, overlay)
@@ -253,14 +304,21 @@ class IdentifyKind(TaskKind):
 
     def list_phases(self, record: IdentifyTaskRecord) -> list[Phase]:
         """Pushes to learn from, then pushes to test."""
-        phases = []
-        for time, status in record.phases:
-            count = status.executed + (not status.ready)
-            kind = "Push" if count <= record.training else "Held-out push"
-            title = "Looking at the object" if status.ready else f"{kind} {count}: {status.phase}"
-            detail = "" if count <= record.training else "Predicted only, to test what was learned."
-            phases.append(Phase(time, title, detail))
-        return phases
+        return [self._name_push(status, time, record.training) for time, status in record.phases]
+
+    def describe_phase(self, task: Any, status: PushStatus, time: float) -> Phase | None:
+        """What the push executor does."""
+        return self._name_push(status, time, task.station.scenario.pokes.count)
+
+    def _name_push(self, status: PushStatus, time: float, training: int) -> Phase:
+        """A status of the push executor as a phase; the first `training` pushes are learned from."""
+        count = status.executed + (not status.ready)
+        if status.ready and not count:
+            return Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)
+        kind = "Push" if count <= training else "Held-out push"
+        title = FIRST_TITLE if status.ready else f"{kind} {count}: {status.phase}"
+        detail = "" if count <= training else "Predicted only, to test what was learned."
+        return Phase(max(0.0, time - ADVANCE), title, detail)
 
     def split_log(self, record: IdentifyTaskRecord) -> tuple[PushLog, PushLog]:
         """By the scenario's counts."""

@@ -1,19 +1,18 @@
 """What stands beside a recording, as a real browser draws it."""
 
-import subprocess
-import tempfile
+import re
 
 import numpy as np
 import pytest
-from pydrake.geometry import Box
+from pydrake.geometry import Box, Rgba
 from pydrake.math import RigidTransform
 
 from gridpush_drake.display.overlay import (
+    CloseUp,
     ColorScale,
     Mark,
     Overlay,
     Phase,
-    make_overlay_html,
 )
 from gridpush_drake.display.server import (
     StartMeshcatServer,
@@ -21,10 +20,10 @@ from gridpush_drake.display.server import (
     write_recording,
 )
 from tests.helpers.chromium import (
-    FLAGS,
-    VIRTUAL_TIME,
+    add_script,
+    find_pixels,
     freeze_recording,
-    require_chromium,
+    read_page,
     take_picture,
 )
 
@@ -54,19 +53,6 @@ def recording(tmp_path_factory):
     return path
 
 
-def read_page(page):
-    """What the page holds when its scripts have run, as HTML."""
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        command = [
-            require_chromium(),
-            *FLAGS,
-            f"--user-data-dir={folder}",
-            f"--virtual-time-budget={VIRTUAL_TIME}",
-        ]
-        command += ["--dump-dom", page.resolve().as_uri()]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
-
-
 @pytest.mark.parametrize(
     ("moment", "says"),
     [
@@ -93,6 +79,65 @@ def test_shows_the_color_scale_and_the_legend(recording, tmp_path):
     assert "a &lt;thing&gt;" in page
 
 
-def test_nothing_to_say_shows_nothing():
-    html = make_overlay_html(Overlay())
-    assert "<div" not in html
+def test_ends_with_what_was_done_last(recording, tmp_path):
+    """All of the scene's parts are set back when the animation is over; its own time is not."""
+    nearly = "const a = viewer.animator; a.pause(); a.seek(1.9); a.display_progress(1.9); a.play();"
+    page = read_page(add_script(recording, nearly, tmp_path / "end.html"))
+    assert "<b>Done</b><span></span><small>2.0 s</small>" in page
+    assert "Replay</button>" in page
+    assert "2.0 of 2.0 s</output>" in page
+
+
+def test_replays_from_the_beginning(recording, tmp_path):
+    """At the end the button starts anew: at a hundredth of the speed it stays where it begins."""
+    again = (
+        "const a = viewer.animator; a.pause(); a.seek(2.0); a.display_progress(2.0); "
+        "a.mixer.timeScale = 0.01; document.querySelector('#player button').click();"
+    )
+    page = read_page(add_script(recording, again, tmp_path / "again.html"))
+    assert "<b>Looking</b>" in page
+    assert "Pause</button>" in page
+
+
+def test_the_slider_winds_to_any_moment(recording, tmp_path):
+    wind = (
+        "const slider = document.querySelector('#player input'); slider.value = 1.7; "
+        "slider.dispatchEvent(new Event('input'));"
+    )
+    page = read_page(add_script(recording, wind, tmp_path / "wound.html"))
+    assert "<b>Push 1</b>" in page
+    assert "<small>1.7 s</small>" in page
+    assert "Play</button>" in page
+
+
+def test_the_close_up_follows_what_it_should(tmp_path):
+    """A small red box far from the camera's target is large in the corner wherever it goes."""
+    meshcat = StartMeshcatServer(0)
+    meshcat.SetObject("box", Box(0.05, 0.05, 0.05), Rgba(0.9, 0.1, 0.1))
+    meshcat.SetCameraPose((4.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+    meshcat.StartRecording(10.0)
+    for time, y in ((0.0, -1.0), (1.0, 1.0)):
+        meshcat.SetTransform("box", RigidTransform([0.0, y, 0.0]), time)
+    recording = tmp_path / "recording.html"
+    write_recording(meshcat, recording, overlay=Overlay(close_up=CloseUp("box", 0.2)))
+    sizes = []
+    for moment in (0.0, 1.0):
+        still = freeze_recording(recording, moment, tmp_path / "still.html")
+        red = find_pixels(take_picture(still), (0.9, 0.1, 0.1))
+        height, width = red.shape
+        corner = np.zeros_like(red)
+        corner[: height // 2, 2 * width // 3 :] = True
+        sizes.append((red & corner).sum())
+        assert 0 < (red & ~corner).sum() < 0.1 * sizes[-1]
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.05)
+    assert sizes[0] > 5000
+
+
+def test_nothing_to_say_shows_nothing(tmp_path):
+    meshcat = StartMeshcatServer(0)
+    write_recording(meshcat, tmp_path / "plain.html", overlay=Overlay())
+    page = read_page(tmp_path / "plain.html")
+    assert 'id="legend"' not in page
+    for part in ("phase", "player", "close_up"):
+        (tag,) = re.findall(f'<div id="{part}"[^>]*>', page)
+        assert "hidden" in tag

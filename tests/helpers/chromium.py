@@ -19,6 +19,9 @@ SIZE = (1280, 800)
 VIRTUAL_TIME = 10_000
 """What the page may take by its own clock before the picture is taken, ms."""
 
+READ_TIME = 4_000
+"""The same before a page's text is read, ms."""
+
 LONGEST = 120.0
 """What chromium may take by ours, s."""
 
@@ -93,6 +96,33 @@ def take_picture(
             return np.array(image.convert("RGB"))
 
 
+def read_page(page: str | Path, *, virtual_time: int = READ_TIME) -> str:
+    """What a page holds when its scripts have run, as HTML; skips the test where there is no browser.
+
+    Args:
+        page: its address, or an HTML file.
+        virtual_time: what the page may take by its own clock, ms.
+    """
+    browser = require_chromium()
+    address = page.resolve().as_uri() if isinstance(page, Path) else page
+    with tempfile.TemporaryDirectory(prefix="chromium-", ignore_cleanup_errors=True) as folder:
+        command = [browser, *FLAGS, f"--user-data-dir={folder}"]
+        command += [f"--virtual-time-budget={virtual_time}", "--dump-dom", address]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=LONGEST)
+    return done.stdout
+
+
+def add_script(recording: Path, script: str, out: Path) -> Path:
+    """Copies a Meshcat recording with a script that runs once its animation is there; returns `out`."""
+    waiting = (
+        "const waiting = setInterval(() => { if (!viewer.animator.actions.length) return; "
+        f"clearInterval(waiting); {script} }}, {POLL});"
+    )
+    head, body, tail = recording.read_text(encoding="utf-8").rpartition("</body>")
+    out.write_text(f"{head}<script>{waiting}</script>{body}{tail}", encoding="utf-8")
+    return out
+
+
 def freeze_recording(recording: Path, time: float, out: Path) -> Path:
     """Copies a Meshcat recording so that it stands still at one moment, and shows the scene alone.
 
@@ -108,9 +138,13 @@ def freeze_recording(recording: Path, time: float, out: Path) -> Path:
     """
     # The page reads its scene bit by bit after it was loaded, so the animation is there at some
     # later time only.
-    still = f"setInterval(() => {{ viewer.animator.pause(); viewer.animator.seek({float(time)!r}); }}, {POLL});"
+    moment = float(time)
+    still = (
+        "setInterval(() => { const animator = viewer.animator; animator.pause(); "
+        f"animator.seek({moment!r}); animator.display_progress({moment!r}); }}, {POLL});"
+    )
     head, body, tail = recording.read_text(encoding="utf-8").rpartition("</body>")
-    alone = "<style>#phase, #legend { display: none; }</style>"
+    alone = "<style>.gridpush { display: none; }</style>"
     out.write_text(f"{head}{alone}<script>{still}</script>{body}{tail}", encoding="utf-8")
     return out
 
