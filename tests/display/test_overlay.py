@@ -53,16 +53,27 @@ def recording(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize(
-    ("moment", "says"),
-    [
-        (0.5, "<b>Looking</b><span></span><small>0.5 s</small>"),
-        (2.0, "<b>Done</b><span></span><small>2.0 s</small>"),
-        (1.8, "<b>Push 1</b><span>Because &lt;/script&gt; it must.</span><small>1.8 s</small>"),
-    ],
-)
-def test_tells_the_phase_of_the_moment(recording, tmp_path, moment, says):
-    assert says in read_page(freeze_recording(recording, moment, tmp_path / "still.html"))
+def test_tells_the_phase_of_each_moment(recording, tmp_path):
+    said = {
+        0.5: "<b>Looking</b><span></span><small>0.5 s</small>",
+        1.8: "<b>Push 1</b><span>Because &lt;/script&gt; it must.</span><small>1.8 s</small>",
+        2.0: "<b>Done</b><span></span><small>2.0 s</small>",
+    }
+    # Each moment is held for a while, before what the page says is taken down.
+    script = f"""
+      const animator = viewer.animator, moments = {list(said)}, told = document.createElement("div");
+      animator.pause();
+      let pictures = 0;
+      function hold() {{
+        const moment = moments[Math.floor(pictures / 3)];
+        animator.seek(moment); animator.display_progress(moment);
+        if (pictures++ % 3 == 2) told.innerHTML += document.getElementById("phase").innerHTML;
+        if (pictures < 3 * moments.length) setTimeout(hold, 100);
+        else {{ told.id = "told"; document.body.append(told); }}
+      }}
+      hold();"""
+    page = read_page(add_script(recording, script, tmp_path / "moments.html"))
+    assert f'<div id="told">{"".join(said.values())}</div>' in page
 
 
 def test_shows_the_color_scale_and_the_legend(recording, tmp_path):
