@@ -1,3 +1,11 @@
+from .hypotheses import DEFAULT_HYPOTHESES as DEFAULT_HYPOTHESES
+from .hypotheses import LoadHypothesis as LoadHypothesis
+from .hypotheses import LoadPrior as LoadPrior
+from .hypotheses import RigidBottom as RigidBottom
+from .hypotheses import Setting as Setting
+from .hypotheses import SmoothField as SmoothField
+from .hypotheses import TwoParts as TwoParts
+from .hypotheses import calc_prior_factor as calc_prior_factor
 from .identifiability import Identifiability as Identifiability
 from .learning import METHODS as METHODS
 from .learning import describe_prior as describe_prior
@@ -8,5 +16,6 @@ from .model_file import write_model as write_model
 from .noise import NoiseModel as NoiseModel
 from .posterior import Posterior as Posterior
 from .prediction import predict as predict
+from .result import HypothesisEvidence as HypothesisEvidence
 from .result import Identification as Identification
 from .result import IdentificationStatus as IdentificationStatus
