@@ -1,4 +1,5 @@
 from .dynamics.motion import Motion as Motion
+from .dynamics.physics import Physics as Physics
 from .dynamics.push import ForcePush as ForcePush
 from .dynamics.push import Push as Push
 from .dynamics.simulation import simulate as simulate

@@ -24,8 +24,9 @@ from gridpush_drake.display.shapes import (
     MakePlanarTransform,
     SwapVisible,
 )
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import Regime, simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
@@ -221,7 +222,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         limits: tuple[float, float] | None = None,
         period: float = PUBLISH_PERIOD,
         pusher_radius: float | None = None,
-        regime: Regime = "quasi_static",
+        physics: Physics | None = None,
         lift: float = 0.0,
         body: int | None = None,
     ) -> None:
@@ -237,7 +238,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
             period: between two updates of the scene, s.
             pusher_radius: of the finger's tip, m; by default the object's file's, or
                 DEFAULT_PUSHER_RADIUS.
-            regime: of the prediction, see `simulate`.
+            physics: of the prediction, see `simulate`; `Physics()` by default.
             lift: of everything above the table, m.
             body: index of the object among `body_poses`.
 
@@ -251,7 +252,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
             obj, meshcat, path.rstrip("/"), height, lift, CellColors(shows, limits), period
         )
         self._radius = pusher_radius or obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-        self._regime: Regime = regime
+        self._physics = physics
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._mass = self.DeclareVectorInputPort("mass", obj.n)
         self._friction = self.DeclareVectorInputPort("friction", obj.n)
@@ -335,7 +336,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
                 command.start, (command.end - command.start) / duration, duration, self._radius
             )
             params = CellParameters(mass, friction, mu)
-            motion = simulate(self._obj, params, push, pose, regime=self._regime)
+            motion = simulate(self._obj, params, push, pose, physics=self._physics)
         except (
             GridPushError
         ):  # an estimate or a command out of range has no ghost; whoever made it says why

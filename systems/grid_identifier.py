@@ -9,17 +9,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import nan
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import BasicVector, Context
 
-from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.learning import METHODS, REGIMES, describe_prior, identify
+from gridpush_drake.identification.learning import METHODS, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem
@@ -149,10 +149,11 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         method: str = "default",
         ensemble: MapEnsemble | None = None,
         max_learning_pushes: int | None = None,
-        regime: Regime | Literal["auto"] = "auto",
+        regime: Regime | None = None,
         seed: int = 0,
         warm_start: bool = True,
         *,
+        physics: Physics | None = None,
         pusher_radius: float | None = None,
         segmenter: SegmenterOptions | None = None,
         record: RecordOptions | None = None,
@@ -169,11 +170,13 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             method: one of `identify.METHODS`.
             ensemble: the default method with its settings.
             max_learning_pushes: later pushes are logged, not learned from; None for no limit.
-            regime: of the simulations, or "auto".
+            regime: takes the place of the one in `physics`; see `identify`.
             seed: of everything random.
             warm_start: whether learning begins where it ended the last time (default method only).
                 The answer is the same to a fraction of its standard deviation; without, it is the
                 offline one bit for bit.
+            physics: friction law, spin, gravity and tolerances of the simulations; `Physics()` by
+                default.
             pusher_radius: of the tip, m; by default the prior's, or DEFAULT_PUSHER_RADIUS. Where
                 given, it replaces the prior's in `self.obj`, so that the object's file and the
                 log's say the same offline.
@@ -188,13 +191,11 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
                 `worker.make_worker`.
 
         Raises:
-            IdentificationError, PlanningError: an argument is out of range.
+            IdentificationError, PlanningError, SimulationError: an argument is out of range.
         """
-        for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
-            if value not in known:
-                raise IdentificationError(
-                    f"{name} is {value!r}; expected one of {', '.join(known)}"
-                )
+        if method not in METHODS:
+            raise IdentificationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
+        used = make_physics(physics, regime)
         if not (np.isfinite(period) and period > 0):
             raise IdentificationError(f"period is {period!r}; expected a positive number (s)")
         if max_learning_pushes is not None and max_learning_pushes < 0:
@@ -211,11 +212,15 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
         self._record = record or RecordOptions()
         self._learning: dict[str, Any] = {
-            "method": method, "seed": seed, "regime": regime, "ensemble": ensemble, "progress": progress,
-        }  # fmt: skip
+            "method": method,
+            "seed": seed,
+            "physics": used,
+            "ensemble": ensemble,
+            "progress": progress,
+        }
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)
-        self._declare_outputs(_make_estimate(describe_prior(obj, ensemble, seed), None))
+        self._declare_outputs(_make_estimate(describe_prior(obj, ensemble, seed, used), None))
 
     def Learn(self, log: PushLog, start: Identification | None = None) -> Identification:
         """Identifies the object from a log, as the system does when a push ends: from what `select` takes of it."""
@@ -332,7 +337,7 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
     if log is not None and found.push_names:
         used = remove_outliers(log, found.outliers)
         used = used.subset([i for i, seen in enumerate(used) if seen.name in found.push_names])
-        problem = PushProblem(found.obj, used, found.params, found.regime)
+        problem = PushProblem(found.obj, used, found.params, found.physics)
         residuals = problem.residuals(problem.unknowns(found.params))
         loss = float(problem.calc_cell_errors(residuals).mean())
     return Estimate(found, *calc_center_of_mass(found), loss)

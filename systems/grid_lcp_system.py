@@ -24,31 +24,20 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from gridpush_drake.dynamics.kernels.call import make_method, run_kernel, shifts_loads
-from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS
+from gridpush_drake.dynamics.kernel_call import run_kernel, shifts_loads
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, make_memory
 from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
+from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
 from gridpush_drake.dynamics.push import DEFAULT_DT
-from gridpush_drake.dynamics.simulation import (
-    GRAVITY,
-    RELATIVE_STICTION,
-    STICTION_TOLERANCE,
-    Regime,
-    check_number,
-    get_edges,
-)
+from gridpush_drake.dynamics.simulation import count_columns, get_edges
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
-
-LAW = "isotropic"
-"""The friction law: a step that sees nothing but the present has no direction to lag."""
 
 NO_PUSHER = -1.0
 """Radius, m, by which the kernel knows that there is none."""
@@ -86,7 +75,8 @@ class GridLcpSystem(LeafSystem):
     * step_jacobian: abstract `dynamics.motion.Jacobian` with one row: the derivatives of the pose
       at the end of the step that begins now by mass, friction, contact friction, pose, and the
       pusher's place (`start`), direction and path (`length`) during it, and by the push height
-      where loads shift; the velocity at the beginning is held. Depends on the inputs directly.
+      where loads shift; the velocity at the beginning is held. Depends on the inputs directly. Not
+      with a friction law that has no exact gradients (a SimulationError).
     * unsolved_steps: vector of 1, how many steps the solver did not solve to tolerance (as in
       `simulate`, the motion goes on from what it had).
     * tipping_steps: vector of 1, how many steps no loads could hold the object: it tips, or falls
@@ -105,14 +95,12 @@ class GridLcpSystem(LeafSystem):
         obj: GridObject,
         params: CellParameters | None = None,
         dt: float = DEFAULT_DT,
-        regime: Regime = "inertial",
+        regime: Regime | None = None,
         pusher_radius: float | None = None,
-        spin: str = "coupled",
-        gravity: float = GRAVITY,
         *,
+        physics: Physics | None = None,
         pose: ArrayLike = (0.0, 0.0, 0.0),
         velocity: ArrayLike = (0.0, 0.0, 0.0),
-        stiction_tolerance: float = STICTION_TOLERANCE,
         table: ArrayLike | None = None,
     ) -> None:
         """Declares the system.
@@ -121,13 +109,13 @@ class GridLcpSystem(LeafSystem):
             obj: the object.
             params: default parameters; the prior's by default.
             dt: step, s. At 0.01 s a pusher of 0.1 m/s moves 1 mm a step.
-            regime: "inertial" or "quasi_static", see `simulate`.
+            regime: takes the place of the one in `physics`. "auto", the default, is "inertial"
+                here, which holds at every speed: how fast the pusher will go is not known.
             pusher_radius: of the disc, m; by default the prior's, or DEFAULT_PUSHER_RADIUS.
-            spin: how the cells resist spinning, see `dynamics.kernels.isotropic_friction`.
-            gravity: m/s².
+            physics: friction law, spin, gravity and tolerances, such as `Identification.physics`;
+                `Physics()` by default.
             pose: (3,) at the beginning, m and rad.
             velocity: (3,) at the beginning, m/s and rad/s.
-            stiction_tolerance: speed below which friction is smoothed, m/s; inertial regime only.
             table: (K, 2) corners in W of the table's top, m, see `simulate`; endless by default.
 
         Raises:
@@ -135,15 +123,11 @@ class GridLcpSystem(LeafSystem):
             ParameterError: `params` belongs to another object.
         """
         super().__init__()
-        if regime not in ("inertial", "quasi_static"):
-            raise SimulationError(f"regime is {regime!r}; expected 'inertial' or 'quasi_static'")
-        if spin not in SPIN_MODELS:
-            raise SimulationError(
-                f"spin is {spin!r}; expected one of {', '.join(map(repr, SPIN_MODELS))}"
-            )
         if not (np.isfinite(dt) and dt > 0):
             raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
-        check_number("gravity", gravity, 0.0)
+        used = make_physics(physics, regime)
+        if used.regime == "auto":
+            used = used.with_regime("inertial")
         radius = (
             obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
             if pusher_radius is None
@@ -153,19 +137,14 @@ class GridLcpSystem(LeafSystem):
             raise SimulationError(f"pusher_radius is {radius!r}; expected a positive number (m)")
         params = CellParameters.uniform(obj) if params is None else params
         params.center_of_mass(obj)
-        self.obj, self.dt, self.regime, self.pusher_radius, self.gravity = (
-            obj,
-            float(dt),
-            regime,
-            radius,
-            gravity,
-        )
-        inertial = regime == "inertial"
+        self.obj = obj
+        self.dt = float(dt)
+        self.pusher_radius = radius
+        self.physics = used
         self._table = None if table is None else get_edges(table)
-        self._method = make_method(inertial, LAW, spin, stiction_tolerance, RELATIVE_STICTION)
         self._declare_state(params, _check_state(pose, velocity))
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 4)
-        self._wrench = self.DeclareVectorInputPort("applied_wrench", 3) if inertial else None
+        self._wrench = self.DeclareVectorInputPort("applied_wrench", 3) if used.inertial else None
         self._declare_outputs()
         self.DeclarePeriodicDiscreteUpdateEvent(self.dt, 0.0, self._step)
 
@@ -255,14 +234,26 @@ class GridLcpSystem(LeafSystem):
         )
 
     def _calc_step_jacobian(self, context: Context, output: BasicVector) -> None:
+        if True not in self.physics.law.gradients:
+            raise SimulationError(
+                f"step_jacobian: friction_law {self.physics.friction_law!r} has no exact gradients"
+            )
         params: CellParameters = self.get_cache_entry(self._params).Eval(context)
         shifted = shifts_loads(params, self._table)
-        J = np.empty((1, 3, self.obj.n + OTHER + (1 + self.obj.n if shifted else 0)))
+        J = np.empty((1, 3, count_columns(self.obj.n, shifted, with_friction=True)))
         self._run(context, context.get_discrete_state(_MEMORY).CopyToVector(), J)
         raw = RawJacobian(
-            np.array([1]), J, self.obj.p_BC, self.obj.cell_size, params.mass, params.friction, self.gravity,
-            self._method.inertial, None, shifted,
-        )  # fmt: skip
+            steps=np.array([1]),
+            J=J,
+            p_BC=self.obj.p_BC,
+            cell_size=self.obj.cell_size,
+            mass=params.mass,
+            friction=params.friction,
+            gravity=self.physics.gravity,
+            inertial=self.physics.inertial,
+            start_tangent=None,
+            shifted=shifted,
+        )
         output.set_value(raw.expand())
 
     def _step(self, context: Context, next_state: DiscreteValues) -> None:
@@ -284,10 +275,18 @@ class GridLcpSystem(LeafSystem):
         state = context.get_discrete_state(_STATE).CopyToVector()
         row_of_step = np.array([-1, 0 if len(J) else -1])
         return run_kernel(
-            self.obj, self.get_cache_entry(self._params).Eval(context), self.gravity, self._method,
-            state[:3], state[3:], np.array([self.dt]), self._calc_load(context), row_of_step, J, memory,
-            self._table,
-        )  # fmt: skip
+            self.obj,
+            self.get_cache_entry(self._params).Eval(context),
+            self.physics,
+            pose=state[:3],
+            velocity=state[3:],
+            dts=np.array([self.dt]),
+            load=self._calc_load(context),
+            row_of_step=row_of_step,
+            J=J,
+            memory=memory,
+            table=self._table,
+        )
 
     def _calc_load(self, context: Context) -> Load:
         wrench = np.zeros((1, 3))

@@ -17,7 +17,7 @@ from gridpush_drake.bench.campaign import calc_center_error
 from gridpush_drake.bench.jobs import QUIET, Execution, Report, count_steps, run_jobs
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.table import MM, MS, Table, Value
-from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.grid_object import GridObject
@@ -120,9 +120,11 @@ def run_job(job: Job) -> StationScore:
     )
     uniform = CellParameters.uniform(obj)
     learned = record.estimates[-1].params if record.estimates else uniform
-    regime = record.estimates[-1].regime if record.estimates else "quasi_static"
+    physics = QUASI_STATIC
+    if record.estimates:
+        physics = record.estimates[-1].physics
     before, after, floor = (
-        calc_mean_cell_error(obj, params, held_out, regime) for params in (uniform, learned, truth)
+        calc_mean_cell_error(obj, params, held_out, physics) for params in (uniform, learned, truth)
     )
     gaps = [calc_center_error(record, params) for params in (uniform, learned)]
     return StationScore(

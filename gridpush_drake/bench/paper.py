@@ -36,7 +36,7 @@ from gridpush_drake.bench.table import (
     check_figure,
     write_panels,
 )
-from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
@@ -184,7 +184,7 @@ def _notes(scores: Sequence[Score]) -> list[str]:
     ]
 
 
-TRUTH_REGIME: Regime = "inertial"
+TRUTH_PHYSICS = Physics(regime="inertial")
 TRAINING_PUSHES = 5
 BUDGET = 1500
 """Simulated pushes a search may spend; the default method decides itself, and takes about two
@@ -287,19 +287,19 @@ def run_job(job: Job) -> list[Score]:
     train, test = case.log.subset(split.train), case.log.subset(split.test)
 
     def score(
-        method: str, budget: int, simulations: int, params: CellParameters, regime: Regime
+        method: str, budget: int, simulations: int, params: CellParameters, physics: Physics
     ) -> Score:
-        error = calc_mean_cell_error(case.obj, params, test, regime)
+        error = calc_mean_cell_error(case.obj, params, test, physics)
         return Score(job.name, job.mass_set, job.training, method, budget, simulations, error)
 
     scores = []
     for budget in job.budgets:
-        scores.append(score(UNIFORM, budget, 0, CellParameters.uniform(case.obj), TRUTH_REGIME))
+        scores.append(score(UNIFORM, budget, 0, CellParameters.uniform(case.obj), TRUTH_PHYSICS))
         for method in job.methods:
             if method == DEFAULT and budget != job.budgets[-1]:
                 continue
             found = identify(case.obj, train, method=method, seed=job.seed, budget=budget)
-            scores.append(score(method, budget, found.simulations, found.params, found.regime))
+            scores.append(score(method, budget, found.simulations, found.params, found.physics))
     return scores
 
 

@@ -202,7 +202,7 @@ def learn_map(job: MapJob) -> MassMap:
     hidden = np.array(protocol.masses[job.name][job.mass_set])[
         read_object(protocol, job.name).labels - 1
     ]
-    error = calc_mean_cell_error(case.obj, found.params, case.log.subset(split.test), found.regime)
+    error = calc_mean_cell_error(case.obj, found.params, case.log.subset(split.test), found.physics)
     mean = found.params.mass.mean()
     return MassMap(
         job.name, (hidden / hidden.mean()).tolist(), (found.params.mass / mean).tolist(),

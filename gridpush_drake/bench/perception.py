@@ -288,7 +288,7 @@ def run_track(job: TrackJob) -> TrackScore:
     frames = lost = 0
     for k in range(job.pushes):
         push, pose = draw_push(obj, params, job.seed + k, ROD_RADIUS)
-        motion = simulate(obj, params, push, pose)
+        motion = simulate(obj, params, push, pose, regime="inertial")
         camera = make_overhead_camera(FAR, at=motion.poses[:, :2].mean(axis=0))
         tag = TAG if job.tag else None
         table = RenderedTable(obj.outline, HEIGHT, COLORS[k % len(COLORS)], camera, ROD_RADIUS, tag)

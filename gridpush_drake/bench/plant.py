@@ -36,6 +36,7 @@ from shapely import Point
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.table import ALL, DEGREES, MM, Table, by_object, mean_of
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
@@ -133,7 +134,10 @@ def run_job(job: PlantJob) -> list[PlantScore]:
         motion = pusher.push(params, push, pose)
         moved = calc_pose_error(obj, motion.poses[-1], pose).cell
         for spin in SPINS:
-            expected = simulate(obj, params, push, pose, MODEL_TIME_STEP, spin=spin).final_pose
+            physics = Physics(regime="inertial", spin=spin)
+            expected = simulate(
+                obj, params, push, pose, MODEL_TIME_STEP, physics=physics
+            ).final_pose
             error = calc_pose_error(obj, expected, motion.poses[-1])
             scores.append(
                 PlantScore(
@@ -161,7 +165,9 @@ def draw_push(
             continue
         push = Push.on_outline(obj, place, angle, DISTANCE, radius=radius, speed=SPEED, pose=pose)
         if (
-            calc_pose_error(obj, simulate(obj, params, push, pose).final_pose, pose).cell
+            calc_pose_error(
+                obj, simulate(obj, params, push, pose, regime="inertial").final_pose, pose
+            ).cell
             >= MIN_MOTION
         ):
             return push, pose

@@ -291,7 +291,7 @@ def place_disc(edges: OutlineEdges, x: float, side: int, radius: float) -> float
 
 
 def _observe(obj: GridObject, truth: CellParameters, name: str, push: Push) -> ObservedPush:
-    times = make_path_times(push)
+    times = make_path_times(push, "inertial")
     simulation = simulate(obj, truth, push, times=times, regime="inertial")
     every = round(len(times[1:]) * OBSERVED_EVERY / DURATION)
     return ObservedPush(

@@ -285,7 +285,7 @@ def _score(
 ) -> Score:
     errors = [
         error
-        for error in calc_final_errors(obj, predict(obj, params, test), test)
+        for error in calc_final_errors(obj, predict(obj, params, test, "quasi_static"), test)
         if error is not None
     ]
     position, angle = (

@@ -22,8 +22,9 @@ from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.pregrasp.experiments import find_mask
 from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.table import MS, Table, Value
+from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
 from gridpush_drake.dynamics.push import Push, make_times_with
-from gridpush_drake.dynamics.simulation import Regime, simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject
@@ -299,13 +300,13 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
         repetitions = IDENTIFY_REPETITIONS if pushes < FEW else 1
         whole = measure(lambda obj=obj, log=log: identify(obj, log), repetitions, 0, process_time)  # type: ignore[misc]
         found = identify(obj, log)
-        problem = PushProblem(obj, log, found.params)
-        timed = [TimedPush.of(seen, problem.regime) for seen in log]
+        problem = PushProblem(obj, log, found.params, QUASI_STATIC)
+        timed = [TimedPush.of(seen, QUASI_STATIC.regime) for seen in log]
         batch, single = (
             measure(work, repetitions, 1, process_time).median
             for work in (
                 partial(problem.linearize, problem.unknowns(found.params)),
-                partial(_simulate_singly, obj, found.params, timed, problem.regime),
+                partial(_simulate_singly, obj, found.params, timed),
             )
         )
         rows.append(
@@ -323,11 +324,9 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
     return Table("Identification", columns, rows, [note])
 
 
-def _simulate_singly(
-    obj: GridObject, params: CellParameters, timed: Sequence[TimedPush], regime: Regime
-) -> None:
+def _simulate_singly(obj: GridObject, params: CellParameters, timed: Sequence[TimedPush]) -> None:
     for one in timed:
-        _ = one.simulate(obj, params, regime=regime, gradients="mass", record=one.rows).jacobian
+        _ = one.simulate(obj, params, QUASI_STATIC, gradients="mass", record=one.rows).jacobian
 
 
 def _measure_start_up() -> Table:

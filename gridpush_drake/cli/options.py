@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from gridpush_drake.bench.jobs import Execution, Results
-    from gridpush_drake.dynamics.simulation import Regime as SimulatedRegime
+    from gridpush_drake.dynamics.physics import Physics
     from gridpush_drake.identification.result import Identification
     from gridpush_drake.objects.grid_object import GridObject
     from gridpush_drake.objects.parameters import CellParameters
@@ -188,11 +188,12 @@ class Target:
     params: "CellParameters"
     model: "Identification | None" = None
 
-    def resolve_regime(self, regime: "Regime", default: "SimulatedRegime") -> "SimulatedRegime":
-        """`regime`, or, where it is "auto", the model's, or else `default`."""
-        if regime != "auto":
-            return regime
-        return self.model.regime if self.model else default
+    def make_physics(self, regime: "Regime") -> "Physics":
+        """The model's physics, or else the default one; with `regime`, unless that is "auto"."""
+        from gridpush_drake.dynamics.physics import Physics
+
+        physics = self.model.physics if self.model else Physics()
+        return physics if regime == "auto" else physics.with_regime(regime)
 
 
 @contextmanager
@@ -330,8 +331,9 @@ def compile_kernels() -> None:
     timer.daemon = True
     timer.start()
     try:
+        from gridpush_drake.dynamics.physics import Regime
         from gridpush_drake.dynamics.push import Push
-        from gridpush_drake.dynamics.simulation import Regime, simulate
+        from gridpush_drake.dynamics.simulation import simulate
         from gridpush_drake.objects.grid_object import GridObject
         from gridpush_drake.objects.parameters import CellParameters
 

@@ -85,7 +85,9 @@ def plan(
     finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
     rules = GoalRules(
         PushConstraints(surface, tuple(obstacles), edge_margin=-overhang),
-        ContactOptions(radius=finger, speed=speed),
+        ContactOptions(
+            radius=finger, speed=speed, physics=target.make_physics("auto").with_regime("auto")
+        ),
         horizon=horizon,
         tolerance=tolerance,
         max_pushes=max_pushes,

@@ -37,28 +37,28 @@ def predict(
     from gridpush_drake.dynamics.motion import MotionStatus
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import write_whole
-    from gridpush_drake.identification.learning import choose_regime
     from gridpush_drake.identification.prediction import (
         calc_final_errors,
         predict_spread,
         summarize_errors,
     )
     from gridpush_drake.identification.prediction import predict as predict_log
+    from gridpush_drake.identification.problem import resolve_physics
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
     options.check_outputs(force, out, inputs=(model, pushes))
     target = options.load_target(model, largest_piece)
     full = options.load_log(pushes, target.obj, require_final=False)
     log = full.supported
-    chosen = target.resolve_regime(regime, choose_regime(target.obj, log))
+    physics = resolve_physics(target.make_physics(regime), target.obj, log, target.params)
     options.compile_kernels()
-    predictions = predict_log(target.obj, target.params, log, chosen)
+    predictions = predict_log(target.obj, target.params, log, physics=physics)
     if all(prediction.status == MotionStatus.NO_CONTACT for prediction in predictions):
         raise PushLogError(explain_no_contact(target.obj, log))
     write_whole(out, _make_csv(predictions), force)
 
     errors = calc_final_errors(target.obj, predictions, log)
-    spreads = predict_spread(target.model, log, chosen) if target.model else []
+    spreads = predict_spread(target.model, log, physics) if target.model else []
     seen = [
         (error, spread) for error, spread in zip(errors, spreads, strict=False) if error is not None
     ]
@@ -66,7 +66,7 @@ def predict(
     found: dict[str, Any] = {
         "object": target.obj.name,
         "model": "learned" if target.model else "prior",
-        "regime": chosen,
+        "regime": physics.regime,
         "pushes": len(predictions),
         "untouched": [prediction.name for prediction in predictions if prediction.status == MotionStatus.NO_CONTACT],
         "overhanging": [seen.name for seen in full.overhanging],

@@ -68,9 +68,10 @@ def simulate(
     )
     pose_W = options.parse_numbers("--pose", pose, "x,y,theta")
     params = loaded.params if mass_seed is None else CellParameters.random(loaded.obj, mass_seed)
-    chosen = loaded.resolve_regime(regime, "inertial")
+    physics = loaded.make_physics(regime)
     options.compile_kernels()
-    motion = simulate_push(loaded.obj, params, push, pose_W, regime=chosen)
+    motion = simulate_push(loaded.obj, params, push, pose_W, physics=physics)
+    chosen = motion.physics.regime
     if out is not None:
         steps = len(motion.times) - 1
         rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]

@@ -185,7 +185,6 @@ def _view_pushes(
 ) -> None:  # fmt: skip
     from gridpush_drake.cli.view_scene import AddPushes, describe_colors, make_overlay
     from gridpush_drake.display.live_page import LivePage
-    from gridpush_drake.identification.learning import choose_regime
     from gridpush_drake.identification.prediction import predict, summarize_errors
 
     log = options.load_log(path, target.obj, require_final=False)
@@ -197,8 +196,9 @@ def _view_pushes(
     predictions = None
     if target.model:
         options.compile_kernels()
-        regime = target.resolve_regime("auto", choose_regime(target.obj, log))
-        predictions = predict(target.obj, target.params, picked, regime)
+        predictions = predict(
+            target.obj, target.params, picked, physics=target.make_physics("auto")
+        )
     overhanging = [seen.name for seen in picked.overhanging]
     judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
     errors = summarize_errors(target.obj, judged, picked.supported) if judged else []

@@ -1,13 +1,14 @@
 from .motion import Jacobian as Jacobian
 from .motion import Motion as Motion
 from .motion import MotionStatus as MotionStatus
+from .physics import GRAVITY as GRAVITY
+from .physics import Physics as Physics
+from .physics import Regime as Regime
 from .push import DEFAULT_DT as DEFAULT_DT
 from .push import DEFAULT_TIP_STEP as DEFAULT_TIP_STEP
 from .push import ForcePush as ForcePush
 from .push import Push as Push
 from .push import make_path_times as make_path_times
-from .simulation import GRAVITY as GRAVITY
-from .simulation import Regime as Regime
 from .simulation import calc_step as calc_step
 from .simulation import simulate as simulate
 from .simulation import simulate_batch as simulate_batch

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels import forward_sensitivity as columns
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import count, describe_move, draw_paths, make_page
@@ -88,6 +89,7 @@ class Motion:
         tips: (T,) whether no loads can hold the object: their center would be beyond what is on the
             table.
         iterations: (T,) Newton iterations of each step.
+        physics: by which it was simulated; its regime is never "auto".
         jacobian: derivatives of the poses, where asked for.
     """
 
@@ -103,6 +105,7 @@ class Motion:
     load_centers: Array
     tips: NDArray[np.bool_]
     iterations: NDArray[np.int64]
+    physics: Physics
     _jacobian: "Jacobian | RawJacobian | None" = field(default=None, repr=False)
 
     def __repr__(self) -> str:

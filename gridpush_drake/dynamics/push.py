@@ -246,7 +246,7 @@ SHORT_STEP = 0.01  # of the mean step: in what is shorter a rounding error of a 
 SLACK = 1e-9  # share of a step by which a duration may exceed a whole number of them
 
 
-def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial") -> Array:
+def make_times(push: Push | ForcePush, dt: float | None, regime: str) -> Array:
     """Cuts a push into steps of dt, s, the last one shortened to end with it; the default ones where None.
 
     Returns:
@@ -266,7 +266,7 @@ def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial
 
 def make_path_times(
     push: Push,
-    regime: str = "inertial",
+    regime: str,
     tip_step: float = DEFAULT_TIP_STEP,
     longest: float = DEFAULT_DT,
 ) -> Array:

@@ -11,23 +11,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.kernels.call import make_method, run_pushes, shifts_loads
+from gridpush_drake.dynamics.kernel_call import run_pushes, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     CONTACT_FRICTION,
-    OTHER,
     START_X,
     START_Y,
 )
 from gridpush_drake.dynamics.kernels.inputs import Pushes
 from gridpush_drake.dynamics.motion import RawJacobian
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, measure_steps
-from gridpush_drake.dynamics.simulation import (
-    GRAVITY,
-    RELATIVE_STICTION,
-    STICTION_TOLERANCE,
-    Regime,
-    find_edges_near,
-)
+from gridpush_drake.dynamics.simulation import count_columns, find_edges_near
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -61,23 +55,31 @@ class _Group:
 
 
 class PushBatch:
-    """Pushes of one object in one regime, prepared to be simulated with many parameters.
+    """Pushes of one object by one physics, prepared to be simulated with many parameters.
 
     Attributes:
         obj: the object.
-        regime: of the simulations.
+        physics: of the simulations.
         offsets: (P+1,) the first row of each push among the wanted poses of all, and their number.
     """
 
-    def __init__(self, obj: GridObject, pushes: Sequence[BatchPush], regime: Regime) -> None:
-        """Prepares pushes. Raises SimulationError: an object is not on its table."""
-        self.obj, self.regime = obj, regime
+    def __init__(self, obj: GridObject, pushes: Sequence[BatchPush], physics: Physics) -> None:
+        """Prepares pushes.
+
+        Args:
+            obj: the object.
+            pushes: any number of them.
+            physics: with a regime other than "auto".
+
+        Raises:
+            SimulationError: an object is not on its table, or the regime is "auto".
+        """
+        self.obj = obj
+        self.physics = physics
         self.offsets = np.append(0, np.cumsum([len(one.rows) for one in pushes], dtype=np.int64))
-        inertial = regime == "inertial"
-        self._method = make_method(
-            inertial, "isotropic", "coupled", STICTION_TOLERANCE, RELATIVE_STICTION
-        )
-        near = [find_edges_near(obj, one.push, one.pose, one.table, inertial) for one in pushes]
+        near = [
+            find_edges_near(obj, one.push, one.pose, one.table, physics.inertial) for one in pushes
+        ]
         kinds = [None if edges is None else edges.tobytes() for edges in near]
         self._groups = []
         for kind in dict.fromkeys(kinds):
@@ -108,12 +110,21 @@ class PushBatch:
         poses, derivatives = np.empty((self.offsets[-1], 3)), np.empty((self.offsets[-1], 3, n + 3))
         for group in self._groups:
             shifted = shifts_loads(params, group.table)
-            J = np.empty((len(group.rows), 3, n + OTHER + int(shifted)))
+            width = count_columns(n, shifted, with_friction=False)
+            J = np.empty((len(group.rows), 3, width))
             poses[group.rows], _ = self._run(group, params, J)
             raw = RawJacobian(
-                group.steps, J, self.obj.p_BC, self.obj.cell_size, params.mass, params.friction, GRAVITY,
-                self.regime == "inertial", None, shifted,
-            )  # fmt: skip
+                steps=group.steps,
+                J=J,
+                p_BC=self.obj.p_BC,
+                cell_size=self.obj.cell_size,
+                mass=params.mass,
+                friction=params.friction,
+                gravity=self.physics.gravity,
+                inertial=self.physics.inertial,
+                start_tangent=None,
+                shifted=shifted,
+            )
             derivatives[group.rows, :, :n] = raw.calc_mass()
             derivatives[group.rows, :, n] = raw.other[..., CONTACT_FRICTION]
             derivatives[group.rows, :, n + 1 :] = raw.other[..., START_X : START_Y + 1]
@@ -125,13 +136,12 @@ class PushBatch:
         poses, touched = run_pushes(
             self.obj,
             params,
-            GRAVITY,
-            self._method,
-            group.pushes,
-            group.row_of_step,
-            J,
-            len(group.rows),
-            group.table,
+            self.physics,
+            pushes=group.pushes,
+            row_of_step=group.row_of_step,
+            J=J,
+            rows=len(group.rows),
+            table=group.table,
         )
         if len(J):
             again = group.recorded != np.arange(len(J))
@@ -146,19 +156,20 @@ class PushBatch:
         row_of_step = np.full(int(first[-1]) + len(some), -1)
         wanted = np.concatenate([first[p] + p + one.rows for p, one in enumerate(some)])
         row_of_step[wanted] = np.arange(len(wanted))
+        regime = self.physics.regime
         return _Group(
-            chosen,
-            table,
-            Pushes(
-                first,
-                np.concatenate([measure_steps(one.push, one.times, self.regime) for one in some]),
-                np.concatenate([one.push.tip_at(one.times) for one in some]),
-                np.array([one.push.length for one in some]),
-                np.array([one.push.radius for one in some]),
-                np.array([one.pose for one in some], dtype=np.float64),
+            chosen=chosen,
+            table=table,
+            pushes=Pushes(
+                first=first,
+                dts=np.concatenate([measure_steps(one.push, one.times, regime) for one in some]),
+                tips=np.concatenate([one.push.tip_at(one.times) for one in some]),
+                path_lengths=np.array([one.push.length for one in some]),
+                radii=np.array([one.push.radius for one in some]),
+                poses=np.array([one.pose for one in some], dtype=np.float64),
             ),
-            row_of_step,
-            row_of_step[wanted],
-            np.concatenate([np.arange(self.offsets[i], self.offsets[i + 1]) for i in chosen]),
-            np.concatenate([one.rows for one in some]),
+            row_of_step=row_of_step,
+            recorded=row_of_step[wanted],
+            rows=np.concatenate([np.arange(self.offsets[i], self.offsets[i + 1]) for i in chosen]),
+            steps=np.concatenate([one.rows for one in some]),
         )

@@ -1,27 +1,38 @@
-"""`simulate` and `simulate_batch`: the grid object under a push; and one step by itself."""
+"""`simulate` and `simulate_batch`: the grid object under a push; and one step by itself.
+
+How objects slide is said by a `Physics`, how a disc moves by a `Push`; what comes of it is a
+`Motion`. Many pushes with ever other parameters, as learning needs them, are `push_batch`'s. The
+model is written out in `docs/theory/model.md`.
+"""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from os import cpu_count
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.kernels.call import (
+from gridpush_drake.dynamics.kernel_call import (
     calc_reach,
     find_rest_loads,
-    make_method,
     run_kernel,
     shifts_loads,
 )
 from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
-from gridpush_drake.dynamics.kernels.friction import LAWS
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
 from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJacobian
+from gridpush_drake.dynamics.physics import (
+    DEFAULT_PHYSICS,
+    GRAVITY,
+    Physics,
+    Regime,
+    check_word,
+    make_physics,
+)
 from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times, measure_steps
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
 from gridpush_drake.errors import SimulationError
@@ -29,18 +40,14 @@ from gridpush_drake.geometry.se2 import Array, check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-Regime = Literal["inertial", "quasi_static"]
+MOVED_MOST = 2.0
+"""How far B's origin may go in a slow push, as a multiple of the pusher's path."""
 
-GRAVITY = 9.81  # m/s²
-STICTION_TOLERANCE = (
-    1e-9  # m/s, of the inertial regime; a body at rest creeps slower than a few of these
-)
-MIN_STICTION = 1e-15  # m/s; below it round-off rules
-RELATIVE_STICTION = (
-    1e-7  # of the speed of pusher and body; friction is never smoothed less, in either regime
-)
-MOVED_MOST = 2.0  # how far B's origin may go in a slow push, as a multiple of the pusher's path
-OVERLAP_TOLERANCE = 1e-4  # m, of pusher and outline at the beginning
+OVERLAP_TOLERANCE = 1e-4
+"""Overlap of pusher and outline at the beginning that a motion's status does not mention, m."""
+
+GRADIENTS = (False, True, "mass", "paper")
+"""What `simulate` may be asked to differentiate."""
 
 
 def simulate(
@@ -51,14 +58,11 @@ def simulate(
     dt: float | None = None,
     gradients: bool | Literal["mass", "paper"] = False,
     *,
+    physics: Physics | None = None,
+    regime: Regime | None = None,
     velocity: ArrayLike = (0.0, 0.0, 0.0),
-    regime: Regime = "inertial",
-    friction: str = "isotropic",
-    spin: Literal["coupled", "separate", "none"] = "coupled",
-    gravity: float = GRAVITY,
     times: ArrayLike | None = None,
     record: ArrayLike | None = None,
-    stiction_tolerance: float = STICTION_TOLERANCE,
     table: ArrayLike | None = None,
 ) -> Motion:
     """Simulates one push of a grid object (`docs/theory/model.md`, sections 3-6).
@@ -68,6 +72,8 @@ def simulate(
     takes them where the step begins.
 
     Args:
+        obj: the object.
+        params: its cells' masses and frictions.
         push: the pusher's motion, or a force applied to the object.
         pose: (3,) q = (x, y, theta) of B in W at the beginning, m and rad.
         dt: step, s; the last one is shortened to end with the push. By default so short that the
@@ -76,19 +82,14 @@ def simulate(
         gradients: True adds the exact Jacobian of every recorded pose; "mass" leaves out the cells'
             frictions, which is quicker where loads shift; "paper" the paper's closed form, of each
             step by itself.
+        physics: friction law, regime, spin, gravity and tolerances; `Physics()` by default.
+        regime: takes the place of the one in `physics`. "auto", the default, is "inertial" where
+            the push is fast (see `physics.FAST_PUSH`), is a force or has a `velocity` before it,
+            and for the paper's gradient; "quasi_static" otherwise.
         velocity: (3,) (vx, vy, w) of B's origin in W at the beginning; inertial regime only.
-        regime: "inertial", or "quasi_static": the limit of slow pushes, where only the cells'
-            shares of the friction matter, not the masses, nor how fast the pusher goes.
-        friction: the law of support friction, one of `kernels.LAWS`: "isotropic" (implicit, exact
-            at the transition from stick to slip) or "lagged", the paper's LCP, whose friction
-            directions are those of the step before.
-        spin: how the cells resist spinning, see `kernels.isotropic_friction`; "lagged" friction is
-            always "separate".
-        gravity: m/s².
         times: (T+1,) the steps' times, s from the push's beginning, instead of `dt`.
         record: indices into the T+1 poses whose Jacobian is wanted, negative ones from the end; all
             by default.
-        stiction_tolerance: speed below which friction is smoothed, m/s; inertial regime only.
         table: (K, 2) corners in W of the table's top, such as `SupportSurface.corners`, m: cells
             beyond its edge bear nothing, and the others more. Endless by default. With it, or where
             `params.push_height` is not zero, loads shift (`docs/theory/model.md`, section 8).
@@ -100,66 +101,104 @@ def simulate(
         SimulationError: an argument is out of range, or the combination makes no sense; the object
             is not on the table.
     """
-    check_regime(regime, push, friction, spin, gradients)
+    check_word("gradients", gradients, GRADIENTS)
     if params.n != obj.n:
         raise SimulationError(
             f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has"
         )
-    check_number("gravity", gravity, 0.0)
-    check_number("stiction_tolerance", stiction_tolerance, MIN_STICTION)
-    inertial = regime == "inertial"
-    q, nu = (
-        check_vector(SimulationError, name, value, 3)
-        for name, value in (("pose", pose), ("velocity", velocity))
+    q = check_vector(SimulationError, "pose", pose, 3)
+    nu = check_vector(SimulationError, "velocity", velocity, 3)
+    asked = make_physics(physics, regime)
+    used = _resolve(asked, obj, params, push, needs_inertia=bool(nu.any()) or gradients == "paper")
+    _check_combination(used, params, push, nu, gradients)
+
+    # When the steps end, and which of their poses are differentiated.
+    times = (
+        make_times(push, dt, used.regime) if times is None else check_times(times, used.inertial)
     )
-    if not inertial and nu.any():
-        raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
-    if not inertial and params.friction @ params.mass * gravity <= 0:
-        raise SimulationError(
-            "friction: the quasi-static regime needs some friction with the support"
-        )
-    times = make_times(push, dt, regime) if times is None else check_times(times, inertial)
-    steps, dts = len(times) - 1, measure_steps(push, times, regime)
+    dts = measure_steps(push, times, used.regime)
+    steps = len(dts)
     rows = np.arange(steps + 1) if record is None else check_record(record, steps)
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
-    edges = find_edges_near(obj, push, q, table, inertial)
+
+    # Room for the derivatives, whose columns depend on whether loads shift.
+    edges = find_edges_near(obj, push, q, table, used.inertial)
     shifted = shifts_loads(params, edges)
     if shifted and gradients == "paper":
         raise SimulationError(
             "gradients: 'paper' knows no shifting loads; expected a push_height of 0 and no table"
         )
-    width = obj.n + OTHER + (shifted and 1) + (obj.n if shifted and gradients is True else 0)
-    J = np.empty((len(rows), 3, width)) if gradients in (True, "mass") else np.empty((0, 3, 0))
-    method = make_method(inertial, friction, spin, stiction_tolerance, RELATIVE_STICTION)
+    J = np.empty((0, 3, 0))
+    if gradients in (True, "mass"):
+        width = count_columns(obj.n, shifted, with_friction=gradients is True)
+        J = np.empty((len(rows), 3, width))
+
     load = _make_load(push, times)
-    result = run_kernel(obj, params, gravity, method, q, nu, dts, load, row_of_step, J, table=edges)
-    if not inertial:
+    result = run_kernel(
+        obj,
+        params,
+        used,
+        pose=q,
+        velocity=nu,
+        dts=dts,
+        load=load,
+        row_of_step=row_of_step,
+        J=J,
+        table=edges,
+    )
+    if not used.inertial:
+        # The kernel's velocities are by the pusher's path; they are wanted by time.
         result.velocities[1:] *= (dts / np.diff(times))[:, None]
 
     jacobian: Jacobian | RawJacobian | None = None
     if gradients in (True, "mass"):
-        tangent = push.start_tangent if isinstance(push, Push) else None
         jacobian = RawJacobian(
-            rows,
-            J,
-            obj.p_BC,
-            obj.cell_size,
-            params.mass,
-            params.friction,
-            gravity,
-            inertial,
-            tangent,
-            shifted,
+            steps=rows,
+            J=J,
+            p_BC=obj.p_BC,
+            cell_size=obj.cell_size,
+            mass=params.mass,
+            friction=params.friction,
+            gravity=used.gravity,
+            inertial=used.inertial,
+            start_tangent=push.start_tangent if isinstance(push, Push) else None,
+            shifted=shifted,
         )
     elif gradients == "paper":
-        jacobian = calc_paper_jacobian(obj, params, result, dts, rows, gravity, method)
+        jacobian = calc_paper_jacobian(obj, params, result, dts, rows, used)
     has_pusher = load.radius > 0
     return Motion(
-        times, result.poses, result.velocities, load.tip if has_pusher else np.full_like(load.tip, np.nan),
-        result.contact_forces, result.contact_points, result.modes, result.gaps, _find_status(has_pusher, result),
-        result.load_centers, result.tips, result.statuses[:, 1], jacobian,
-    )  # fmt: skip
+        times=times,
+        poses=result.poses,
+        velocities=result.velocities,
+        tip=load.tip if has_pusher else np.full_like(load.tip, np.nan),
+        contact_forces=result.contact_forces,
+        contact_points=result.contact_points,
+        modes=result.modes,
+        gaps=result.gaps,
+        status=_find_status(has_pusher, result),
+        load_centers=result.load_centers,
+        tips=result.tips,
+        iterations=result.statuses[:, 1],
+        physics=used,
+        _jacobian=jacobian,
+    )
+
+
+def count_columns(n: int, shifted: bool, with_friction: bool) -> int:
+    """Counts the kernel's columns of derivatives, see `kernels.forward_sensitivity`.
+
+    Args:
+        n: cells.
+        shifted: whether loads shift; there is then a column for the push height.
+        with_friction: whether the cells' frictions are wanted beside their masses. Where no loads
+            shift, both follow from the same columns.
+    """
+    columns = n + OTHER
+    if shifted:
+        columns += 1 + (n if with_friction else 0)
+    return columns
 
 
 def calc_loads(
@@ -274,9 +313,20 @@ def _make_load(push: Push | ForcePush, times: Array) -> Load:
     """Samples a push at the steps' times (T+1,), s."""
     steps = len(times) - 1
     if isinstance(push, ForcePush):
-        wrench = np.pad(push.force_during(times), ((0, 0), (0, 1)))
-        return Load(np.zeros((steps + 1, 2)), 0.0, -1.0, wrench, np.array(push.point))
-    return Load(push.tip_at(times), push.length, push.radius, np.zeros((steps, 3)), np.zeros(2))
+        return Load(
+            tip=np.zeros((steps + 1, 2)),
+            path_length=0.0,
+            radius=-1.0,
+            wrench=np.pad(push.force_during(times), ((0, 0), (0, 1))),
+            point=np.array(push.point),
+        )
+    return Load(
+        tip=push.tip_at(times),
+        path_length=push.length,
+        radius=push.radius,
+        wrench=np.zeros((steps, 3)),
+        point=np.zeros(2),
+    )
 
 
 def _find_status(has_pusher: bool, steps: Steps) -> MotionStatus:
@@ -291,45 +341,52 @@ def _find_status(has_pusher: bool, steps: Steps) -> MotionStatus:
     return MotionStatus.OK
 
 
-def check_regime(
-    regime: str, push: Push | ForcePush, friction: str, spin: str, gradients: bool | str
+def _resolve(
+    physics: Physics,
+    obj: GridObject,
+    params: CellParameters,
+    push: Push | ForcePush,
+    needs_inertia: bool,
+) -> Physics:
+    """Replaces the regime "auto" by the one that suits a push."""
+    if physics.regime != "auto":
+        return physics
+    if needs_inertia or isinstance(push, ForcePush):
+        return replace(physics, regime="inertial")
+    return physics.resolve_for(obj, params, push.length / push.duration)
+
+
+def _check_combination(
+    physics: Physics,
+    params: CellParameters,
+    push: Push | ForcePush,
+    nu: Array,
+    gradients: bool | str,
 ) -> None:
-    """Refuses words that are not known, and combinations that make no sense, with a SimulationError."""
-    for name, value, known in (
-        ("regime", regime, ("inertial", "quasi_static")),
-        ("friction", friction, tuple(LAWS)),
-        ("spin", spin, SPIN_MODELS),
-        ("gradients", gradients, (False, True, "mass", "paper")),
-    ):
-        if value not in known:
+    """Refuses combinations that make no sense, with a SimulationError."""
+    if not physics.inertial:
+        if isinstance(push, ForcePush):
             raise SimulationError(
-                f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}"
+                "regime: a force-driven push needs 'inertial'; "
+                "a quasi-static body has no velocity of its own"
             )
-    quasi_static = regime == "quasi_static"
-    if quasi_static and isinstance(push, ForcePush):
+        if gradients == "paper":
+            raise SimulationError(
+                "gradients: 'paper' differentiates momentum; it needs the inertial regime"
+            )
+        if nu.any():
+            raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
+        if params.friction @ params.mass * physics.gravity <= 0:
+            raise SimulationError(
+                "friction: the quasi-static regime needs some friction with the support"
+            )
+    known = physics.law.gradients
+    if (True if gradients == "mass" else gradients) not in known:
+        words = ", ".join(map(repr, known))
         raise SimulationError(
-            "regime: a force-driven push needs 'inertial'; a quasi-static body has no velocity of its own"
+            f"gradients is {gradients!r}; "
+            f"with friction_law={physics.friction_law!r} expected one of {words}"
         )
-    if quasi_static and gradients == "paper":
-        raise SimulationError(
-            "gradients: 'paper' differentiates momentum; it needs the inertial regime"
-        )
-    law = LAWS[friction]
-    if regime not in law.regimes:
-        raise SimulationError(
-            f"friction: {friction!r} needs the regime {' or '.join(map(repr, law.regimes))}"
-        )
-    if (gradients if gradients != "mass" else True) not in law.gradients:
-        words = ", ".join(map(repr, law.gradients))
-        raise SimulationError(
-            f"gradients is {gradients!r}; with friction={friction!r} expected one of {words}"
-        )
-
-
-def check_number(name: str, value: float, least: float) -> None:
-    """Raises SimulationError for what is not a finite number of at least `least`."""
-    if not (np.isfinite(value) and value >= least):
-        raise SimulationError(f"{name} is {value!r}; expected a finite number >= {least:g}")
 
 
 def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
@@ -349,7 +406,9 @@ def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
     return rows
 
 
-STEP_STICTION = 1e-10  # m/s, and share of the speed: what sticks moves less than a few of these
+STEP_STICTION = 1e-10
+"""Stiction tolerance of `calc_step`, m/s, and as a share of the speed: what sticks moves less than
+a few of these."""
 
 
 def calc_step(
@@ -360,56 +419,60 @@ def calc_step(
     wrench: ArrayLike,
     dt: float,
     *,
-    friction: str = "isotropic",
-    spin: Literal["coupled", "separate", "none"] = "coupled",
-    g: float = GRAVITY,
+    physics: Physics = DEFAULT_PHYSICS,
     stiction_tolerance: float = STEP_STICTION,
 ) -> NDArray[np.float64]:
     """Takes one condensed inertial step at a fixed pose (`docs/theory/model.md`, section 3).
 
     Args:
+        obj: the object.
+        params: its cells' masses and frictions.
         q: (3,) pose X_WB, m and rad; directions and arms are those at this pose, as in the paper's
             LCP.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
         wrench: (3,) force in W, N, and moment about B's origin, N m.
-        friction: "isotropic", or the paper's "lagged" directions, which are "separate" whatever
-            `spin` says.
-        spin: how the cells resist spinning, see `kernels.isotropic_friction`.
-        stiction_tolerance: speed below which friction is smoothed, m/s and as a share of the speed.
+        dt: the step, s.
+        physics: friction law, spin and gravity.
+        stiction_tolerance: takes the place of both tolerances in `physics`, m/s and as a share of
+            the speed.
 
     Returns:
         nu' (3,) at the end of the step, before the pose moves.
 
     Raises:
-        SimulationError: `friction` or `spin` is none of the words, dt is not positive, or the step
-            was not solved.
+        SimulationError: dt or the tolerance is not positive, the regime is "quasi_static", or the
+            step was not solved.
     """
-    if friction not in LAWS:
-        raise SimulationError(
-            f"friction is {friction!r}; expected one of {', '.join(map(repr, LAWS))}"
-        )
-    if spin not in SPIN_MODELS:
-        raise SimulationError(
-            f"spin is {spin!r}; expected one of {', '.join(map(repr, SPIN_MODELS))}"
-        )
     if not 0 < dt < np.inf:
         raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
-    method = make_method(True, friction, spin, stiction_tolerance, stiction_tolerance)._replace(
-        ahead=0.0
+    if physics.regime == "quasi_static":
+        raise SimulationError("regime is 'quasi_static'; expected 'inertial', as the step is")
+    used = replace(
+        physics,
+        regime="inertial",
+        stiction_tolerance=stiction_tolerance,
+        relative_stiction_tolerance=stiction_tolerance,
     )
-    load = Load(np.zeros((2, 2)), 0.0, -1.0, np.array([wrench], dtype=np.float64), np.zeros(2))
-    q, nu = np.array(q, dtype=np.float64), np.array(nu, dtype=np.float64)
+    q = np.array(q, dtype=np.float64)
+    # Without a pusher, and seen at the pose where it begins.
+    load = Load(
+        tip=np.zeros((2, 2)),
+        path_length=0.0,
+        radius=-1.0,
+        wrench=np.array([wrench], dtype=np.float64),
+        point=np.zeros(2),
+    )
     record = run_kernel(
         obj,
         params,
-        g,
-        method,
-        q,
-        nu,
-        np.array([float(dt)]),
-        load,
-        np.full(2, -1),
-        np.empty((0, 3, 0)),
+        used,
+        pose=q,
+        velocity=np.array(nu, dtype=np.float64),
+        dts=np.array([float(dt)]),
+        load=load,
+        row_of_step=np.full(2, -1),
+        J=np.empty((0, 3, 0)),
+        ahead=0.0,
     )
     if record.statuses[0, 0] != CONVERGED:
         raise SimulationError(f"the step of {obj.name} ({obj.n} cells) was not solved")

@@ -215,7 +215,7 @@ def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
     """
     before = model.require_posterior()
     end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
-    problem = PushProblem(model.obj, PushLog((end,)), model.params)
+    problem = PushProblem(model.obj, PushLog((end,)), model.params, model.physics)
     mean, S = before.mean, before.covariance
     for _ in range(ITERATIONS):
         linear = problem.linearize(mean)
@@ -231,7 +231,7 @@ def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
 
 
 def _calc_held_out_error(model: UncertainModel, held_out: PushLog) -> float:
-    problem = PushProblem(model.obj, held_out, model.params)
+    problem = PushProblem(model.obj, held_out, model.params, model.physics)
     return float(problem.calc_cell_errors(problem.residuals(model.require_posterior().mean)).mean())
 
 

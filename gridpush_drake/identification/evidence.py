@@ -41,7 +41,7 @@ class PushEvidence:
     def __init__(self, found: Identification, used: PushLog) -> None:
         """Takes what was learned, and the pushes that it was learned from, as `select_learned` gives them."""
         self._mean, self._noise = found.posterior.mean, found.noise
-        self._problem = PushProblem(found.obj, used, found.params, found.regime)
+        self._problem = PushProblem(found.obj, used, found.params, found.physics)
         linear = self._problem.linearize(self._mean)
         self._whitenings = self._noise.make_whitenings(linear.by_inputs, found.noise_scale)
         self._least = self._calc_loss(linear.residuals)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.dynamics.physics import GRAVITY, Physics
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import TimedPush
@@ -54,12 +54,14 @@ class ForceScale:
         relative_std: of it.
         pushes: whose forces it is from.
         against: pushes whose forces point against what the pusher did, and were left out.
+        gravity: by which masses follow from forces, m/s².
     """
 
     friction: float
     relative_std: float
     pushes: int
     against: int = 0
+    gravity: float = GRAVITY
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -70,7 +72,9 @@ class ForceScale:
     def calc_mass_bounds(self, obj: GridObject) -> tuple[float, float]:
         """Least and greatest mass, kg, with friction coefficients within the object's bounds."""
         low, high = self.bounds
-        return low / (GRAVITY * obj.prior.friction_max), high / (GRAVITY * obj.prior.friction_min)
+        return low / (self.gravity * obj.prior.friction_max), high / (
+            self.gravity * obj.prior.friction_min
+        )
 
     def calc_mean_friction_bounds(self, obj: GridObject) -> tuple[float, float] | None:
         """Bounds of the mean coefficient sum mu_i m_i / sum m_i of an object of known mass, within those of its cells.
@@ -80,7 +84,7 @@ class ForceScale:
         """
         if obj.prior.total_mass is None:
             return None
-        weight = GRAVITY * obj.prior.total_mass
+        weight = self.gravity * obj.prior.total_mass
         low = max(self.bounds[0] / weight, obj.prior.friction_min)
         high = min(self.bounds[1] / weight, obj.prior.friction_max)
         return (low, high) if low <= high else None
@@ -90,7 +94,7 @@ class ForceScale:
 
         Where mass and forces contradict each other the parameters stay.
         """
-        ratio = self.friction / (GRAVITY * float(params.mass @ params.friction))
+        ratio = self.friction / (self.gravity * float(params.mass @ params.friction))
         if obj.prior.total_mass is None:
             return replace(params, mass=ratio * params.mass)
         bounds = self.calc_mean_friction_bounds(obj)
@@ -101,7 +105,12 @@ class ForceScale:
 
 
 def calc_force_scale(
-    obj: GridObject, params: CellParameters, posterior: Posterior, log: PushLog, seed: int = 0
+    obj: GridObject,
+    params: CellParameters,
+    posterior: Posterior,
+    log: PushLog,
+    physics: Physics,
+    seed: int = 0,
 ) -> ForceScale | None:
     """Calculates the scale of the friction from the forces of slow pushes.
 
@@ -110,6 +119,7 @@ def calc_force_scale(
         params: learned from the poses.
         posterior: their spread.
         log: the pushes learned from, some with forces on the object.
+        physics: they were learned with, quasi-static.
         seed: of draws from the posterior.
 
     Returns:
@@ -117,11 +127,11 @@ def calc_force_scale(
         against the pusher.
     """
     timed = [
-        TimedPush.of(seen, "quasi_static", log.table) for seen in log if seen.force is not None
+        TimedPush.of(seen, physics.regime, log.table) for seen in log if seen.force is not None
     ]
     if not timed:
         return None
-    scales = _calc_scales(obj, params, timed)
+    scales = _calc_scales(obj, params, timed, physics)
     felt, right = np.isfinite(scales), scales > 0
     against = int((felt & ~right).sum())
     if against >= right.sum():
@@ -129,26 +139,35 @@ def calc_force_scale(
     mean, variance = _average(np.log(scales[right]))
     few = [one for one, use in zip(timed, right, strict=True) if use][:MAX_DRAWN_PUSHES]
     drawn = [
-        _calc_scales(obj, draw, few) for draw in posterior.draw_parameters(params, DRAWS, seed)
+        _calc_scales(obj, draw, few, physics)
+        for draw in posterior.draw_parameters(params, DRAWS, seed)
     ]
     medians = [np.median(scales[scales > 0]) for scales in drawn if (scales > 0).any()]
     spread = float(np.var(np.log(medians))) if len(medians) > 1 else 0.0
     return ForceScale(
-        float(np.exp(mean)), float(np.sqrt(variance + spread)), int(right.sum()), against
+        friction=float(np.exp(mean)),
+        relative_std=float(np.sqrt(variance + spread)),
+        pushes=int(right.sum()),
+        against=against,
+        gravity=physics.gravity,
     )
 
 
-def _calc_scales(obj: GridObject, params: CellParameters, pushes: Sequence[TimedPush]) -> Array:
+def _calc_scales(
+    obj: GridObject, params: CellParameters, pushes: Sequence[TimedPush], physics: Physics
+) -> Array:
     """(P,) K_p of each push, N; NaN where the model has no force while one was measured."""
-    whole = GRAVITY * float(params.mass @ params.friction)
+    whole = physics.gravity * float(params.mass @ params.friction)
     return np.array(
-        [_calc_scale(one.observed, *_simulate(obj, params, one), whole) for one in pushes]
+        [_calc_scale(one.observed, *_simulate(obj, params, one, physics), whole) for one in pushes]
     )
 
 
-def _simulate(obj: GridObject, params: CellParameters, one: TimedPush) -> tuple[Array, Array]:
+def _simulate(
+    obj: GridObject, params: CellParameters, one: TimedPush, physics: Physics
+) -> tuple[Array, Array]:
     """The steps' times (T+1,), s, and forces on the object (T, 2), N."""
-    motion = one.simulate(obj, params, regime="quasi_static", record=[])
+    motion = one.simulate(obj, params, physics, record=[])
     return one.times, motion.contact_forces.sum(axis=1)
 
 

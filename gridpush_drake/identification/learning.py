@@ -4,12 +4,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from numbers import Integral
-from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.dynamics.simulation import GRAVITY, Regime
+from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
 from gridpush_drake.errors import IdentificationError, ParameterError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
@@ -38,7 +37,7 @@ from gridpush_drake.identification.outliers import (
 )
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
 from gridpush_drake.identification.prediction import explain_poor_fit
-from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.problem import PushProblem, resolve_physics
 from gridpush_drake.identification.result import (
     FitStart,
     Identification,
@@ -52,11 +51,6 @@ from gridpush_drake.pushes.push_log import PushLog
 
 METHODS = ("default", *SEARCH_METHODS)
 """Names that `identify` takes."""
-
-REGIMES = ("auto", "quasi_static", "inertial")
-
-FAST_PUSH = 0.01
-"""v²/(mu g rho) above which a log's pushes count as fast, and are simulated with inertia."""
 
 MAX_TRIALS = 2
 """Of fits without a push that is suspected, before it is refused or the log taken as it is."""
@@ -85,7 +79,8 @@ def identify(
     method: str = "default",
     seed: int = 0,
     *,
-    regime: Regime | Literal["auto"] = "auto",
+    regime: Regime | None = None,
+    physics: Physics | None = None,
     budget: int | None = None,
     ensemble: MapEnsemble | None = None,
     progress: Progress | None = None,
@@ -101,7 +96,10 @@ def identify(
         prior: what is known beforehand; `obj.prior` by default.
         method: one of METHODS: "default", the paper's, or a baseline.
         seed: of everything random.
-        regime: "quasi_static", "inertial", or "auto": see `choose_regime`.
+        regime: takes the place of the one in `physics`. "auto", the default, is the one that suits
+            the log's fastest push (`physics.FAST_PUSH`), for all of them.
+        physics: friction law, spin, gravity and tolerances of the simulations; `Physics()` by
+            default. The default method needs a law with exact gradients.
         budget: most pushes to be simulated; searches only (DEFAULT_BUDGET_PER_PUSH times the pushes
             by default).
         ensemble: the default method with its settings, whose widest prior a search takes for its
@@ -115,29 +113,36 @@ def identify(
         pushes that it was learned from, its status is "explains_little", and it should not be used.
 
     Raises:
-        IdentificationError: the method or regime is unknown, the seed is no whole number or
-            negative, the log is empty or lacks observations, or no loads of the cells explain it
-            with what is told of the object.
+        IdentificationError: the method is unknown, or needs gradients that the friction law does
+            not have; the seed is no whole number or negative; the log is empty or lacks
+            observations; or no loads of the cells explain it with what is told of the object.
+        SimulationError: the regime is unknown, or the friction law does not know it.
         PushLogError: the object hung over the table's edge during every push, or the log cannot be
             true of the object, see `pushes.plausibility`.
     """
-    for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
-        if value not in known:
-            raise IdentificationError(f"{name} is {value!r}; expected one of {', '.join(known)}")
+    if method not in METHODS:
+        raise IdentificationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
+    asked = make_physics(physics, regime)
+    if method == "default" and True not in asked.law.gradients:
+        raise IdentificationError(
+            f"friction_law {asked.friction_law!r} has no exact gradients, which the default method "
+            f"needs; expected another law, or one of the methods {', '.join(SEARCH_METHODS)}"
+        )
     if not (isinstance(seed, Integral) and seed >= 0):
         raise IdentificationError(f"seed is {seed}; expected a whole number, 0 or more")
     obj = obj if prior is None else replace(obj, prior=prior)
     screened = _check_log(obj, log if method == "default" else log.on_table)
     log = screened.log
-    used_regime = choose_regime(obj, log) if regime == "auto" else regime
+    used = resolve_physics(asked, obj, log)
     ensemble = ensemble or MapEnsemble()
     uniform = _make_uniform(obj, ensemble.choose_patch_ratio(obj) if method == "default" else 1.0)
-    problem = PushProblem(obj, log, uniform, used_regime)
+    problem = PushProblem(obj, log, uniform, used)
     z0 = problem.unknowns(uniform)
     touched = problem.touched(z0)
     unused = tuple(push.name for push, hit in zip(log, touched, strict=True) if not hit)
     screened = screened.keep(log.subset(np.flatnonzero(touched)))
-    problem, held = PushProblem(obj, screened.log, uniform, used_regime), uniform
+    problem = PushProblem(obj, screened.log, uniform, used)
+    held = uniform
     tracker = Tracker(problem, progress)
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     if not len(screened.log):
@@ -171,14 +176,14 @@ def identify(
             tracker,
         )
     result = _make_result(
-        obj, screened, fit, held, method, tracker, used_regime, seed, unused, ensemble.noise
+        obj, screened, fit, held, method, tracker, used, seed, unused, ensemble.noise
     )
     return _note_poor_fit(result, screened.log)
 
 
 def _note_poor_fit(result: Identification, log: PushLog) -> Identification:
     """The result with the status "explains_little" and a message that says why, where it does explain little."""
-    poor = explain_poor_fit(result.obj, result.params, log, result.regime)
+    poor = explain_poor_fit(result.obj, result.params, log, result.physics)
     if poor is None:
         return result
     # What "default" says of itself is that it learned from the pushes. A search says how it ended.
@@ -187,7 +192,10 @@ def _note_poor_fit(result: Identification, log: PushLog) -> Identification:
 
 
 def describe_prior(
-    obj: GridObject, ensemble: MapEnsemble | None = None, seed: int = 0
+    obj: GridObject,
+    ensemble: MapEnsemble | None = None,
+    seed: int = 0,
+    physics: Physics | None = None,
 ) -> Identification:
     """What is held of an object before any push, in the form of an identification.
 
@@ -195,14 +203,14 @@ def describe_prior(
         obj: the object.
         ensemble: the default method, whose widest prior gives the spread.
         seed: to be noted.
+        physics: to be noted; `Physics()` by default.
 
     Returns:
         The uniform model, with status "no_usable_pushes".
     """
     ensemble = ensemble or MapEnsemble()
     uniform = _make_uniform(obj, ensemble.choose_patch_ratio(obj))
-    regime: Regime = "quasi_static"
-    problem = PushProblem(obj, PushLog(()), uniform, regime)
+    problem = PushProblem(obj, PushLog(()), uniform, physics)
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     fit = ensemble.fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std)
     tracker = Tracker(problem, None)
@@ -213,18 +221,11 @@ def describe_prior(
         uniform,
         "default",
         tracker,
-        regime,
+        problem.physics,
         seed,
         (),
         ensemble.noise,
     )
-
-
-def choose_regime(obj: GridObject, log: PushLog) -> Regime:
-    """The regime that "auto" stands for: "inertial" where v²/(mu g rho) of the log's fastest push exceeds FAST_PUSH."""
-    fastest = max((push.push.length / push.push.duration for push in log), default=0.0)
-    scale = obj.prior.friction * GRAVITY * obj.radius_of_gyration
-    return "inertial" if fastest**2 / scale > FAST_PUSH else "quasi_static"
 
 
 def _fit_default(
@@ -339,10 +340,10 @@ def _fit_by_search(
     budget = DEFAULT_BUDGET_PER_PUSH * len(log) if budget is None else budget
     found = run_search(
         method, problem.obj, log, start, Bounds.around(problem.obj, start),
-        budget=budget, seed=seed, regime=problem.regime, progress=tracker.add,
+        budget=budget, seed=seed, physics=problem.physics, progress=tracker.add,
     )  # fmt: skip
     params = replace(found.params, push_height=start.push_height)  # the paper's method knows none
-    final = PushProblem(problem.obj, log, params, problem.regime)
+    final = PushProblem(problem.obj, log, params, problem.physics)
     z = final.unknowns(params)
     A = ensemble.make_widest_factor(problem.obj, log_contact_friction_std)
     covariance, scale = calc_laplace(final, z, A, ensemble.noise)
@@ -395,9 +396,17 @@ def _check_log(obj: GridObject, log: PushLog) -> Screening:
 
 
 def _make_result(
-    obj: GridObject, screened: Screening, fit: MapEnsembleFit, held: CellParameters, method: str, tracker: Tracker,
-    regime: Regime, seed: int, unused: tuple[str, ...], noise: NoiseModel,
-) -> Identification:  # fmt: skip
+    obj: GridObject,
+    screened: Screening,
+    fit: MapEnsembleFit,
+    held: CellParameters,
+    method: str,
+    tracker: Tracker,
+    physics: Physics,
+    seed: int,
+    unused: tuple[str, ...],
+    noise: NoiseModel,
+) -> Identification:
     """Turns z and its covariance into masses, frictions and their standard deviations; the rest is as it was held."""
     friction = held.friction
     posterior = Posterior(fit.z, fit.covariance, fit.prior_covariance)
@@ -407,8 +416,8 @@ def _make_result(
     mass *= total_mass / mass.sum()
     params = replace(held, mass=mass, contact_friction=float(np.exp(fit.z[CONTACT_FRICTION])))
     force = None
-    if regime == "quasi_static" and screened.log:
-        force = calc_force_scale(obj, params, posterior, screened.log, seed)
+    if not physics.inertial and screened.log:
+        force = calc_force_scale(obj, params, posterior, screened.log, physics, seed)
     if force is not None:
         params = force.rescale(obj, params)
         mass, friction = params.mass, params.friction
@@ -423,8 +432,26 @@ def _make_result(
         ),
     )
     return Identification(
-        obj, params, std, posterior, calc_identifiability(obj, params, posterior, force), method, regime, fit.status,
-        fit.message, tuple(tracker.history), tracker.simulations, fit.noise_std, fit.load_shift_std,
-        seed, tuple(push.name for push in screened.log), unused, screened.outliers, fit.starts, force,
-        fit.interval_scale, noise, fit.hypotheses,
-    )  # fmt: skip
+        obj=obj,
+        params=params,
+        std=std,
+        posterior=posterior,
+        identifiability=calc_identifiability(obj, params, posterior, force),
+        method=method,
+        physics=physics,
+        status=fit.status,
+        message=fit.message,
+        history=tuple(tracker.history),
+        simulations=tracker.simulations,
+        noise_std=fit.noise_std,
+        load_shift_std=fit.load_shift_std,
+        seed=seed,
+        push_names=tuple(push.name for push in screened.log),
+        unused_pushes=unused,
+        outliers=screened.outliers,
+        starts=fit.starts,
+        force=force,
+        interval_scale=fit.interval_scale,
+        noise=noise,
+        hypotheses=fit.hypotheses,
+    )

@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 from pydantic import Field, Strict, model_validator
 
+from gridpush_drake.dynamics.physics import GRAVITY, Physics, SpinModel
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.geometry.se2 import Array
@@ -78,6 +79,7 @@ class ForceSchema(StrictSchema):
     relative_std: NotNegative
     pushes: Annotated[int, Field(ge=1)]
     against: Annotated[int, Field(ge=0)] = 0
+    gravity: Positive = GRAVITY
 
 
 class NoiseSchema(StrictSchema):
@@ -91,6 +93,17 @@ class NoiseSchema(StrictSchema):
     shift_weight: Positive
     discrepancy_weight: Positive
     outlier: Positive
+
+
+class PhysicsSchema(StrictSchema):
+    """What was taken for granted of how objects slide; see `Physics`. Defaults are left out."""
+
+    regime: Literal["quasi_static", "inertial"]
+    friction_law: str = Physics.friction_law
+    spin: SpinModel = Physics.spin
+    gravity: NotNegative = Physics.gravity
+    stiction_tolerance: Positive = Physics.stiction_tolerance
+    relative_stiction_tolerance: Positive = Physics.relative_stiction_tolerance
 
 
 class PosteriorSchema(StrictSchema):
@@ -117,7 +130,7 @@ class ModelSchema(StrictSchema):
 
     gridpush_model: Literal[2] = Field(description="2, the form that this release reads")
     method: str
-    regime: Literal["quasi_static", "inertial"]
+    physics: PhysicsSchema
     status: Annotated[IdentificationStatus, Strict(False)]
     message: str
     seed: int
@@ -138,6 +151,15 @@ class ModelSchema(StrictSchema):
     force: ForceSchema | None = None
     history: list[Annotated[tuple[int, float, str], Strict(False)]]
     posterior: PosteriorSchema
+
+    @model_validator(mode="before")
+    @classmethod
+    def _move_regime(cls, values: Any) -> Any:
+        """Files of earlier releases have `regime` by itself, where `physics` stands now."""
+        if isinstance(values, dict) and "physics" not in values and "regime" in values:
+            values = dict(values)
+            values["physics"] = {"regime": values.pop("regime")}
+        return values
 
     @model_validator(mode="after")
     def _check_lengths(self) -> "ModelSchema":
@@ -287,11 +309,10 @@ def read_model(path: Path | str) -> Identification:
 
 def _describe(result: Identification) -> ModelSchema:
     obj, known, spread = result.obj, result.identifiability, result.posterior
-    regime: Any = result.regime
     return ModelSchema(
         gridpush_model=FORMAT_VERSION,
         method=result.method,
-        regime=regime,
+        physics=_describe_physics(result.physics),
         status=result.status,
         message=result.message,
         seed=result.seed,
@@ -332,7 +353,7 @@ def _describe(result: Identification) -> ModelSchema:
             center_of_mass_box=known.center_of_mass_box.tolist(),
             learned_directions=int(known.learned_directions),
         ),
-        force=None if result.force is None else ForceSchema(**asdict(result.force)),
+        force=None if result.force is None else _describe_force(result.force),
         history=[(entry.simulations, float(entry.loss), entry.stage) for entry in result.history],
         posterior=PosteriorSchema(
             mean=spread.mean.tolist(),
@@ -340,6 +361,25 @@ def _describe(result: Identification) -> ModelSchema:
             prior_covariance=pack_symmetric(spread.prior_covariance),
         ),
     )
+
+
+def _describe_force(force: ForceScale) -> ForceSchema:
+    """Sets all values, gravity only where it is not the default."""
+    told = asdict(force)
+    if force.gravity == GRAVITY:
+        del told["gravity"]
+    return ForceSchema(**told)
+
+
+def _describe_physics(physics: Physics) -> PhysicsSchema:
+    """Sets the regime, and whatever else is not the default."""
+    standard = asdict(Physics())
+    told = {
+        name: value
+        for name, value in asdict(physics).items()
+        if name == "regime" or value != standard[name]
+    }
+    return PhysicsSchema(**told)
 
 
 def _restore(schema: ModelSchema) -> Identification:
@@ -374,7 +414,7 @@ def _restore(schema: ModelSchema) -> Identification:
         posterior=posterior,
         identifiability=calc_identifiability(obj, params, posterior, force),
         method=schema.method,
-        regime=schema.regime,
+        physics=Physics(**schema.physics.model_dump()),
         status=schema.status,
         message=schema.message,
         history=tuple(HistoryEntry(*entry) for entry in schema.history),

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import f
 
-from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.map_fit import CenterOfMass
 from gridpush_drake.identification.noise import NORMAL
 from gridpush_drake.identification.outliers import remove_outliers
-from gridpush_drake.identification.problem import PushProblem, TimedPush
+from gridpush_drake.identification.problem import PushProblem, TimedPush, resolve_physics
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.notebook import DEGREES, MM, describe_pose, draw_paths, make_page
 from gridpush_drake.objects.grid_object import GridObject
@@ -87,7 +87,12 @@ class PoseError:
 
 
 def predict(
-    obj: GridObject, params: CellParameters, log: PushLog, regime: Regime = "quasi_static"
+    obj: GridObject,
+    params: CellParameters,
+    log: PushLog,
+    regime: Regime | None = None,
+    *,
+    physics: Physics | None = None,
 ) -> list[Prediction]:
     """Predicts every push of a log from its first observed pose.
 
@@ -95,7 +100,9 @@ def predict(
         obj: the object.
         params: the model.
         log: pushes, with or without later observations.
-        regime: of the simulation, see `simulate`.
+        regime: takes the place of the one in `physics`. "auto", the default, is the one that suits
+            the log's fastest push, for all of them.
+        physics: of the simulations, such as `Identification.physics`; `Physics()` by default.
 
     Returns:
         One prediction a push.
@@ -104,7 +111,8 @@ def predict(
         PushLogError: the log cannot be true of the object, see `pushes.plausibility`.
     """
     check_plausible(obj, log, learning=False)
-    return [_predict_push(obj, params, push, regime, log.table) for push in log]
+    used = resolve_physics(make_physics(physics, regime), obj, log, params)
+    return [_predict_push(obj, params, push, used, log.table) for push in log]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +139,7 @@ class Spread:
 
 
 def predict_spread(
-    model: Identification, log: PushLog, regime: Regime | None = None
+    model: Identification, log: PushLog, physics: Physics | None = None
 ) -> list[Spread]:
     """Predicts how far the final poses of a log's pushes may be off: J S J^T + Sigma, S what is left open of z.
 
@@ -141,7 +149,7 @@ def predict_spread(
     Args:
         model: what was learned, with its posterior, and the noise that its pushes showed.
         log: pushes, with or without later observations.
-        regime: of the simulation; the model's by default.
+        physics: of the simulations; the model's by default.
 
     Returns:
         One spread a push.
@@ -154,7 +162,7 @@ def predict_spread(
         for seen in log
     ]  # in the axes of the pose given as the final one, here the world's
     problem = PushProblem(
-        obj, PushLog(tuple(ends), table=log.table), model.params, regime or model.regime
+        obj, PushLog(tuple(ends), table=log.table), model.params, physics or model.physics
     )
     linear = problem.linearize(model.posterior.mean)
     scale2, freedom, found = model.interval_scale**2, noise.calc_freedom(len(model.push_names)), []
@@ -188,10 +196,14 @@ def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) 
 
 
 def _predict_push(
-    obj: GridObject, params: CellParameters, push: ObservedPush, regime: Regime, table: Array | None
+    obj: GridObject,
+    params: CellParameters,
+    push: ObservedPush,
+    physics: Physics,
+    table: Array | None,
 ) -> Prediction:
-    timed = TimedPush.of(push, regime, table)
-    motion = timed.simulate(obj, params, regime=regime)
+    timed = TimedPush.of(push, physics.regime, table)
+    motion = timed.simulate(obj, params, physics)
     return Prediction(
         push.name, motion.times, motion.poses, motion.poses[timed.rows], motion.status
     )
@@ -267,7 +279,7 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
     """Mean cell error, m, of the final poses of the pushes learned from: with uniform parameters, and as learned."""
     used = _select_used(result, log)
     before, after = (
-        calc_mean_cell_error(result.obj, params, used, result.regime)
+        calc_mean_cell_error(result.obj, params, used, result.physics)
         for params in (CellParameters.uniform(result.obj), result.params)
     )
     return before, after
@@ -287,7 +299,7 @@ def doubt_fit(result: Identification) -> str | None:
 
 
 def explain_poor_fit(
-    obj: GridObject, params: CellParameters, used: PushLog, regime: Regime
+    obj: GridObject, params: CellParameters, used: PushLog, physics: Physics
 ) -> str | None:
     """Says in sentences that a model is far off where pushes ended; None where it is not.
 
@@ -295,7 +307,7 @@ def explain_poor_fit(
         obj: the object.
         params: the model.
         used: the pushes that it was learned from, without what was refused of them.
-        regime: of the simulation.
+        physics: of the simulations; its regime is not "auto".
     """
     if not len(used):
         return None
@@ -304,7 +316,7 @@ def explain_poor_fit(
         for seen in used
     ]
     mean = float(np.mean(moved))
-    predictions = [_predict_push(obj, params, seen, regime, used.table) for seen in used]
+    predictions = [_predict_push(obj, params, seen, physics, used.table) for seen in used]
     errors = calc_final_errors(obj, predictions, used)
     error = float(np.mean([each.cell for each in errors if each is not None]))
     if error <= DOUBTFUL * mean:
@@ -333,10 +345,10 @@ def doubt_center(result: Identification) -> str | None:
 
 
 def calc_mean_cell_error(
-    obj: GridObject, params: CellParameters, log: PushLog, regime: Regime
+    obj: GridObject, params: CellParameters, log: PushLog, physics: Physics
 ) -> float:
     """Mean cell error of a log's final poses, m; NaN where it has no push."""
-    errors = calc_final_errors(obj, predict(obj, params, log, regime), log)
+    errors = calc_final_errors(obj, predict(obj, params, log, physics=physics), log)
     return (
         float(np.mean([error.cell for error in errors if error is not None])) if len(log) else nan
     )

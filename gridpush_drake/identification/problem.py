@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
+from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics, Regime
 from gridpush_drake.dynamics.push import make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
-from gridpush_drake.dynamics.simulation import Regime, simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array, rotate, transform, wrap_angle
 from gridpush_drake.identification.posterior import CELLS, CONTACT_FRICTION, GLOBALS
 from gridpush_drake.objects.grid_object import GridObject
@@ -63,10 +64,20 @@ class TimedPush:
         rows = np.searchsorted((times[:-1] + times[1:]) / 2, observed.t_observed)
         return cls(observed, times, rows, table)
 
-    def simulate(self, obj: GridObject, params: CellParameters, **options: Any) -> Motion:
-        """Simulates the push from its first observed pose, with `options` of `simulate`."""
-        push, pose = self.observed.push, self.observed.pose
-        return simulate(obj, params, push, pose, times=self.times, table=self.table, **options)
+    def simulate(
+        self, obj: GridObject, params: CellParameters, physics: Physics, **options: Any
+    ) -> Motion:
+        """Simulates the push from its first observed pose, with further `options` of `simulate`."""
+        return simulate(
+            obj,
+            params,
+            self.observed.push,
+            self.observed.pose,
+            physics=physics,
+            times=self.times,
+            table=self.table,
+            **options,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +103,42 @@ class Linearization:
         return Linearization(*chosen)
 
 
+def resolve_physics(
+    physics: Physics, obj: GridObject, log: PushLog, params: CellParameters | None = None
+) -> Physics:
+    """Replaces the regime "auto" by the one that suits a log's fastest push.
+
+    Args:
+        physics: of the log's simulations.
+        obj: the object.
+        log: its pushes; one regime is chosen for all of them.
+        params: what the object is taken to weigh and rub; by default the friction is the prior's.
+
+    Returns:
+        The physics, see `Physics.resolve`.
+    """
+    if physics.regime != "auto":
+        return physics
+    fastest = max((seen.push.length / seen.push.duration for seen in log), default=0.0)
+    if params is not None:
+        return physics.resolve_for(obj, params, fastest)
+    return physics.resolve(obj, obj.prior.friction, fastest)
+
+
 class PushProblem:
-    """Residuals of a log as a function of z, for one object and regime; counts the simulations it makes."""
+    """Residuals of a log as a function of z, for one object and physics.
+
+    Attributes:
+        obj: the object.
+        physics: of the simulations; its regime is never "auto".
+    """
 
     def __init__(
-        self, obj: GridObject, log: PushLog, held: CellParameters, regime: Regime = "quasi_static"
+        self,
+        obj: GridObject,
+        log: PushLog,
+        held: CellParameters,
+        physics: Physics | None = None,
     ) -> None:
         """Prepares the log.
 
@@ -104,13 +146,14 @@ class PushProblem:
             obj: the object.
             log: the training pushes, each with at least one later observation.
             held: parameters, all of which but the masses and the contact friction stay as they are.
-            regime: "quasi_static" or "inertial".
+            physics: of the simulations; `Physics()` by default. The regime "auto" becomes the one
+                of the log's fastest push, see `resolve_physics`.
         """
         self.obj = obj
-        self.regime = regime
+        self.physics = resolve_physics(physics or DEFAULT_PHYSICS, obj, log)
         self._held = held
         self._spent = [0]
-        self._pushes = [TimedPush.of(push, regime, log.table) for push in log]
+        self._pushes = [TimedPush.of(push, self.physics.regime, log.table) for push in log]
         self._centroid = obj.p_BC.mean(axis=0)
         self._rho = obj.radius_of_gyration
         arm = obj.p_BC - self._centroid
@@ -129,7 +172,7 @@ class PushProblem:
 
     def replace_log(self, log: PushLog) -> "PushProblem":
         """The same problem of another log; simulations are counted together."""
-        return self._take([TimedPush.of(push, self.regime, log.table) for push in log])
+        return self._take([TimedPush.of(push, self.physics.regime, log.table) for push in log])
 
     def choose(self, pushes: Sequence[int]) -> "PushProblem":
         """The same problem of some of its pushes; simulations are counted together."""
@@ -221,7 +264,7 @@ class PushProblem:
             [np.empty((0, 3)), *(p.observed.poses_observed for p in self._pushes)]
         )
         return _Observations(
-            PushBatch(self.obj, pushes, self.regime), poses, self._centroid_at(poses)
+            PushBatch(self.obj, pushes, self.physics), poses, self._centroid_at(poses)
         )
 
     def _split(self, values: Array) -> list[Array]:

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.dynamics.physics import Physics, Regime
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.force_scale import ForceScale
@@ -94,7 +94,7 @@ class Identification:
         posterior: the spread of the relative support friction and the contact friction.
         identifiability: what these data say and what they cannot say.
         method: that found it.
-        regime: of the simulations, "quasi_static" or "inertial".
+        physics: of the simulations; its regime is never "auto".
         status: how it ended.
         message: the status in a sentence.
         history: the best loss so far along the search, simulations increasing.
@@ -122,7 +122,7 @@ class Identification:
     posterior: Posterior
     identifiability: Identifiability
     method: str
-    regime: Regime
+    physics: Physics
     status: IdentificationStatus
     message: str
     history: tuple[HistoryEntry, ...]
@@ -175,6 +175,11 @@ class Identification:
             obj.outline, obj.p_BC, obj.cell_size, params.mass, "mass of a cell, kg"
         )
         return make_page(repr(self), drawing, make_table(("what", "found"), rows))
+
+    @property
+    def regime(self) -> Regime:
+        """The regime of the simulations, "quasi_static" or "inertial"."""
+        return self.physics.regime
 
     @property
     def noise_scale(self) -> NoiseScale:

@@ -24,7 +24,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array

@@ -14,8 +14,9 @@ import shapely
 from numpy.typing import ArrayLike
 from shapely import MultiPoint, Point
 
+from gridpush_drake.dynamics.physics import Regime
 from gridpush_drake.dynamics.push import Push, make_path_times
-from gridpush_drake.dynamics.simulation import Regime, simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.identification.learning import identify

@@ -12,7 +12,7 @@ from jinja2 import Environment, StrictUndefined
 from matplotlib.figure import Figure
 
 from gridpush_drake import __version__
-from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
@@ -240,7 +240,7 @@ def make_report(
     judged = fresh if fresh and fresh.outcomes else training
     outcomes = [outcome for comparison in reversed(compared) for outcome in comparison.outcomes]
     known = truth is not None and held_out is not None and learning
-    floor = calc_mean_cell_error(obj, truth, held_out, identification.regime) if known else None  # type: ignore[arg-type]
+    floor = calc_mean_cell_error(obj, truth, held_out, identification.physics) if known else None  # type: ignore[arg-type]
     text = (
         files("gridpush_drake.report").joinpath("templates", TEMPLATE).read_text(encoding="utf-8")
     )
@@ -296,7 +296,7 @@ def _draw_figures(
 
 
 def _compare(result: Identification, log: PushLog, held_out: bool) -> _Comparison:
-    run = partial(predict, result.obj, log=log, regime=result.regime)
+    run = partial(predict, result.obj, log=log, physics=result.physics)
     before, after = run(params=CellParameters.uniform(result.obj)), run(params=result.params)
     errors = zip(
         *(calc_final_errors(result.obj, poses, log) for poses in (before, after)), strict=True

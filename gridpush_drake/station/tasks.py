@@ -331,7 +331,7 @@ class IdentifyKind(TaskKind):
         if not len(held_out):
             return make_report(result, training, truth=record.truth, sight=record.sight)
         learning = [
-            calc_mean_cell_error(record.obj, found.params, held_out, result.regime)
+            calc_mean_cell_error(record.obj, found.params, held_out, result.physics)
             for found in (describe_prior(record.obj), *record.estimates)
         ]
         return make_report(result, training, held_out, record.truth, learning, sight=record.sight)
@@ -348,7 +348,7 @@ class IdentifyKind(TaskKind):
                 ("after", found.params),
             ):
                 held_out = calc_mean_cell_error(
-                    record.obj, params, record.held_out_log, found.regime
+                    record.obj, params, record.held_out_log, found.physics
                 )
                 summary[name] = {"held_out_cell_error": held_out}
                 if centers:

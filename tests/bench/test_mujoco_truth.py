@@ -14,8 +14,9 @@ from gridpush_drake.bench.truth.sets import (
     read_set,
     write_set,
 )
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import GRAVITY, simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import rotate
 

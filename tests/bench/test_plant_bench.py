@@ -13,6 +13,7 @@ from gridpush_drake.bench.plant import (
     make_table,
     run_job,
 )
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ObjectError, PushError
@@ -38,7 +39,9 @@ def test_one_push_ends_where_the_model_has_it(obj, params):
     rig = PlantPusher(obj, params, 0.01)
     push, pose = draw_push(obj, params, 7, 0.01)
     motion = rig.push(params, push, pose)
-    expected = simulate(obj, params, push, pose, 1e-3, spin="none")
+    expected = simulate(
+        obj, params, push, pose, 1e-3, physics=Physics(regime="inertial", spin="none")
+    )
     assert motion.tracking_error < 1e-5
     assert np.linalg.norm(motion.poses[-1, :2] - pose[:2]) > 0.01
     np.testing.assert_allclose(motion.poses[-1], expected.final_pose, rtol=0, atol=3e-4)
@@ -59,7 +62,9 @@ def test_a_plant_pushes_again_the_same(obj, params):
 def test_a_free_object_pushed_low_moves_as_the_model_has_it(obj, params):
     # the higher the push, the more load shifts to the cells in front
     push = Push.on_outline(obj, 0.02, 0.3, 0.03, radius=0.01, speed=0.05)
-    expected = simulate(obj, params, push, dt=2e-3, spin="none").final_pose
+    expected = simulate(
+        obj, params, push, dt=2e-3, physics=Physics(regime="inertial", spin="none")
+    ).final_pose
     low, high = (
         np.abs(
             PlantPusher(obj, params, 0.01, "free", push_height=z).push(params, push).poses[-1]

@@ -18,6 +18,7 @@ import yaml
 from pydantic import BaseModel
 
 from gridpush_drake.cli.main import app
+from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.identification.baselines.search import Bounds, SearchStatus, run_search
 from gridpush_drake.objects.grid_object import GridObject
@@ -177,7 +178,7 @@ def test_the_method_is_one(monkeypatch):
     made = make_pushed_block()
     found = run_search(
         method, made.obj, made.log, made.start, Bounds.around(made.obj, made.start), budget=60, seed=0,
-        regime="quasi_static",
+        physics=QUASI_STATIC,
     )  # fmt: skip
     assert found.status == SearchStatus.BUDGET_SPENT
     assert found.history[-1].loss < found.history[0].loss

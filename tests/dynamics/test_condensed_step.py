@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydrake.solvers import MathematicalProgram, MobyLcpSolver
 
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_socp
 from gridpush_drake.dynamics.reference.maximal_solvers import solve_as_lcp, solve_as_qp
@@ -44,8 +45,9 @@ def calc_disagreement(step, nu, xdot):
     return np.abs(difference * [step.obj.cell_size, 1.0, 1.0]).max()
 
 
-def take_step(step, **options):
-    return calc_step(step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, **options)
+def take_step(step, **physics):
+    wrench = step.T.T @ step.F
+    return calc_step(step.obj, step.params, step.q, step.nu, wrench, DT, physics=Physics(**physics))
 
 
 def make_steps(case, count=40):
@@ -62,7 +64,7 @@ def test_lagged_step_is_the_paper_s_lcp(case):
     for step in make_steps(case):
         solution = solve_as_qp(step.make_lcp())
         worst = max(
-            worst, calc_disagreement(step, take_step(step, friction="lagged"), solution.xdot)
+            worst, calc_disagreement(step, take_step(step, friction_law="lagged"), solution.xdot)
         )
         residual = max(residual, solution.residuals.worst)
         sticks = (solution.lam_f > 0) & (solution.lam_f < (1 - 1e-9) * step.make_lcp().bound)
@@ -84,7 +86,7 @@ def test_moby_s_lcp_agrees_with_the_qp_and_the_condensed_step(case):
         lcp = step.make_lcp()
         solution = solve_as_lcp(lcp, solve_moby)
         residual = max(residual, solution.residuals.worst)
-        for xdot in (solve_as_qp(lcp).xdot, step.T @ take_step(step, friction="lagged")):
+        for xdot in (solve_as_qp(lcp).xdot, step.T @ take_step(step, friction_law="lagged")):
             scaled = ((xdot - solution.xdot).reshape(-1, 3) * [step.obj.cell_size, 1, 1]).ravel()
             worst = max(worst, np.abs(scaled).max())
     print(f"{case}: Moby within {worst:.1e} m/s, KKT residual {residual:.1e}")
@@ -134,7 +136,7 @@ def test_quasi_static_push_is_the_limit_of_slow_inertial_ones():
             push = Push.on_outline(obj, 0.03, 0.2, 0.05, radius=0.005, speed=speed)
             times = np.linspace(0, push.duration, 801)
             limit = simulate(obj, params, push, times=times, regime="quasi_static").final_pose
-            pose = simulate(obj, params, push, times=times).final_pose
+            pose = simulate(obj, params, push, times=times, regime="inertial").final_pose
             distances.append(
                 np.linalg.norm(obj.cells_at(pose) - obj.cells_at(limit), axis=1).mean()
             )
@@ -146,7 +148,7 @@ def test_quasi_static_push_is_the_limit_of_slow_inertial_ones():
 
 def test_bad_input_is_refused():
     step = make_random_step(0)
-    for options in ({"friction": "dry"}, {"spin": "both"}):
+    for options in ({"friction_law": "dry"}, {"regime": "quasi_static"}, {"spin": "both"}):
         with pytest.raises(SimulationError, match=next(iter(options))):
             take_step(step, **options)
     with pytest.raises(SimulationError, match="dt"):

@@ -5,6 +5,7 @@ import pytest
 from shapely import Polygon
 from shapely.affinity import translate
 
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.grid_object import GridObject
@@ -116,8 +117,8 @@ def calc_energy(obj, params, result):
 
 
 @pytest.mark.parametrize("spin", ["coupled", "separate", "none"])
-@pytest.mark.parametrize("friction", ["isotropic", "lagged"])
-def test_energy_never_rises_without_a_push(friction, spin):
+@pytest.mark.parametrize("law", ["isotropic", "lagged"])
+def test_energy_never_rises_without_a_push(law, spin):
     """The implicit step minimizes a convex function of which dissipation is a part.
 
     With lagged directions a body at rest trembles at some 1e-7 m/s: the ramp's tail magnifies the
@@ -129,11 +130,17 @@ def test_energy_never_rises_without_a_push(friction, spin):
         params = make_random_contents(rng, obj)
         nu = rng.normal(size=3) * (0.3, 0.3, 5.0)
         result = slide(
-            obj, params, nu, 1.0, 0.005, make_random_pose(rng), friction=friction, spin=spin
+            obj,
+            params,
+            nu,
+            1.0,
+            0.005,
+            make_random_pose(rng),
+            physics=Physics(friction_law=law, spin=spin),
         )
         energy = calc_energy(obj, params, result)
         assert result.status == "ok"
-        tremble = params.total_mass * 1e-12 if friction == "lagged" else 0.0
+        tremble = params.total_mass * 1e-12 if law == "lagged" else 0.0
         assert np.diff(energy).max() <= 1e-15 * energy[0] + tremble
         assert spin == "none" or energy[-1] < 1e-9 * energy[0]
 
@@ -231,7 +238,8 @@ def test_one_cell_spins_against_the_friction_of_its_patch(patch):
     )
     params = CellParameters(np.array([0.1]), np.array([0.4]), patch_ratio=patch)
     for spin in ("coupled", "separate"):
-        after = slide(obj, params, (0.0, 0.0, w), duration, dt, spin=spin).velocities[-1, 2]
+        physics = Physics(spin=spin)
+        after = slide(obj, params, (0.0, 0.0, w), duration, dt, physics=physics).velocities[-1, 2]
         slowed = 0.4 * 9.81 * 0.3826 * patch * side * duration / (side**2 / 6)
         assert after == pytest.approx(w - slowed, abs=1e-4 * w)
 
@@ -241,7 +249,7 @@ def test_one_cell_slides_spins_and_is_pushed():
     obj = GridObject("cell", np.zeros((1, 2)), 0.02, np.ones(1, int), square)
     params = CellParameters(np.array([0.1]), np.array([0.4]), 0.3)
     for spin in ("coupled", "separate", "none"):
-        result = slide(obj, params, (0.3, 0.0, 5.0), 0.5, 1e-3, spin=spin)
+        result = slide(obj, params, (0.3, 0.0, 5.0), 0.5, 1e-3, physics=Physics(spin=spin))
         np.testing.assert_allclose(result.velocities[-1, :2], 0, atol=1e-7)
         assert spin == "none" or abs(result.velocities[-1, 2]) < 1e-5
     push = Push((-0.01 - 0.005, 0.0), (0.05, 0.0), 0.4, 0.005)

@@ -181,7 +181,7 @@ SPEEDS = np.concatenate([np.geomspace(0.003, 0.6, 200), 0.05 * (1 + np.linspace(
 def test_the_default_step_is_a_continuous_function_of_the_speed(length):
     for speed in SPEEDS:
         push = Push((0.0, 0.0), (speed, 0.0), length / speed, 0.01)
-        times = make_path_times(push)
+        times = make_path_times(push, "inertial")
         steps, longest = np.diff(times), min(DEFAULT_DT, DEFAULT_TIP_STEP / speed)
         assert times[0] == 0.0
         assert times[-1] == push.duration

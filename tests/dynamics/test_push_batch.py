@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.motion import Motion, MotionStatus
+from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics, Regime
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
-from gridpush_drake.dynamics.simulation import Regime, simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -49,7 +50,7 @@ def test_a_batch_is_its_pushes_one_by_one_bit_for_bit(
 ) -> None:
     params = replace(CellParameters.random(OBJ, seed=2), push_height=height)
     pushes = make_pushes(regime, table)
-    batch = PushBatch(OBJ, pushes, regime)
+    batch = PushBatch(OBJ, pushes, Physics(regime=regime))
     motions = [simulate_one(params, one, regime) for one in pushes]
     for _ in range(2):  # nothing is left of the run before
         poses, touched = batch.simulate(params)
@@ -70,8 +71,10 @@ def test_a_batch_is_its_pushes_one_by_one_bit_for_bit(
 @pytest.mark.parametrize("regime", ["quasi_static", "inertial"])
 def test_a_pose_may_be_wanted_twice(regime: Regime) -> None:
     params, pushes = CellParameters.random(OBJ, seed=2), make_pushes(regime, TABLE)
-    poses, J = PushBatch(OBJ, pushes, regime).differentiate(params)
-    twice = PushBatch(OBJ, [one._replace(rows=np.repeat(one.rows, 2)) for one in pushes], regime)
+    poses, J = PushBatch(OBJ, pushes, Physics(regime=regime)).differentiate(params)
+    twice = PushBatch(
+        OBJ, [one._replace(rows=np.repeat(one.rows, 2)) for one in pushes], Physics(regime=regime)
+    )
     again, J_again = twice.differentiate(params)
     assert np.array_equal(again, np.repeat(poses, 2, axis=0))
     assert np.array_equal(J_again, np.repeat(J, 2, axis=0))
@@ -79,7 +82,7 @@ def test_a_pose_may_be_wanted_twice(regime: Regime) -> None:
 
 
 def test_no_pushes_are_no_poses() -> None:
-    poses, J = PushBatch(OBJ, [], "quasi_static").differentiate(CellParameters.uniform(OBJ))
+    poses, J = PushBatch(OBJ, [], QUASI_STATIC).differentiate(CellParameters.uniform(OBJ))
     assert poses.shape == (0, 3)
     assert J.shape == (0, 3, OBJ.n + 3)
 
@@ -87,4 +90,4 @@ def test_no_pushes_are_no_poses() -> None:
 def test_an_object_beside_its_table_is_refused() -> None:
     (one,) = make_pushes("quasi_static", TABLE)[:1]
     with pytest.raises(SimulationError, match=r"no cell of .* is on it"):
-        PushBatch(OBJ, [one._replace(pose=np.array([3.0, 0.0, 0.0]))], "quasi_static")
+        PushBatch(OBJ, [one._replace(pose=np.array([3.0, 0.0, 0.0]))], QUASI_STATIC)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from shapely import Point
 
-from gridpush_drake.dynamics.kernels.call import Method, run_kernel
+from gridpush_drake.dynamics.kernel_call import run_kernel
 from gridpush_drake.dynamics.kernels.contact import COLUMNS, CX, CY, NX, NY, Edges, find_contacts
 from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, SLIDE_MINUS, SLIDE_PLUS, STICK
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Load
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.grid_object import GridObject
@@ -80,7 +81,7 @@ def test_quasi_static_motion_knows_only_shares_of_friction():
             params.mass * params.friction, np.ones(obj.n), params.contact_friction
         )
         faster = Push(push.start, 8 * push.velocity, push.duration / 8, push.radius)
-        times = make_path_times(push)
+        times = make_path_times(push, "inertial")
         one = simulate(obj, params, push, times=times, regime="quasi_static").poses
         for others in (scaled, swapped):
             other = simulate(obj, others, push, times=times, regime="quasi_static").poses
@@ -149,22 +150,20 @@ def walk_contacts(obj, params, push, regime, ahead=0.0):
         step, contact, mode, lam_n, lam_t, slip, closing speed; and the support's force and moment
         with the contacts'.
     """
-    inertial = regime == "inertial"
     times = make_path_times(push, regime)
     dts, tip, steps = np.diff(times), push.tip_at(times), len(times) - 1
-    method = Method(inertial, "isotropic", "coupled", ahead, 1e-9, 1e-7)
     load = Load(tip, push.length, push.radius, np.zeros((steps, 3)), np.zeros(2))
     run = run_kernel(
         obj,
         params,
-        G,
-        method,
-        np.zeros(3),
-        np.zeros(3),
-        dts,
-        load,
-        np.full(steps + 1, -1),
-        np.empty((0, 3, 0)),
+        Physics(regime=regime),
+        pose=np.zeros(3),
+        velocity=np.zeros(3),
+        dts=dts,
+        load=load,
+        row_of_step=np.full(steps + 1, -1),
+        J=np.empty((0, 3, 0)),
+        ahead=ahead,
     )
     edges = obj.edges
     kernel_edges = Edges(*edges.start.T.copy(), *edges.end.T.copy(), np.array(edges.previous))

@@ -7,6 +7,7 @@ import pytest
 
 from gridpush_drake.dynamics.kernels.isotropic_friction import Isotropic
 from gridpush_drake.dynamics.kernels.rollout import rollout
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import ForcePush, Push, make_path_times
 from gridpush_drake.dynamics.reference.paper_rollout import fill_paper_gradient
 from gridpush_drake.dynamics.simulation import calc_step, simulate, simulate_batch
@@ -42,12 +43,12 @@ def params(obj):
         (PUSH, {"dt": -0.01}, "dt"),
         (PUSH, {"dt": np.nan}, "dt"),
         (PUSH, {"regime": "static"}, "regime.*'inertial', 'quasi_static'"),
-        (PUSH, {"friction": "dry"}, "friction.*'isotropic', 'lagged'"),
-        (PUSH, {"spin": "both"}, "spin"),
+        (PUSH, {"physics": {"friction_law": "dry"}}, "friction_law.*'isotropic', 'lagged'"),
+        (PUSH, {"physics": {"spin": "both"}}, "spin"),
         (PUSH, {"gradients": "exact"}, "gradients"),
         (FORCE, {"regime": "quasi_static"}, "regime"),
-        (PUSH, {"regime": "quasi_static", "friction": "lagged"}, "friction"),
-        (PUSH, {"friction": "lagged", "gradients": True}, "gradients"),
+        (PUSH, {"regime": "quasi_static", "physics": {"friction_law": "lagged"}}, "friction_law"),
+        (PUSH, {"physics": {"friction_law": "lagged"}, "gradients": True}, "gradients"),
         (PUSH, {"regime": "quasi_static", "gradients": "paper"}, "gradients"),
         (PUSH, {"times": [0.0]}, "times"),
         (PUSH, {"times": [0.0, 0.2, 0.1]}, "times"),
@@ -57,13 +58,16 @@ def params(obj):
         (PUSH, {"record": [0, -51]}, "record.*twice"),
         (PUSH, {"record": [10_000]}, "record"),
         (PUSH, {"record": [0.5]}, "record"),
-        (PUSH, {"gravity": -9.81}, "gravity"),
-        (PUSH, {"gravity": np.nan}, "gravity"),
-        (PUSH, {"stiction_tolerance": 0.0}, "stiction_tolerance"),
+        (PUSH, {"physics": {"gravity": -9.81}}, "gravity"),
+        (PUSH, {"physics": {"gravity": np.nan}}, "gravity"),
+        (PUSH, {"physics": {"stiction_tolerance": 0.0}}, "stiction_tolerance"),
+        (PUSH, {"physics": {"relative_stiction_tolerance": -1.0}}, "relative_stiction_tolerance"),
     ],
 )
 def test_bad_arguments_are_refused(obj, params, push, options, message):
     with pytest.raises(SimulationError, match=message):
+        if "physics" in options:
+            options = {**options, "physics": Physics(**options["physics"])}
         simulate(obj, params, push, **options)
 
 
@@ -78,9 +82,8 @@ def test_quasi_static_regime_needs_friction(obj):
     with pytest.raises(SimulationError, match="friction"):
         simulate(obj, smooth, PUSH, regime="quasi_static")
     with pytest.raises(SimulationError, match="friction"):
-        simulate(
-            obj, CellParameters.uniform(obj, 1.0, 0.3), PUSH, regime="quasi_static", gravity=0.0
-        )
+        weightless = Physics(regime="quasi_static", gravity=0.0)
+        simulate(obj, CellParameters.uniform(obj, 1.0, 0.3), PUSH, physics=weightless)
     assert simulate(obj, smooth, PUSH).status == "ok"
 
 
@@ -122,7 +125,7 @@ def test_default_steps_are_short_in_time_and_in_way(obj, params):
         Push(PUSH.start, (0.01, 0.0), 1.0, 0.01),
         Push(PUSH.start, (1.0, 0.0), 0.2, 0.01),
     ):
-        result = simulate(obj, params, push)
+        result = simulate(obj, params, push, regime="inertial")
         assert np.diff(result.times).max() <= 0.01 * (1 + 1e-9)
         assert np.linalg.norm(np.diff(result.tip, axis=0), axis=1).max() <= 0.001 * (1 + 1e-9)
         assert result.times[-1] == push.duration
@@ -302,8 +305,8 @@ def test_contact_points_lie_on_disc_and_outline(obj, params):
 
 
 def test_lagged_friction_differs_little_while_directions_change_little(obj, params):
-    one = simulate(obj, params, PUSH, dt=0.001, spin="separate").final_pose
-    other = simulate(obj, params, PUSH, dt=0.001, friction="lagged").final_pose
+    one = simulate(obj, params, PUSH, dt=0.001, physics=Physics(spin="separate")).final_pose
+    other = simulate(obj, params, PUSH, dt=0.001, physics=Physics(friction_law="lagged")).final_pose
     assert 0 < np.abs(one - other).max() < 0.01
 
 
@@ -317,7 +320,7 @@ def test_make_path_times_keeps_samples_when_inertial_and_cuts_evenly_by_length_w
     push = Push.along(
         [0.0, 1.0, 3.0, 4.0], [[0, 0], [0.0105, 0], [0.0105, 0], [0.0105, 0.02]], 0.005
     )
-    times = make_path_times(push)
+    times = make_path_times(push, "inertial")
     assert set(push.t) <= set(times)
     assert np.diff(times).max() <= 0.01 + 1e-12
     tip = push.tip_at(make_path_times(push, "quasi_static"))

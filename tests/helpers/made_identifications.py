@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
@@ -35,6 +36,20 @@ def make_identification(obj: GridObject | None = None, seed: int = 0) -> Identif
     history = tuple(HistoryEntry(10 * (i + 1), 0.01 * 0.7**i, "descent") for i in range(8))
     known = calc_identifiability(obj, params, posterior)
     return Identification(
-        obj, params, std, posterior, known, "default", "quasi_static", IdentificationStatus.LEARNED,
-        "learned from 4 pushes.", history, 80, 4e-4, 2e-3, seed, ("push_1", "push_2", "push_3", "push_4"), ("push_5",),
-    )  # fmt: skip
+        obj=obj,
+        params=params,
+        std=std,
+        posterior=posterior,
+        identifiability=known,
+        method="default",
+        physics=QUASI_STATIC,
+        status=IdentificationStatus.LEARNED,
+        message="learned from 4 pushes.",
+        history=history,
+        simulations=80,
+        noise_std=4e-4,
+        load_shift_std=2e-3,
+        seed=seed,
+        push_names=("push_1", "push_2", "push_3", "push_4"),
+        unused_pushes=("push_5",),
+    )

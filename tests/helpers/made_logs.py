@@ -46,7 +46,7 @@ def make_pushed_block(max_cells: int = 8) -> PushedBlock:
 
 
 def _observe(obj: GridObject, truth: CellParameters, i: int, push: Push) -> ObservedPush:
-    times = make_path_times(push)
-    poses = simulate(obj, truth, push, times=times).poses
+    times = make_path_times(push, "inertial")
+    poses = simulate(obj, truth, push, times=times, regime="inertial").poses
     rows = slice(OBSERVED_EVERY, None, OBSERVED_EVERY)
     return ObservedPush(f"push_{i}", push, poses[0], times[rows], poses[rows])

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import make_direction
@@ -123,7 +124,7 @@ def make_random_case(shape, seed, regime, spin, push_height=0.0, overhang=None):
     path[1:] += rng.normal(size=(4, 2)) * 1e-3
     moving = regime == "inertial" and seed % 2
     nu = rng.uniform(-1, 1, 3) * (0.05, 0.05, 1.0) if moving else np.zeros(3)
-    options = {"velocity": nu, "regime": regime, "spin": spin}
+    options = {"velocity": nu, "physics": Physics(regime=regime, spin=spin)}
     if push_height or overhang:
         params = CellParameters(params.mass, params.friction, params.contact_friction, push_height)
     if overhang:

@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import make_path_times
-from gridpush_drake.dynamics.simulation import GRAVITY, simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.identifiability import (
     _calc_box_of_known_scale,
     calc_center_of_mass_box,

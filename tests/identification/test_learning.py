@@ -3,11 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.errors import IdentificationError
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.errors import IdentificationError, SimulationError
 from gridpush_drake.identification.hypotheses import SmoothField, TwoParts
-from gridpush_drake.identification.learning import METHODS, choose_regime, describe_prior, identify
+from gridpush_drake.identification.learning import METHODS, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.prediction import calc_pose_error, predict
+from gridpush_drake.identification.problem import resolve_physics
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -189,11 +191,11 @@ def test_elongated_object_with_a_very_light_part_does_not_stall() -> None:
 def test_regime_follows_the_speed() -> None:
     obj = make_block()
     log = make_pokes(obj, make_uneven(obj), 1, 0)
-    assert choose_regime(obj, log) == "quasi_static"
+    assert resolve_physics(Physics(), obj, log).regime == "quasi_static"
     push = log[0].push
     fast = type(push)(push.start, 20 * push.velocity, push.duration / 20, push.radius)
     hit = ObservedPush("fast", fast, log[0].pose, log[0].t_observed / 20, log[0].poses_observed)
-    assert choose_regime(obj, PushLog((hit,))) == "inertial"
+    assert resolve_physics(Physics(), obj, PushLog((hit,))).regime == "inertial"
 
 
 def test_bad_arguments_are_refused() -> None:
@@ -201,7 +203,7 @@ def test_bad_arguments_are_refused() -> None:
     log = make_pokes(obj, make_uneven(obj), 1, 0)
     with pytest.raises(IdentificationError, match="method is 'magic'"):
         identify(obj, log, method="magic")
-    with pytest.raises(IdentificationError, match="regime"):
+    with pytest.raises(SimulationError, match="regime"):
         identify(obj, log, regime="fast")
     with pytest.raises(IdentificationError, match="seed is -1"):
         identify(obj, log, method="random_search", seed=-1)

@@ -222,7 +222,7 @@ def test_a_push_that_ends_far_off_is_not_explained_away_by_being_sensitive() -> 
         identify(case.obj, case.log.subset([1, 2, 3, 8, 6])),
         case.log.subset([0, 4, 5, 7, 9]),
     )
-    assert calc_mean_cell_error(case.obj, found.params, test, found.regime) < 0.005, (
+    assert calc_mean_cell_error(case.obj, found.params, test, found.physics) < 0.005, (
         "26 mm from a poor optimum"
     )
 

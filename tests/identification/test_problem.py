@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.identification.problem import PushProblem, TimedPush
@@ -21,7 +22,10 @@ def make_problem(regime: str) -> PushProblem:
     truth = CellParameters.random(obj, 1, by="cell", mass_range=(0.02, 0.2))
     log = make_pokes(obj, truth, 3, 2, length=0.03, observations=2, noise=(5e-4, 4e-3))
     return PushProblem(
-        obj, log, replace(CellParameters.uniform(obj, friction=0.4), patch_ratio=0.2), regime
+        obj,
+        log,
+        replace(CellParameters.uniform(obj, friction=0.4), patch_ratio=0.2),
+        Physics(regime=regime),
     )
 
 
@@ -123,7 +127,7 @@ def test_observations_a_rounding_error_beside_a_step_do_not_matter(regime):
         beside[-1] = np.nextafter(times[-1], 0.0)
         off = replace(seen, t_observed=beside)
         expected, poses = (
-            TimedPush.of(each, regime).simulate(obj, params, regime=regime).poses
+            TimedPush.of(each, regime).simulate(obj, params, Physics(regime=regime)).poses
             for each in (seen, off)
         )
         assert len(expected) == len(poses)

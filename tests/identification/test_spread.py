@@ -101,7 +101,7 @@ def test_the_spread_is_that_of_pushes_on_the_same_table() -> None:
         assert "tips" not in [
             prediction.status for prediction in predict(obj, found.params, chosen)
         ]
-        problem = PushProblem(obj, chosen, found.params, found.regime)
+        problem = PushProblem(obj, chosen, found.params, found.physics)
         ahead, behind = (
             np.array([problem.residuals(mean + side * axis) for axis in axes])
             for side in (1e-6, -1e-6)

@@ -5,8 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import GRAVITY, simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ObjectError, OutputError
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.multibody.mjcf import WALL_RADIUS, WriteMjcf, make_mjcf

@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
@@ -187,7 +188,7 @@ def test_learns_a_hammer():
     assert record.limit_report.ok, record.limit_report
     assert record.limit_report.tracking_error < 1e-3
     before, after = (
-        calc_mean_cell_error(obj, params, record.held_out_log, "quasi_static")
+        calc_mean_cell_error(obj, params, record.held_out_log, QUASI_STATIC)
         for params in (CellParameters.uniform(obj), record.estimates[-1].params)
     )
     assert after < before / 3

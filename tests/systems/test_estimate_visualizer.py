@@ -117,7 +117,7 @@ def test_the_ghost_is_where_the_core_predicts_it_by_the_present_estimate(obj, me
     simulator.AdvanceTo(END - 0.1)
     params = CellParameters(estimates[1].mass, estimates[1].friction, 0.4)
     push = Push(COMMAND.start, [0.0, COMMAND.speed], COMMAND.distance / COMMAND.speed, RADIUS)
-    expected = simulate(obj, params, push, FIRST, regime="quasi_static").final_pose
+    expected = simulate(obj, params, push, FIRST).final_pose
     drawing = load_drawing(visualizer, simulator.get_context())
     np.testing.assert_allclose(drawing.predicted, expected, atol=1e-9)
     assert np.linalg.norm(drawing.predicted - FIRST) > 0.01

@@ -273,8 +273,6 @@ def test_bad_arguments_are_refused():
     for options, message in (
         ({"dt": 0.0}, "dt"),
         ({"regime": "static"}, "regime"),
-        ({"spin": "both"}, "spin"),
-        ({"gravity": -1.0}, "gravity"),
         ({"pusher_radius": 0.0}, "pusher_radius"),
         ({"pose": (0.0, np.nan, 0.0)}, "pose"),
         ({"table": [[0.0, 0.0], [1.0, 0.0]]}, "table"),

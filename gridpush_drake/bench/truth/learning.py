@@ -24,7 +24,7 @@ from gridpush_drake.bench.truth.sets import (
     read_set,
     write_set,
 )
-from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
@@ -191,8 +191,9 @@ def _score(
     params: CellParameters,
     found: Identification | None = None,
 ) -> TruthScore:
-    regime: Regime = "quasi_static" if found is None else found.regime
-    poses = np.array([each.poses[-1] for each in predict(made.obj, params, made.held_out, regime)])
+    physics = QUASI_STATIC if found is None else found.physics
+    made_motions = predict(made.obj, params, made.held_out, physics=physics)
+    poses = np.array([each.poses[-1] for each in made_motions])
     errors = calc_distances(made.obj, poses, np.array([seen.final_pose for seen in made.held_out]))
     off = params.center_of_mass(made.obj) - made.center_of_mass
     key = (

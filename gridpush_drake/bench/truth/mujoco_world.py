@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.multibody.mjcf import (

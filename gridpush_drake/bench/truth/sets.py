@@ -16,8 +16,8 @@ from gridpush_drake.bench.truth.mujoco_world import (
     TruthBody,
     TruthWorld,
 )
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import read_text, write_whole
 from gridpush_drake.geometry.se2 import Array

@@ -1,6 +1,6 @@
 """Compiled: friction laws, contact geometry and modes, one step, its derivative, and whole pushes.
 
-The names below are what the rest of the project calls; `run_kernel` is the way in.
+`dynamics.kernel_call` is the way in. The names below are what the rest of the project uses.
 """
 
 import lazy_loader

@@ -1,9 +1,7 @@
-from .call import Method as Method
-from .call import make_method as make_method
-from .call import run_kernel as run_kernel
 from .compiled import kernel as kernel
 from .forward_sensitivity import OTHER as OTHER
 from .friction import LAWS as LAWS
+from .friction import register_friction_law as register_friction_law
 from .friction_law import SPIN_ARM as SPIN_ARM
 from .friction_law import SPIN_MODELS as SPIN_MODELS
 from .friction_law import FrictionLaw as FrictionLaw

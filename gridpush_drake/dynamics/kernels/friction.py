@@ -12,14 +12,51 @@ from numba.extending import overload
 from gridpush_drake.dynamics.kernels.friction_law import FrictionLaw
 from gridpush_drake.dynamics.kernels.isotropic_friction import ISOTROPIC
 from gridpush_drake.dynamics.kernels.lagged_friction import LAGGED
+from gridpush_drake.errors import SimulationError
 
-LAWS: dict[str, FrictionLaw] = {law.name: law for law in (ISOTROPIC, LAGGED)}
-"""The laws by name."""
+LAWS: dict[str, FrictionLaw] = {}
+"""The laws by name: those of the lines below, and those that a user registered."""
+
+_LAW_OF_DATA: dict[type, FrictionLaw] = {}
+"""The laws by the class of their data, which is what compiled code knows of a law."""
+
+
+def register_friction_law(law: FrictionLaw) -> FrictionLaw:
+    """Makes a law known by its name: to simulate, learn, plan and read models with.
+
+    Registering the same law again changes nothing, so that a module that does it may be reloaded.
+
+    Args:
+        law: the law, from a module of this package or from your own.
+
+    Returns:
+        The law.
+
+    Raises:
+        SimulationError: its name is taken by another law, or its data class is another law's.
+    """
+    taken = LAWS.get(law.name)
+    if taken is not None and taken.data.__qualname__ != law.data.__qualname__:
+        raise SimulationError(
+            f"friction law {law.name!r}: the name is taken by the law of {taken.data.__name__}; "
+            "expected another name"
+        )
+    owner = _LAW_OF_DATA.get(law.data)
+    if owner is not None and owner.name != law.name:
+        raise SimulationError(
+            f"friction law {law.name!r}: its data class {law.data.__name__} is that of "
+            f"{owner.name!r}; expected a class of its own"
+        )
+    LAWS[law.name] = law
+    _LAW_OF_DATA[law.data] = law
+    return law
+
+
+register_friction_law(ISOTROPIC)
+register_friction_law(LAGGED)
 
 _BORROWED: Any = {"_nrt": False}
 """Options of the calls: they pass on what the caller holds."""
-
-_LAW_OF_DATA = {law.data: law for law in LAWS.values()}
 
 
 def renew(law):

@@ -6,15 +6,15 @@ tolerance eps, and its derivatives:
 
     Psi,    g = dPsi/dxi,    H = d²Psi/dxi²,    f_i = dg/dk_i
 
-A new law is a file like `isotropic_friction` that ends with its `FrictionLaw`, and one entry in
-`friction.LAWS`. The kernels are then compiled for it on its first use, and
-`tests/dynamics/kernels/test_friction_laws.py` tests it.
+A new law is a file like `isotropic_friction` that ends with its `FrictionLaw`, and one line that
+registers it: `friction.register_friction_law(...)`. The kernels are then compiled for it on its
+first use. `docs/extending.md` has a whole one.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import asinh, sqrt
-from typing import Any
+from typing import Any, Literal
 
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -39,7 +39,7 @@ class FrictionLaw:
     cell centers p_BC in m, `xi` (3,) the twist in m/s and rad/s.
 
     Attributes:
-        name: the word by which `simulate` knows it.
+        name: the word by which `Physics.friction_law` names it.
         data: the class of `law`, a named tuple of arrays and numbers, no other law's.
         make: (k, arm, spin) -> law, of k (n,) in N, arm = `calc_spin_arm` in m, and a spin model.
         renew: (law): takes notice that its k changed.
@@ -70,7 +70,7 @@ class FrictionLaw:
     can_majorize: Callable[..., Any]
     fill_load_derivatives: Callable[..., Any]
     spin_models: tuple[str, ...] = SPIN_MODELS
-    regimes: tuple[str, ...] = ("inertial", "quasi_static")
+    regimes: tuple[Literal["inertial", "quasi_static"], ...] = ("inertial", "quasi_static")
     gradients: tuple[bool | str, ...] = (False, True)
     looks_ahead: bool = True
 

@@ -22,12 +22,12 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.kernels.call import Method
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.inputs import Steps
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.motion import Jacobian
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.geometry.se2 import Array, make_rotation
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -43,30 +43,30 @@ def calc_paper_jacobian(
     steps: Steps,
     dts: Array,
     rows: NDArray[np.int64],
-    gravity: float,
-    method: Method,
+    physics: Physics,
 ) -> Jacobian:
     """Differentiates each recorded pose (rows, (R,)) by the step that led to it: the blocks `mass` and `friction`.
 
     The others are zero, and so is the row of pose 0, which no step led to. The steps `dts` (T,), s,
     are inertial.
     """
+    spin = physics.used_spin
     t = np.maximum(rows - 1, 0)
     dt, arm = dts[t], calc_spin_arm(obj, params)
-    before, turn = _twists_before(obj, params, steps, t, method.ahead * dt)
+    before, turn = _twists_before(obj, params, steps, t, physics.ahead * dt)
     after = steps.twists[t]
     turns = obj.radius_of_gyration * np.abs(after[:, 2]) > REST
     moves = turns | (np.hypot(after[:, 0], after[:, 1]) > REST)
     until = np.where((rows > 0) & moves, dt, 0.0)
     X_B = np.linalg.inv(_calc_inertia(obj, params))
     held = X_B - np.outer(X_B[:, 2], X_B[2]) / X_B[2, 2]
-    sticks = ~turns & (method.spin == "separate")
+    sticks = ~turns & (spin == "separate")
     response = -until[:, None, None] * _rotations(turn) @ np.where(sticks[:, None, None], held, X_B)
     mass, friction = np.empty((len(rows), 3, obj.n)), np.empty((len(rows), 3, obj.n))
     fill_paper_gradient(
         np.array(obj.p_BC.T, order="C"), np.array(params.mass), np.array(params.friction), obj.cell_size**2 / 6,
-        arm**2 if method.spin == "coupled" else 0.0, arm if method.spin == "separate" else 0.0, before, after,
-        gravity * dt, response, mass, friction,
+        arm**2 if spin == "coupled" else 0.0, arm if spin == "separate" else 0.0, before, after,
+        physics.gravity * dt, response, mass, friction,
     )  # fmt: skip
     zeros = np.zeros((len(rows), 3))
     return Jacobian(

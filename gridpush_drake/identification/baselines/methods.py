@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.paper import PaperDescent
 from gridpush_drake.identification.baselines.search import Search, SearchMethod, SearchStatus
@@ -21,7 +21,7 @@ from gridpush_drake.identification.baselines.search import Search, SearchMethod,
 class RandomSearch:
     """Random search: log-uniform draws within the bounds; the best is kept."""
 
-    regime: Regime | None = None
+    physics: Physics | None = None
 
     def run(self, search: Search) -> SearchStatus:
         """Draws until the budget is spent."""
@@ -38,13 +38,13 @@ class WeightedSampling:
         uniform_round: uniform draws at the beginning.
         first_std: standard deviation after them (the paper's).
         last_std: and the one it shrinks to, geometrically, as the budget is spent.
-        regime: see `SearchMethod`.
+        physics: see `SearchMethod`.
     """
 
     uniform_round: int = 10
     first_std: float = 0.5
     last_std: float = 0.02
-    regime: Regime | None = None
+    physics: Physics | None = None
 
     def run(self, search: Search) -> SearchStatus:
         """Draws until the budget is spent."""
@@ -69,13 +69,13 @@ class FiniteDifference:
         difference: length of a forward difference.
         first_step: along a coordinate; each sweep over all of them halves it.
         min_step: the search has stalled when the step is below.
-        regime: see `SearchMethod`.
+        physics: see `SearchMethod`.
     """
 
     difference: float = 0.02
     first_step: float = 0.25
     min_step: float = 1e-3
-    regime: Regime | None = None
+    physics: Physics | None = None
 
     def run(self, search: Search) -> SearchStatus:
         """Sweeps over the coordinates in random order."""
@@ -101,11 +101,11 @@ class CmaEs:
 
     Attributes:
         std: the initial standard deviation.
-        regime: see `SearchMethod`.
+        physics: see `SearchMethod`.
     """
 
     std: float = 0.25
-    regime: Regime | None = None
+    physics: Physics | None = None
 
     def run(self, search: Search) -> SearchStatus:
         """Breeds generations until the strategy stops."""
@@ -132,11 +132,11 @@ class NelderMead:
 
     Attributes:
         edge: of the initial simplex.
-        regime: see `SearchMethod`.
+        physics: see `SearchMethod`.
     """
 
     edge: float = 0.25
-    regime: Regime | None = None
+    physics: Physics | None = None
 
     def run(self, search: Search) -> SearchStatus:
         """Moves the simplex until SciPy stops."""

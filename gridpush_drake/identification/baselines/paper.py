@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gridpush_drake.dynamics.motion import Motion
-from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.search import CellLoss, Search, SearchStatus
 from gridpush_drake.objects.grid_object import GridObject
@@ -32,8 +32,8 @@ from gridpush_drake.objects.parameters import CellParameters
 
 BLOCKS = ("mass", "friction")
 
-MODEL = {"regime": "inertial", "friction": "lagged", "gradients": "paper"}
-"""The paper's model, as arguments of `simulate`."""
+PAPER_PHYSICS = Physics(friction_law="lagged", regime="inertial")
+"""The paper's model."""
 
 MIN_MISS = 1e-12
 """m, below which a cell's distance has no direction."""
@@ -48,25 +48,25 @@ class PaperDescent:
         lengthen: of the step, after a success.
         shorten: of the step, after a failure.
         min_step: the search has stalled when both steps are below.
-        regime: of its model.
+        physics: of its model.
     """
 
     first_step: float = 0.5
     lengthen: float = 1.5
     shorten: float = 0.5
     min_step: float = 1e-3
-    regime: Regime | None = "inertial"
+    physics: Physics | None = PAPER_PHYSICS
 
     def run(self, search: Search) -> SearchStatus:
         """Descends in M and mu by turns, with backtracking, until it stalls or the loss ends it."""
         loss, bounds, params = search.loss, search.bounds, replace(search.first, push_height=0.0)
-        lowest, simulations = loss.evaluate(params, "start", **MODEL)
+        lowest, simulations = loss.evaluate(params, "start", gradients="paper")
         gradient = calc_paper_gradient_of_loss(loss, simulations)
         steps = {block: self.first_step for block in BLOCKS if np.ptp(getattr(bounds, block)) > 0}
         while max(steps.values(), default=0.0) > self.min_step:
             for block in steps:
                 trial = bounds.clip(_step(params, block, gradient[block], steps[block]))
-                value, simulations = loss.evaluate(trial, f"descent in {block}", **MODEL)
+                value, simulations = loss.evaluate(trial, f"descent in {block}", gradients="paper")
                 if value < lowest:
                     params, lowest = trial, value
                     gradient = calc_paper_gradient_of_loss(loss, simulations)

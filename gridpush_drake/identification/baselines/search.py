@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
-from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.problem import TimedPush
+from gridpush_drake.identification.problem import TimedPush, resolve_physics
 from gridpush_drake.identification.result import HistoryEntry, Progress
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -115,19 +115,30 @@ class CellLoss:
     """
 
     def __init__(
-        self, obj: GridObject, log: PushLog, start: CellParameters, *, budget: int, regime: Regime = "inertial",
-        progress: Progress | None = None, threshold: float = LOSS_THRESHOLD,
-    ) -> None:  # fmt: skip
+        self,
+        obj: GridObject,
+        log: PushLog,
+        start: CellParameters,
+        *,
+        budget: int,
+        physics: Physics | None = None,
+        progress: Progress | None = None,
+        threshold: float = LOSS_THRESHOLD,
+    ) -> None:
         """Prepares the log; nothing is simulated yet. The arguments are those of `run_search`."""
         if not len(log) or budget < len(log):
             raise IdentificationError(
                 f"budget is {budget} simulations for {len(log)} pushes; expected enough to simulate each push once"
             )
-        self.obj, self.budget, self.regime = obj, budget, regime
-        self.simulations, self.best, self.best_loss = 0, start, np.inf
+        self.obj = obj
+        self.budget = budget
+        self.physics = resolve_physics(physics or DEFAULT_PHYSICS, obj, log)
+        self.simulations = 0
+        self.best = start
+        self.best_loss = np.inf
         self.history: list[HistoryEntry] = []
         self._progress, self._threshold = progress, threshold
-        self._pushes = [TimedPush.of(seen, regime) for seen in log]
+        self._pushes = [TimedPush.of(seen, self.physics.regime) for seen in log]
         self._cells = [_observed_cells(obj, seen) for seen in log]
 
     def __len__(self) -> int:
@@ -141,7 +152,7 @@ class CellLoss:
 
     def __call__(self, params: CellParameters, stage: str) -> float:
         """Evaluates the loss, m. Raises SearchStopped once the search is over."""
-        return self.evaluate(params, stage, regime=self.regime)[0]
+        return self.evaluate(params, stage)[0]
 
     def evaluate(
         self, params: CellParameters, stage: str, **options: Any
@@ -151,7 +162,7 @@ class CellLoss:
         Args:
             params: where.
             stage: what the search is doing, for the history.
-            options: passed on to `simulate`.
+            options: of `simulate`, besides its physics.
 
         Returns:
             The loss, and the pushes' simulations.
@@ -162,7 +173,9 @@ class CellLoss:
         """
         if self.simulations + len(self) > self.budget:
             raise SearchStopped(SearchStatus.BUDGET_SPENT)
-        simulations = [push.simulate(self.obj, params, **options) for push in self._pushes]
+        simulations = [
+            push.simulate(self.obj, params, self.physics, **options) for push in self._pushes
+        ]
         self.simulations += len(self)
         loss = float(
             np.mean([np.linalg.norm(miss, axis=-1).mean() for miss in self.misses(simulations)])
@@ -232,12 +245,12 @@ class SearchMethod(Protocol):
     """A search method.
 
     Attributes:
-        regime: of the model that it descends; None for the one that is asked for.
+        physics: of the model that it descends; None for the one that is asked for.
     """
 
     @property
-    def regime(self) -> Regime | None:
-        """Of the model that it descends; None for the one that is asked for."""
+    def physics(self) -> Physics | None:
+        """The physics of the model that it descends; None for the one that is asked for."""
         ...
 
     def run(self, search: Search) -> SearchStatus:
@@ -246,9 +259,17 @@ class SearchMethod(Protocol):
 
 
 def run_search(
-    method: SearchMethod, obj: GridObject, log: PushLog, start: CellParameters, bounds: Bounds, *, budget: int,
-    seed: int = 0, regime: Regime = "inertial", progress: Progress | None = None,
-) -> SearchResult:  # fmt: skip
+    method: SearchMethod,
+    obj: GridObject,
+    log: PushLog,
+    start: CellParameters,
+    bounds: Bounds,
+    *,
+    budget: int,
+    seed: int = 0,
+    physics: Physics | None = None,
+    progress: Progress | None = None,
+) -> SearchResult:
     """Runs a method to its end and collects what the loss saw.
 
     Args:
@@ -259,7 +280,8 @@ def run_search(
         bounds: what the cells' parameters lie between.
         budget: most pushes to simulate.
         seed: of everything random; the same seed gives the same result.
-        regime: "inertial" or "quasi_static".
+        physics: of the simulations, where the method has none of its own; `Physics()` by default.
+            The regime "auto" becomes the one of the log's fastest push.
         progress: called after each evaluation.
 
     Returns:
@@ -270,7 +292,7 @@ def run_search(
             has no observation to compare with.
     """
     loss = CellLoss(
-        obj, log, start, budget=budget, regime=method.regime or regime, progress=progress
+        obj, log, start, budget=budget, physics=method.physics or physics, progress=progress
     )
     try:
         status = method.run(Search(loss, start, bounds, seed))

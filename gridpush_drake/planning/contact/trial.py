@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.motion import MotionStatus
+from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
-from gridpush_drake.dynamics.simulation import Regime, simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
@@ -76,7 +77,8 @@ class ContactOptions:
         clearance: gap between finger and object at the beginning, m.
         speed: of the finger, m/s.
         distance_range: least and greatest distance, m.
-        regime: of the simulations.
+        physics: of the simulations, such as that of a learned model; the regime "auto" becomes the
+            one that suits `speed`.
         angle_range: least and greatest angle of the motion from the inward normal, rad.
         starts: of the gradient and the finite-difference search.
         budget: most simulations of the gradient and the finite-difference search.
@@ -94,7 +96,7 @@ class ContactOptions:
     clearance: float = 0.002
     speed: float = 0.03
     distance_range: tuple[float, float] = (0.005, 0.3)
-    regime: Regime = "quasi_static"
+    physics: Physics = DEFAULT_PHYSICS
     angle_range: tuple[float, float] = (-0.8, 0.8)
     starts: int = 12
     budget: int = 44
@@ -120,6 +122,10 @@ class ContactOptions:
         for name in ("starts", "budget", "places", "angles"):
             if getattr(self, name) < 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 1")
+
+    def resolve_physics(self, obj: GridObject, params: CellParameters) -> Physics:
+        """The physics of pushes at `speed`, by a model of the object; never with the regime "auto"."""
+        return self.physics.resolve_for(obj, params, self.speed)
 
 
 RECORD_EVERY = 4  # steps between those whose Jacobian is kept
@@ -169,12 +175,19 @@ class TrialRunner:
         failed = Trial(arc_length, piece, angle, self.distance_range[1], self.pose, np.inf)
         if not self.checker.allows_finger(push.start[None])[0]:
             return failed
-        times = make_path_times(push, self.options.regime)
+        physics = self.options.resolve_physics(self.obj, self.params)
+        times = make_path_times(push, physics.regime)
         record = np.unique(np.append(np.arange(0, len(times), RECORD_EVERY), len(times) - 1))
         motion = simulate(
-            self.obj, self.params, push, self.pose, times=times, regime=self.options.regime, gradients=gradient,
+            self.obj,
+            self.params,
+            push,
+            self.pose,
+            physics=physics,
+            times=times,
+            gradients=gradient,
             record=record if gradient else None,
-        )  # fmt: skip
+        )
         self.simulations += 1
         if motion.status in (MotionStatus.STARTED_OVERLAPPING, MotionStatus.NOT_CONVERGED):
             return failed

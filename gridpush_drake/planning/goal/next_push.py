@@ -108,7 +108,8 @@ class Robustness:
         """The part of a push from `pose` that is safe by all models; None where that is nothing."""
         if self.constraints.surface is None and not self.constraints.obstacles:
             return planned
-        times = make_path_times(planned.push, self.contact.regime)
+        physics = self.contact.resolve_physics(self.obj, self.models[0])
+        times = make_path_times(planned.push, physics.regime)
         rules = replace(
             self.constraints,
             edge_margin=self.constraints.edge_margin - self.options.leeway,
@@ -117,9 +118,7 @@ class Robustness:
         checker = rules.start_at(self.obj, pose, self.contact.radius)
         usable, nominal = len(times), None
         for params in self.models:
-            motion = simulate(
-                self.obj, params, planned.push, pose, times=times, regime=self.contact.regime
-            )
+            motion = simulate(self.obj, params, planned.push, pose, times=times, physics=physics)
             self.simulations += 1
             nominal = motion.poses if nominal is None else nominal
             usable = min(

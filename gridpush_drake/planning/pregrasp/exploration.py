@@ -109,7 +109,7 @@ def make_pokes(
                 < options.min_separation * reach.perimeter
             ).any():
                 continue
-            motion = simulate(obj, params, push, q, regime="quasi_static")
+            motion = simulate(obj, params, push, q, physics=model.physics)
             if motion.status == MotionStatus.OK and checker.count_allowed(
                 motion.tip, motion.poses
             ) == len(motion.tip):
@@ -154,7 +154,7 @@ def calc_observation(
     """
     obj, q = model.obj, np.asarray(pose, dtype=np.float64)
     seen = ObservedPush("poke", push, q, np.array([push.duration]), q[None])
-    problem = PushProblem(obj, PushLog((seen,)), model.params, "quasi_static")
+    problem = PushProblem(obj, PushLog((seen,)), model.params, model.physics)
     linear = problem.linearize(model.require_posterior().mean)
     J = linear.by_z[0]
     if not J.any():

@@ -35,7 +35,7 @@ import numpy as np
 import shapely
 from shapely import Polygon, affinity
 
-from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, make_rotation, transform
 from gridpush_drake.objects.grid_object import GridObject

@@ -248,6 +248,7 @@ class PreGraspPlanner:
             self.options.slide,
             self.limits,
             self.obstacles,
+            model.physics,
         )
         if slide is None:
             return self._poke(
@@ -462,7 +463,12 @@ def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLi
         pushes.append(decision.push)
         poses.append(
             simulate_near_edge(
-                planner.obj, model.params, decision.push, poses[-1], planner.surface
+                planner.obj,
+                model.params,
+                decision.push,
+                poses[-1],
+                planner.surface,
+                model.physics,
             ).final_pose
         )
     ends = {"grasp": PreGraspPlanStatus.READY, "poke": PreGraspPlanStatus.POKE_FIRST}

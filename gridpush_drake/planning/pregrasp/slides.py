@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
@@ -79,19 +80,35 @@ class EdgeMotion:
 
 
 def simulate_near_edge(
-    obj: GridObject, params: CellParameters, push: Push, pose: ArrayLike, surface: SupportSurface
+    obj: GridObject,
+    params: CellParameters,
+    push: Push,
+    pose: ArrayLike,
+    surface: SupportSurface,
+    physics: Physics = QUASI_STATIC,
 ) -> EdgeMotion:
-    """Simulates a slow push from `pose` (3,) of an object that may hang over the edge, up to where it falls."""
+    """Simulates a slow push of an object that may hang over the edge, up to where it falls.
+
+    Args:
+        obj: the object.
+        params: what it weighs and rubs.
+        push: the push.
+        pose: (3,) where it lies, X_WB, m and rad.
+        surface: the table.
+        physics: of the simulation, quasi-static.
+
+    Returns:
+        The motion.
+    """
     q = np.asarray(pose, dtype=np.float64)
-    if calc_loads(obj, params, q, surface.corners) is None:
+    gravity = physics.gravity
+    if calc_loads(obj, params, q, surface.corners, gravity) is None:
         return EdgeMotion(q[None].copy(), np.zeros(1), True)
-    times = make_path_times(push, "quasi_static")
+    times = make_path_times(push, physics.regime)
     traveled = push.distance_at(times)
-    motion = simulate(
-        obj, params, push, q, times=times, regime="quasi_static", table=surface.corners
-    )
+    motion = simulate(obj, params, push, q, times=times, physics=physics, table=surface.corners)
     fell = bool(motion.tips.any())
-    if not fell and calc_loads(obj, params, motion.final_pose, surface.corners) is None:
+    if not fell and calc_loads(obj, params, motion.final_pose, surface.corners, gravity) is None:
         return EdgeMotion(motion.poses, traveled, True)
     count = int(np.argmax(motion.tips)) + 1 if fell else len(times)
     return EdgeMotion(motion.poses[:count], traveled[:count], fell)
@@ -181,6 +198,7 @@ def plan_slide(
     options: SlideOptions | None = None,
     limits: ArmLimits = ANY_ARM,
     obstacles: tuple[Polygon, ...] = (),
+    physics: Physics = QUASI_STATIC,
 ) -> Slide | None:
     """Chooses the next push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.
 
@@ -190,8 +208,11 @@ def plan_slide(
         goals: best first.
         obstacles: what else lies on the table, polygons in W, m, which the object keeps clear of
             whichever of the models is true.
+        physics: of the simulations, quasi-static; it takes the place of the one in
+            `options.contact`.
     """
     options = options or SlideOptions()
+    options = replace(options, contact=replace(options.contact, physics=physics))
     q = np.asarray(pose, dtype=np.float64)
     rule = make_stability_rule(masses, q, surface, options.margin, options.inset)
     constraints = PushConstraints(
@@ -247,7 +268,9 @@ def _try(
     checks = np.unique(np.append(np.arange(0.0, planned.distance, CHECK_EVERY), planned.distance))
     paths = []
     for model in models:
-        motion = simulate_near_edge(obj, model, planned.push, pose, surface)
+        motion = simulate_near_edge(
+            obj, model, planned.push, pose, surface, options.contact.physics
+        )
         path = np.column_stack(
             [np.interp(checks, motion.traveled, motion.poses[:, i]) for i in range(3)]
         )

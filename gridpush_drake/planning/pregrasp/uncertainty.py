@@ -24,7 +24,7 @@ import shapely
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.dynamics.physics import GRAVITY, QUASI_STATIC, Physics
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
@@ -184,6 +184,8 @@ class UncertainModel:
         force: what measured forces said; None where there were none.
         evidence: the pushes learned from, which judge the draws; None where they are not at hand.
         noise: of what pushes show, at scale one.
+        physics: by which motions are predicted. Slides and pokes are planned slow enough to end at
+            rest, so that it is always quasi-static, whatever pushes were learned from.
     """
 
     obj: GridObject
@@ -197,6 +199,7 @@ class UncertainModel:
     force: ForceScale | None = None
     evidence: PushEvidence | None = None
     noise: NoiseModel = field(default_factory=NoiseModel)
+    physics: Physics = QUASI_STATIC
 
     @classmethod
     def of_identification(
@@ -212,9 +215,19 @@ class UncertainModel:
         evidence = PushEvidence.of_log(found, log)
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]
         return cls(
-            found.obj, found.params, found.posterior, found.noise_scale, friction_range, sample_count,
-            seed, np.array(starts).reshape(-1, 2), found.force, evidence, found.noise,
-        )  # fmt: skip
+            obj=found.obj,
+            params=found.params,
+            posterior=found.posterior,
+            noise_scale=found.noise_scale,
+            friction_range=friction_range,
+            sample_count=sample_count,
+            seed=seed,
+            poke_starts=np.array(starts).reshape(-1, 2),
+            force=found.force,
+            evidence=evidence,
+            noise=found.noise,
+            physics=found.physics.with_regime("quasi_static"),
+        )
 
     @classmethod
     def of_prior(

@@ -6,6 +6,7 @@ import pytest
 
 from gridpush_drake.dynamics.kernels import friction
 from gridpush_drake.dynamics.kernels.friction import LAWS
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import SimulationError
@@ -114,22 +115,22 @@ def test_a_push_is_simulated_with_every_law_or_refused(name, regime):
     params, push = CellParameters.uniform(obj, 1.0, 0.3), Push((-0.07, 0.01), (0.1, 0.0), 0.5, 0.01)
     if regime not in LAWS[name].regimes:
         with pytest.raises(SimulationError, match=name):
-            simulate(obj, params, push, friction=name, regime=regime)
+            simulate(obj, params, push, physics=Physics(name, regime))
         return
-    motion = simulate(obj, params, push, friction=name, regime=regime)
+    motion = simulate(obj, params, push, physics=Physics(name, regime))
     assert motion.status == "ok"
     assert motion.final_pose[0] > 0.01
     if True not in LAWS[name].gradients:
         with pytest.raises(SimulationError, match=name):
-            simulate(obj, params, push, friction=name, regime=regime, gradients=True)
+            simulate(obj, params, push, physics=Physics(name, regime), gradients=True)
         return
     record = [len(motion.times) - 1]
     J = simulate(
-        obj, params, push, friction=name, regime=regime, gradients=True, record=record
+        obj, params, push, physics=Physics(name, regime), gradients=True, record=record
     ).jacobian
 
     def move(mu):
         moved = CellParameters(params.mass, mu, params.contact_friction)
-        return simulate(obj, moved, push, friction=name, regime=regime).final_pose
+        return simulate(obj, moved, push, physics=Physics(name, regime)).final_pose
 
     check_jacobian(move, params.friction, J.friction[0], step=1e-4, order=4, rtol=1e-5, atol=1e-8)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from gridpush_drake.dynamics.kernels.call import make_support
+from gridpush_drake.dynamics.kernel_call import make_support
 from gridpush_drake.dynamics.kernels.step_start import make_state
 from gridpush_drake.dynamics.kernels.support_loads import find_loads, make_loads
 from gridpush_drake.dynamics.push import ForcePush, Push

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.identification.baselines.methods import (
     CmaEs,
     FiniteDifference,
@@ -72,7 +73,7 @@ def test_learns(search):
 
 
 def test_quasi_static_too():
-    assert run(RandomSearch(), regime="quasi_static").history != run(RandomSearch()).history
+    assert run(RandomSearch(), physics=QUASI_STATIC).history != run(RandomSearch()).history
 
 
 def test_tells_its_progress():

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.motion import Jacobian
+from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.identification.baselines.paper import (
-    MODEL,
+    PAPER_PHYSICS,
     PaperDescent,
     calc_paper_gradient_of_loss,
 )
@@ -19,11 +20,12 @@ from tests.helpers.finite_difference import calc_finite_difference, check_jacobi
 from tests.helpers.made_logs import make_pushed_block
 
 BLOCK = make_pushed_block(max_cells=18)
+INERTIAL = Physics(regime="inertial")
 BOUNDS = Bounds((0.002, 0.2), (0.1, 0.8))
 
 
-def make_loss(budget=10**6):
-    return CellLoss(BLOCK.obj, BLOCK.log, BLOCK.start, budget=budget)
+def make_loss(budget=10**6, physics=INERTIAL):
+    return CellLoss(BLOCK.obj, BLOCK.log, BLOCK.start, budget=budget, physics=physics)
 
 
 def run(evaluations, **options):
@@ -54,7 +56,7 @@ def calc_moved_loss(loss, simulations, shift, first):
 @pytest.mark.parametrize("first", [1, 55, 100])
 def test_a_step_answers_for_all_poses_after_it(first):
     loss = make_loss()
-    _, simulations = loss.evaluate(BLOCK.start, "here", regime="inertial")
+    _, simulations = loss.evaluate(BLOCK.start, "here")
     mass = np.zeros((len(simulations[0].poses), 3, BLOCK.obj.n))
     mass[first, :, :3] = np.eye(3)
     gradient = calc_paper_gradient_of_loss(
@@ -70,7 +72,9 @@ def test_a_step_answers_for_all_poses_after_it(first):
 
 def test_gradient_points_as_the_exact_one_does():
     loss = make_loss()
-    gradient = calc_paper_gradient_of_loss(loss, loss.evaluate(BLOCK.start, "here", **MODEL)[1])
+    paper = make_loss(physics=PAPER_PHYSICS)
+    _, simulations = paper.evaluate(BLOCK.start, "here", gradients="paper")
+    gradient = calc_paper_gradient_of_loss(paper, simulations)
     for block in ("mass", "friction"):
         exact = calc_finite_difference(
             lambda values, block=block: loss(replace(BLOCK.start, **{block: values}), "difference"),
@@ -114,6 +118,6 @@ def test_equal_bounds_hold_the_friction():
 
 
 def test_neither_seed_nor_regime_matters():
-    first, second = run(evaluations=6, seed=0), run(evaluations=6, seed=5, regime="quasi_static")
+    first, second = run(evaluations=6, seed=0), run(evaluations=6, seed=5, physics=QUASI_STATIC)
     np.testing.assert_array_equal(first.params.mass, second.params.mass)
     assert first.history == second.history

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.baselines.search import (
     MASS_SPREAD,
@@ -18,6 +19,7 @@ from tests.helpers.made_logs import make_pushed_block
 
 BLOCK = make_pushed_block()
 BOUNDS = Bounds((0.005, 0.5), (0.1, 0.8))
+INERTIAL = Physics(regime="inertial")
 
 
 @pytest.mark.parametrize("mass", [(0.0, 1.0), (2.0, 1.0), (0.1, np.inf)])
@@ -43,7 +45,7 @@ def test_clips_to_bounds():
 
 
 def make_loss(budget=10**6, **options):
-    return CellLoss(BLOCK.obj, BLOCK.log, BLOCK.start, budget=budget, **options)
+    return CellLoss(BLOCK.obj, BLOCK.log, BLOCK.start, budget=budget, physics=INERTIAL, **options)
 
 
 def test_loss_is_the_mean_cell_distance_over_observed_times():
@@ -65,7 +67,7 @@ def test_loss_is_the_mean_cell_distance_over_observed_times():
 class TruthTold:
     """A method that knows the answer."""
 
-    regime = None
+    physics = INERTIAL
 
     def run(self, search):
         search.loss(BLOCK.truth, "truth")
