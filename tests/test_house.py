@@ -1,0 +1,273 @@
+"""How the code reads, measured room by room; `python -m tests.test_house` prints the table.
+
+These are alarms, not aims. A comment that says nothing is worse than none, and code is not clear
+because it has few syntax nodes a line; but where the figures are far off, a reader has to solve the
+code instead of reading it. `AIM` is what every room should reach. A room that is not there yet is
+listed in `ROOMS` with its present figures: it may get better, and must not get worse. When it is
+better, put the line that the table prints into `ROOMS`.
+
+What is measured, in each room's Python files:
+
+* nodes: syntax nodes (`ast`) a line of code. A line of code is one with a token that is no comment
+  and no docstring.
+* comments: a 1,000 lines of code. Trailing ones count, pragmas such as `# noqa` do not.
+* pairs: assignments of a tuple to a tuple, `a, b = x, y`, a 1,000 lines of code.
+* packed: calls with more than 7 positional arguments, and records made of more than 5, a 1,000
+  lines of code. Calls between compiled kernels do not count.
+* vague: docstrings that cannot be understood by themselves, for they begin with a word such as "Of"
+  or "Likewise", a 1,000 lines of code.
+* long: lines of more than 100 characters, a 1,000 lines of code.
+"""
+
+import ast
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "gridpush_drake"
+
+MAX_ARGUMENTS = 7
+"""Positional arguments of a call that a reader can tell apart."""
+
+MAX_FIELDS = 5
+"""Fields of a record that may be filled by position."""
+
+MAX_LENGTH = 100
+"""Characters of a line."""
+
+VAGUE = re.compile(r"(Of|Likewise|The same|Whether that)\b")
+"""How a docstring begins that cannot be understood without reading another one first."""
+
+PRAGMA = re.compile(r"#\s*(noqa|type:|fmt:|pragma|mypy:|ruff:)")
+"""Comments that are for tools."""
+
+RECORD = re.compile(r"_?[A-Z][a-zA-Z0-9]*[a-z][a-zA-Z0-9]*$")
+"""How the name of a class is written. So are functions that take a Drake builder: verbs of Drake."""
+
+VERBS = ("Add", "Apply", "Calc", "Connect", "Declare", "Draw", "Find", "Get", "Is", "Make", "Set")
+"""How the name of a function in CamelCase begins."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """How a room reads, see above. All but `comments` should be low."""
+
+    nodes: float
+    comments: float
+    pairs: float
+    packed: float
+    vague: float
+    long: float
+
+    def list_worse(self, limit: "Figures") -> list[str]:
+        """Says which figures are worse than those of a limit."""
+        found = []
+        for field in fields(self):
+            mine = getattr(self, field.name)
+            allowed = getattr(limit, field.name)
+            if (mine < allowed) if field.name == "comments" else (mine > allowed):
+                found.append(f"{field.name} {mine:g} (listed: {allowed:g})")
+        return found
+
+
+AIM = Figures(nodes=10.0, comments=25.0, pairs=2.0, packed=0.0, vague=0.0, long=0.0)
+"""What every room should reach; comments in rooms of mathematics only."""
+
+ROOMS = """
+room              nodes  comments  pairs  packed  vague  long
+(files)            11.1         0     20     0.3      8    43
+bench              10.2         0     36     6.2     12    41
+cli                 7.7         0     15     1.6      4    47
+display             9.7         0     25     0.3      5    51
+dynamics           11.1         0     34     2.8      2    35
+dynamics/kernels   14.5         0    133     5.2      2    30
+geometry           14.5         0     40     0.3      5    51
+gym                11.8         0     50     5.7      9    38
+identification     10.6         0     30     5.4     14    43
+multibody           9.1         0     11     1.4     10    51
+objects            10.8         0     16     0.3      4    36
+perception         12.7         0     41     2.3     25    30
+planning           10.4         0     25     4.4      3    44
+pushes             10.9         0     16     2.0      3    37
+report              9.7         0     30     1.3      6    35
+station             8.8         0     29     2.9      7    39
+systems             9.7         0     25     3.6      4    23
+"""
+"""The rooms that are not at `AIM` yet, each with a little more than it had when it was last listed.
+
+Comments are asked of a room only once it is open: until then those beside constants become
+docstrings below them, and the figure falls for a good reason."""
+
+
+def read_rooms(table: str) -> dict[str, Figures]:
+    """Reads a table like `ROOMS`."""
+    rows = [line.split() for line in table.strip().splitlines()]
+    return {
+        room: Figures(**dict(zip(rows[0][1:], map(float, values), strict=True)))
+        for room, *values in rows[1:]
+    }
+
+
+def list_rooms() -> dict[str, list[Path]]:
+    """Finds every room's Python files. `dynamics/kernels` is a room by itself."""
+    rooms: dict[str, list[Path]] = {}
+    for folder in (PACKAGE, ROOT / "systems"):
+        for path in sorted(folder.rglob("*.py")):
+            parts = path.relative_to(ROOT).parts
+            if parts[:2] == ("gridpush_drake", "systems"):
+                continue  # a link to the folder that is visited by itself
+            name = parts[0]
+            if name == "gridpush_drake":
+                name = parts[1] if len(parts) > 2 else "(files)"
+            if parts[1:3] == ("dynamics", "kernels"):
+                name = "dynamics/kernels"
+            rooms.setdefault(name, []).append(path)
+    return rooms
+
+
+def measure(paths: list[Path]) -> Figures:
+    """Measures a room."""
+    nodes = 0
+    code = 0
+    comments = 0
+    pairs = 0
+    packed = 0
+    vague = 0
+    long = 0
+    for path in paths:
+        text = path.read_text(encoding="utf-8")
+        tree = ast.parse(text)
+        docstrings = list(find_docstrings(tree))
+        all_nodes = list(ast.walk(tree))
+        nodes += len(all_nodes)
+        pairs += sum(map(is_pair, all_nodes))
+        in_kernels = collect_kernel_calls(tree)
+        packed += sum(is_packed(node) for node in all_nodes if id(node) not in in_kernels)
+        vague += sum(VAGUE.match(docstring.value.strip()) is not None for docstring in docstrings)
+        long += sum(len(line) > MAX_LENGTH for line in text.splitlines())
+        lines, here = count_lines(text, docstrings)
+        code += lines
+        comments += here
+    per_line = 1.0 / max(code, 1)
+    return Figures(
+        nodes=round(nodes * per_line, 1),
+        comments=round(1000 * comments * per_line),
+        pairs=round(1000 * pairs * per_line),
+        packed=round(1000 * packed * per_line, 1),
+        vague=round(1000 * vague * per_line, 1),
+        long=round(1000 * long * per_line, 1),
+    )
+
+
+def find_docstrings(tree: ast.AST) -> Iterator[ast.Constant]:
+    """Finds the strings that stand as a statement: of modules, classes, functions and constants."""
+    for node in ast.walk(tree):
+        value = node.value if isinstance(node, ast.Expr) else None
+        if isinstance(value, ast.Constant) and isinstance(value.value, str):
+            yield value
+
+
+def count_lines(text: str, docstrings: list[ast.Constant]) -> tuple[int, int]:
+    """Counts lines of code, and comments that are not for tools."""
+    told = {line for doc in docstrings for line in range(doc.lineno, (doc.end_lineno or 0) + 1)}
+    blank = (tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
+    code = set()
+    comments = 0
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            comments += PRAGMA.match(token.string) is None
+        elif token.type not in blank:
+            code.update(range(token.start[0], token.end[0] + 1))
+    return len(code - told), comments
+
+
+def is_pair(node: ast.AST) -> bool:
+    """Whether a statement assigns a tuple to a tuple."""
+    if not isinstance(node, ast.Assign) or not isinstance(node.value, ast.Tuple):
+        return False
+    return isinstance(node.targets[0], ast.Tuple)
+
+
+def is_packed(node: ast.AST) -> bool:
+    """Whether a call has more positional arguments than a reader can tell apart."""
+    if not isinstance(node, ast.Call):
+        return False
+    name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+    is_record = RECORD.match(name) is not None and not name.startswith(VERBS)
+    return len(node.args) > (MAX_FIELDS if is_record else MAX_ARGUMENTS)
+
+
+def collect_kernel_calls(tree: ast.Module) -> set[int]:
+    """Finds the calls of other kernels within kernels, by their `id`; not the records made there."""
+    found = set()
+    for function in ast.walk(tree):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        if not any("kernel" in ast.dump(each) for each in function.decorator_list):
+            continue
+        for node in ast.walk(function):
+            called = node.func if isinstance(node, ast.Call) else None
+            if isinstance(called, ast.Name) and not RECORD.match(called.id):
+                found.add(id(node))
+    return found
+
+
+LISTED = read_rooms(ROOMS)
+FOUND = {name: measure(paths) for name, paths in list_rooms().items()}
+
+
+@pytest.mark.parametrize("room", FOUND)
+def test_a_room_reads_no_worse_than_it_did(room):
+    worse = FOUND[room].list_worse(LISTED.get(room, AIM))
+    assert not worse, f"{room}: {', '.join(worse)}; see tests/test_house.py for what is meant"
+
+
+def test_every_room_listed_is_there():
+    assert LISTED.keys() <= FOUND.keys()
+
+
+def test_it_measures_what_it_says():
+    text = '''"""Likewise."""
+
+A, B = 1, 2  # trailing
+x = Record(1, 2, 3, 4, 5, 6)  # noqa: F821
+
+
+@kernel(allocates=False)
+def inner():
+    outer(1, 2, 3, 4, 5, 6, 7, 8)
+    # why
+    return Record(1, 2, 3, 4, 5, 6)
+
+
+plain(1, 2, 3, 4, 5, 6, 7, 8)
+MakeThing(1, 2, 3, 4, 5, 6, 7)
+'''
+    tree = ast.parse(text)
+    inner = collect_kernel_calls(tree)
+    docstrings = list(find_docstrings(tree))
+    nodes = list(ast.walk(tree))
+    assert count_lines(text, docstrings) == (8, 2)
+    assert sum(map(is_pair, nodes)) == 1
+    assert sum(is_packed(node) for node in nodes if id(node) not in inner) == 3
+    assert VAGUE.match(docstrings[0].value)
+
+
+def main() -> None:
+    """Prints the table of rooms, with the room's name starred where it is at `AIM`."""
+    names = [field.name for field in fields(Figures)]
+    print(f"{'room':18}" + "".join(f"{name:>10}" for name in names))
+    for room, found in sorted(FOUND.items()):
+        values = [getattr(found, name) for name in names]
+        star = "" if found.list_worse(AIM) else " *"
+        print(f"{room:18}" + "".join(f"{value:10g}" for value in values) + star)
+
+
+if __name__ == "__main__":
+    main()
