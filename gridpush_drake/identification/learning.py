@@ -1,8 +1,6 @@
 """`identify`: from a push log to a model (`docs/theory/identification.md`)."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from numbers import Integral
 
 import numpy as np
@@ -10,7 +8,6 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
 from gridpush_drake.errors import IdentificationError, ParameterError
-from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
 from gridpush_drake.identification.baselines.search import (
     Bounds,
@@ -24,16 +21,11 @@ from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleF
 from gridpush_drake.identification.map_fit import (
     UNIFORM_WIDTH,
     CenterOfMass,
-    MapFit,
-    System,
     calc_laplace,
 )
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import (
-    SUSPECT_ODDS,
-    LeftOut,
     Screening,
-    calc_foreign_odds,
 )
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
 from gridpush_drake.identification.prediction import explain_poor_fit
@@ -44,6 +36,7 @@ from gridpush_drake.identification.result import (
     IdentificationStatus,
     Progress,
 )
+from gridpush_drake.identification.robust_fit import FitTask, fit_robustly
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.pushes.plausibility import check_plausible
@@ -52,21 +45,9 @@ from gridpush_drake.pushes.push_log import PushLog
 METHODS = ("default", *SEARCH_METHODS)
 """Names that `identify` takes."""
 
-MAX_TRIALS = 2
-"""Of fits without a push that is suspected, before it is refused or the log taken as it is."""
-
-MAX_FITS = 8
-"""To a log, each without what the one before refused."""
-
-POOR = NoiseScale(2.0, 4.0)
-"""Of the noise, beyond which several pushes may be another object's: a fit explains them all by
-noise or by shifts."""
-
-MAJORITY_TRIALS, MAJORITY_PUSHES = 16, 3
-"""How many sets of so few pushes are then fitted by themselves."""
-
 MIN_CONTACT_FRICTION = 0.05
-"""Below which a prior contact friction is taken for this one, whose logarithm is the unknown."""
+"""Smallest contact friction that is taken for the prior's. Its logarithm is an unknown, so that it
+must not be nil."""
 
 
 @threadpool_limits.wrap(
@@ -149,17 +130,15 @@ def identify(
         fit = ensemble.fit_prior(obj, z0, log_contact_friction_std)
     elif method == "default":
         starts = _choose_starts(obj, start)
+        task = FitTask(
+            ensemble=ensemble,
+            z0=z0,
+            log_contact_friction_std=log_contact_friction_std,
+            center_of_mass=CenterOfMass.of_prior(obj.prior),
+            tracker=tracker,
+        )
         try:
-            fit, screened = _fit_default(
-                problem,
-                screened,
-                z0,
-                log_contact_friction_std,
-                ensemble,
-                tracker,
-                starts,
-                int(seed),
-            )
+            fit, screened = fit_robustly(task, problem, screened, starts, int(seed))
         except (np.linalg.LinAlgError, ParameterError) as error:
             raise IdentificationError(_describe_no_fit(obj)) from error
     else:
@@ -228,87 +207,6 @@ def describe_prior(
     )
 
 
-def _fit_default(
-    problem: PushProblem, screened: Screening, z0: Array, log_contact_friction_std: float, ensemble: MapEnsemble,
-    tracker: Tracker, starts: tuple[FitStart, ...], seed: int,
-) -> tuple[MapEnsembleFit, Screening]:  # fmt: skip
-    """Fits, refuses what does not agree with the rest, and fits again until nothing is refused any more."""
-    obj = problem.obj
-    center = CenterOfMass.of_prior(obj.prior)
-
-    def fit_all(
-        problem: PushProblem, starts: tuple[FitStart, ...]
-    ) -> tuple[MapEnsembleFit, MapFit]:
-        tracker.follow(problem)
-        fit = ensemble.fit(problem, z0, log_contact_friction_std, center, tracker.report, starts)
-        assert fit.best is not None
-        return fit, fit.best
-
-    fit, best = fit_all(problem, starts)
-    if _is_poor(best) and screened.may_refuse and len(problem) > MAJORITY_PUSHES:
-        fit_few = partial(
-            ensemble.fit_field,
-            z0=z0,
-            log_contact_friction_std=log_contact_friction_std,
-            center_of_mass=center,
-        )
-        majority = _find_majority(problem, screened, fit_few, seed)
-        if majority is not screened:
-            rest = problem.replace_log(majority.log)
-            again, best_again = fit_all(rest, ())
-            if not _is_poor(best_again):
-                problem, screened, fit, best = rest, majority, again, best_again
-    for _ in range(MAX_FITS - 1):
-        left_out = best.system.leave_out()
-        after = screened.refuse_poses(left_out, obj.radius_of_gyration)
-        if after is screened:
-            after = _refuse_push(screened, best.system, left_out)
-        if after is screened:
-            break
-        screened, problem = after, problem.replace_log(after.log)
-        fit, best = fit_all(problem, fit.starts)
-    return fit, screened
-
-
-def _is_poor(fit: MapFit) -> bool:
-    return fit.scale.pose > POOR.pose or fit.scale.shift > POOR.shift
-
-
-def _find_majority(
-    problem: PushProblem, screened: Screening, fit_few: Callable[[PushProblem], MapFit], seed: int
-) -> Screening:
-    """Refuses the pushes that are another object's by a fit to a few: those by which all others are the most probable.
-
-    Several foreign pushes at once may spoil a fit so much that no push stands out of it.
-    """
-    rng = np.random.default_rng(seed)
-    ways = [seen.push.distance_at(seen.t_observed) for seen in screened.log]
-    best, foreign = -np.inf, list[int]()
-    for _ in range(MAJORITY_TRIALS):
-        few = np.sort(rng.choice(len(problem), MAJORITY_PUSHES, replace=False))
-        fit = fit_few(problem.choose(few.tolist()))
-        if _is_poor(fit):
-            continue
-        others = np.setdiff1d(np.arange(len(problem)), few).tolist()
-        judged = fit.judge(problem, others)
-        odds = [calc_foreign_odds(one, ways[i]) for one, i in zip(judged, others, strict=True)]
-        score = float(
-            np.mean(
-                [
-                    one.log_density + np.logaddexp(0.0, value)
-                    for one, value in zip(judged, odds, strict=True)
-                ]
-            )
-        )
-        if score > best:
-            best, foreign = score, [i for i, value in zip(others, odds, strict=True) if value > 0]
-    if len(foreign) > screened.may_refuse:
-        return screened
-    for i in reversed(foreign):
-        screened = screened.refuse_push(i)
-    return screened
-
-
 def _describe_no_fit(obj: GridObject) -> str:
     """Says which of what was told of an object may be why its fit's equations cannot be solved."""
     prior, told = obj.prior, []
@@ -319,17 +217,6 @@ def _describe_no_fit(obj: GridObject) -> str:
         told.append(f"pusher.height, {prior.push_height:g} m,")
     question = f"; is {' and '.join(told)} right?" if told else ""
     return f"{obj.name}: the fit's equations cannot be solved, no loads of its cells explain the pushes{question}"
-
-
-def _refuse_push(screened: Screening, system: System, left_out: list[LeftOut]) -> Screening:
-    """Refuses the push that agrees least with the fit if the others, fitted without it, say it is another object's."""
-    ways = [seen.push.distance_at(seen.t_observed) for seen in screened.log]
-    odds = [calc_foreign_odds(seen, way) for seen, way in zip(left_out, ways, strict=True)]
-    suspects = [int(i) for i in np.argsort(odds)[::-1] if odds[i] > SUSPECT_ODDS]
-    for i in suspects[: min(screened.may_refuse, MAX_TRIALS)]:
-        if calc_foreign_odds(system.fit_without(i), ways[i]) > 0:
-            return screened.refuse_push(i)
-    return screened
 
 
 def _fit_by_search(

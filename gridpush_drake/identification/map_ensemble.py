@@ -226,7 +226,7 @@ class MapEnsemble:
         _follow_best(candidates, fit_one)
         # The pushes, made linear about the best fit so far, choose the priors of the others.
         best = candidates[_find_best(candidates)].fit
-        residuals, J = best.system.linearize_at_prior()
+        residuals, J = best.linearized.linearize_at_prior()
         setting = setting.with_pushes(LinearizedPushes(residuals, J, len(center_of_mass.at)))
         candidates += self._fit_conditional(problem, setting, fit_one, best)
         # Only fits that may still come to count are carried to their end.
@@ -373,7 +373,7 @@ class MapEnsemble:
         )
         residuals = problem.residuals(z)
         counted = np.flatnonzero(plausible > NEGLIGIBLE)
-        ratios = [fits[i].system.calc_end_errors(residuals) for i in counted]
+        ratios = [fits[i].linearized.calc_end_errors(residuals) for i in counted]
         kappa = self.noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
         wider, surer = max(kappa, 1.0), min(CAUTION * kappa, 1.0)
         covariance, prior_covariance = np.zeros((2, len(z), len(z)))
@@ -386,7 +386,7 @@ class MapEnsemble:
                 S = (
                     fits[i].covariance
                     if surer == 1.0
-                    else fits[i].system.scale_noise(surer).calc_covariance()
+                    else fits[i].linearized.scale_noise(surer).calc_covariance()
                 )
                 covariance += plausible[i] * (T @ (S + np.outer(d, d)) @ T.T + np.outer(off, off))
                 root = T @ priors[i].factor
@@ -523,7 +523,7 @@ def _follow_best(candidates: list[Candidate], fit_one: Callable[..., MapFit]) ->
         near = candidates[fields[near_place]].fit
         if one.log_evidence > near.log_evidence - HOPELESS:
             continue
-        own = one.fit.system
+        own = one.fit.linearized
         u = solve_factor(one.prior.factor, near.z - one.prior.mean)
         if own.move(u, near.linear).rescale(near.scale).objective() < own.objective():
             fit = fit_one(

@@ -49,7 +49,7 @@ DAMPING_FACTOR = 8.0
 """What damping grows by when a step makes things worse. It begins at the loss's curvature along
 that step, which about halves it."""
 
-MAX_INFORMED_SHARE = 0.8
+MAX_EFFECTIVE_SHARE = 0.8
 """Of the residuals, that parameters may use up; the rest speaks of the noise."""
 
 FRICTION_STD = 0.2
@@ -122,30 +122,30 @@ class MapFit:
         covariance: (n+1, n+1) of z, Laplace's approximation.
         scale: of the noise.
         log_evidence: for the prior, up to a constant shared by all priors on the same data.
-        informed: number of directions of u that the data, not the prior, hold in place (MacKay's
+        effective_parameters: number of directions of u that the data, not the prior, hold in place (MacKay's
             gamma).
         settled: whether it ended by itself, not because it was not to simulate the pushes any more.
-        system: the least-squares problem about z.
+        linearized: the least-squares problem about z.
     """
 
     z: Array
     covariance: Array
     scale: NoiseScale
     log_evidence: float
-    informed: float
+    effective_parameters: float
     settled: bool
-    system: "System"
+    linearized: "LinearizedFit"
 
     @property
     def linear(self) -> Linearization:
         """The pushes' residuals and derivatives at z."""
-        return self.system.linear
+        return self.linearized.linear
 
     def judge(self, problem: PushProblem, others: Sequence[int]) -> list[LeftOut]:
         """What this fit says of pushes of a problem that it was not fitted to."""
         linear, found = problem.linearize(self.z, others), []
         for r, J, inputs in zip(linear.residuals, linear.by_z, linear.by_inputs, strict=True):
-            noise = self.system.noise.calc_covariance(inputs, self.scale)
+            noise = self.linearized.noise.calc_covariance(inputs, self.scale)
             Q = np.asarray(np.linalg.inv(noise + J @ self.covariance @ J.T), dtype=np.float64)
             found.append(LeftOut(Q, Q @ r))
         return found
@@ -183,17 +183,17 @@ def fit_map(
     Returns:
         The fit.
     """
-    make = partial(System.of, problem, z0, A, noise, center_of_mass)
+    make = partial(LinearizedFit.of, problem, z0, A, noise, center_of_mass)
     start = start or FitStart(z0, NoiseScale())
     system = make(solve_factor(A, start.z - z0), linear or problem.linearize(start.z), start.scale)
     if warm_start is not None:
         other = make(
             solve_factor(A, warm_start.z - z0), problem.linearize(warm_start.z), warm_start.scale
         )
-        system = min(system, other, key=System.objective)
+        system = min(system, other, key=LinearizedFit.objective)
     descent = _Descent(problem, system, max_evaluations, on_step)
     gamma = descent.run()
-    system = descent.system
+    system = descent.linearized
     evidence = -system.objective() - 0.5 * system.calc_log_determinant()
     if center_of_mass is not None:
         evidence -= _calc_center_evidence(problem.obj, z0, A, center_of_mass)
@@ -212,10 +212,10 @@ class _Descent:
     """Damped Gauss-Newton from one point, and what it remembers from step to step."""
 
     def __init__(
-        self, problem: PushProblem, system: "System", max_evaluations: int,
+        self, problem: PushProblem, system: "LinearizedFit", max_evaluations: int,
         on_step: Callable[[Array, Linearization], None] | None,
     ) -> None:  # fmt: skip
-        self.problem, self.system, self._on_step = problem, system, on_step
+        self.problem, self.linearized, self._on_step = problem, system, on_step
         self._left, self._rejected, self._damping = max_evaluations, 0, 0.0
 
     @property
@@ -227,15 +227,15 @@ class _Descent:
         """Goes down until steps and noise scale have settled; returns gamma there."""
         settling = True  # the scale
         while True:
-            step, expected = self.system.calc_step(self._damping)
+            step, expected = self.linearized.calc_step(self._damping)
             settled = expected < SETTLED or self._rejected >= MAX_REJECTED
             if settled or self.is_spent or (settling and expected < ROUGHLY_SETTLED):
-                scale, gamma = self.system.renew_scale()
+                scale, gamma = self.linearized.renew_scale()
                 settling = bool(
-                    np.abs(np.log(np.divide(scale, self.system.scale))).max() >= SCALE_TOLERANCE
+                    np.abs(np.log(np.divide(scale, self.linearized.scale))).max() >= SCALE_TOLERANCE
                 )
                 if settling or settled or self.is_spent:
-                    self.system = self.system.rescale(scale)
+                    self.linearized = self.linearized.rescale(scale)
                 if self.is_spent or (settled and not settling):
                     return gamma
                 if settling:
@@ -245,7 +245,7 @@ class _Descent:
 
     def _try_step(self, step: Array) -> None:
         """Takes a step if it makes things better; if not, the next one is shorter."""
-        system = self.system
+        system = self.linearized
         u = system.u + step
         z = system.z0 + system.A @ u
         linear = self.problem.linearize(z)
@@ -256,7 +256,7 @@ class _Descent:
             self._damping = max(DAMPING_FACTOR * self._damping, system.calc_curvature(step))
             self._rejected += 1
             return
-        self.system = system.move(u, linear)
+        self.linearized = system.move(u, linear)
         self._damping = self._damping / DAMPING_FACTOR if self._rejected else 0.0
         self._rejected = 0
         if self._on_step is not None:
@@ -278,12 +278,12 @@ def calc_laplace(
         The covariance (n+1, n+1) of z by Laplace's approximation, and the noise scale.
     """
     u, linear = np.zeros(len(z)), problem.linearize(z)
-    system = System.of(problem, z, A, noise, None, u, linear, NoiseScale())
+    system = LinearizedFit.of(problem, z, A, noise, None, u, linear, NoiseScale())
     scale, _ = system.renew_scale()
     return system.rescale(scale).calc_covariance(), scale
 
 
-class System:
+class LinearizedFit:
     """The least-squares problem in u about one point, whitening and weights as they are there.
 
     Of the two forms of I + J^T J and its inverse the smaller one is taken: by unknowns, or by
@@ -331,21 +331,21 @@ class System:
     def of(
         cls, problem: PushProblem, z0: Array, A: Array, noise: NoiseModel, center_of_mass: CenterOfMass | None,
         u: Array, linear: Linearization, scale: NoiseScale,
-    ) -> "System":  # fmt: skip
+    ) -> "LinearizedFit":  # fmt: skip
         """The problem about u (n+1,), where the pushes' residuals and derivatives are `linear`."""
         ends = np.cumsum([len(r) for r in linear.residuals])[:-1]
         slopes = np.split(np.concatenate(linear.by_z) @ A, ends)
         return cls(problem, z0, A, noise, center_of_mass, u, linear, slopes, scale)
 
-    def move(self, u: Array, linear: Linearization) -> "System":
+    def move(self, u: Array, linear: Linearization) -> "LinearizedFit":
         """The same about another point."""
         return self.of(
             self.problem, self.z0, self.A, self.noise, self.center_of_mass, u, linear, self.scale
         )
 
-    def rescale(self, scale: NoiseScale) -> "System":
+    def rescale(self, scale: NoiseScale) -> "LinearizedFit":
         """The same about the same point, with another scale of the noise."""
-        return System(
+        return LinearizedFit(
             self.problem,
             self.z0,
             self.A,
@@ -357,7 +357,7 @@ class System:
             scale,
         )
 
-    def scale_noise(self, factor: float) -> "System":
+    def scale_noise(self, factor: float) -> "LinearizedFit":
         """The same about the same point, with all noise so many times as large."""
         return self.rescale(NoiseScale(factor * self.scale.pose, factor * self.scale.shift))
 
@@ -425,7 +425,7 @@ class System:
             self.factor[0], lower=1
         )  # whose squares add up to the trace of the inverse
         gamma = len(self.gram) - float((np.tril(root) ** 2).sum()) - known
-        gamma = float(np.clip(gamma, 0.0, MAX_INFORMED_SHARE * count))
+        gamma = float(np.clip(gamma, 0.0, MAX_EFFECTIVE_SHARE * count))
         weight = self.noise.prior_weight
         pose = np.sqrt((squares * self.scale.pose**2 + weight) / (count - gamma + weight))
         moved, sure = self._calc_shifts()

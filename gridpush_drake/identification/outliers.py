@@ -46,8 +46,8 @@ SUSPECT_ODDS = -9.0
 """Log odds to be another object's, to first order, from which a push is tried to be done
 without."""
 
-FOREIGN_SHARE = 0.3
-"""Of the pusher's way, by which another object than ours would be off."""
+OUTLIER_GROWTH = 0.3
+"""How far off another object's poses are expected to be, as a share of the pusher's travel."""
 
 
 @dataclass(frozen=True)
@@ -285,14 +285,14 @@ def _calc_pose_odds(Q: Array, g: Array, size: float) -> float:
     return float(anywhere - here + np.log(OUTLIER_ODDS))
 
 
-def calc_foreign_odds(seen: LeftOut, way: Array) -> float:
+def calc_outlier_odds(seen: LeftOut, way: Array) -> float:
     """Calculates the log odds that a push is another object's, whose residuals grow with the pusher's way together.
 
     Args:
         seen: what the other pushes say of it.
         way: (K,) m, how far the pusher has gone at each later pose.
     """
-    D = np.kron(FOREIGN_SHARE * way[:, None], np.eye(3))
+    D = np.kron(OUTLIER_GROWTH * way[:, None], np.eye(3))
     inner = np.eye(3) + D.T @ seen.precision @ D
     pull = D.T @ seen.pull
     gain = 0.5 * float(pull @ np.linalg.solve(inner, pull)) - 0.5 * np.linalg.slogdet(inner)[1]

@@ -171,7 +171,7 @@ def test_a_rigid_bottom_on_its_corners_is_recognized() -> None:
     z0 = problem.unknowns(CellParameters.uniform(obj))
     fit = MapEnsemble().fit(problem, z0, 0.3, None, lambda z, linear: None)
     assert fit.best is not None
-    np.testing.assert_array_equal(fit.best.system.problem.obj.p_BC, on_corners)
+    np.testing.assert_array_equal(fit.best.linearized.problem.obj.p_BC, on_corners)
     true_center = truth.mass @ on_corners / truth.total_mass
     assert np.linalg.norm(calc_share(fit.z) @ obj.p_BC - true_center) < 3e-3
 

@@ -120,7 +120,7 @@ def test_covariance_shrinks_from_the_prior_and_more_data_shrink_it_further() -> 
     prior = A @ A.T
     assert np.linalg.eigvalsh(prior - many.covariance).min() > -1e-8
     assert np.trace(many.covariance) < np.trace(few.covariance) < np.trace(prior)
-    assert 0 < many.informed < len(z0)
+    assert 0 < many.effective_parameters < len(z0)
 
 
 def test_known_center_of_mass_pulls_the_center_of_friction() -> None:
@@ -197,7 +197,7 @@ def test_whitening_is_the_inverse_root_of_the_noise() -> None:
 
 def test_last_poses_are_judged_by_what_the_other_pushes_say_of_them() -> None:
     problem, _, z0, A = make_problem(4)
-    system = fit_map(problem, z0, A, NoiseModel()).system
+    system = fit_map(problem, z0, A, NoiseModel()).linearized
     noise, K = system.noise, len(system.linear.residuals[0]) // 3
     ratios = system.calc_end_errors(system.linear.residuals)
     for i, ratio in enumerate(ratios):

@@ -1,0 +1,198 @@
+"""Fit, refuse, fit again: the conversation between the default method's fit and its outliers.
+
+A log may hold poses at which a tracker jumped, and pushes of another object. The fit to the whole
+log says which poses and pushes agree least with the others; what is refused is left out, and the
+rest is fitted again, until nothing is refused any more (`docs/theory/identification.md`, section 5).
+
+How one fit is made is in `map_ensemble` and `map_fit`; what makes a pose or a push an outlier is in
+`outliers`. This module only decides what is fitted next.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
+from gridpush_drake.identification.map_fit import CenterOfMass, LinearizedFit, MapFit
+from gridpush_drake.identification.noise import NoiseScale
+from gridpush_drake.identification.outliers import (
+    SUSPECT_ODDS,
+    LeftOut,
+    Screening,
+    calc_outlier_odds,
+)
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.result import FitStart
+
+MAX_TRIALS = 2
+"""Number of suspected pushes without which the log is fitted, before the log is taken as it is."""
+
+MAX_FITS = 8
+"""Number of fits to a log at most, each without what the one before refused."""
+
+POOR_SCALE = NoiseScale(pose=2.0, shift=4.0)
+"""If the noise scales of a fit are larger than these, several pushes may be another object's: the
+fit explains them all by noise, or by loads that shift."""
+
+MAJORITY_TRIALS = 16
+"""Number of small sets of pushes that are fitted by themselves where the fit to all is poor."""
+
+MAJORITY_PUSHES = 3
+"""Number of pushes in each of these sets."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitTask:
+    """What stays the same from one fit of a log to the next.
+
+    Attributes:
+        ensemble: the default method.
+        z0: (n+1,) prior mean of z.
+        log_contact_friction_std: prior standard deviation of log mu_c.
+        center_of_mass: what is told of it; None for nothing.
+        tracker: is told of every step.
+    """
+
+    ensemble: MapEnsemble
+    z0: Array
+    log_contact_friction_std: float
+    center_of_mass: CenterOfMass | None
+    tracker: Tracker
+
+    def fit(
+        self, problem: PushProblem, starts: tuple[FitStart, ...] = ()
+    ) -> tuple[MapEnsembleFit, MapFit]:
+        """Fits all hypotheses to the pushes; returns their average, and the most probable one."""
+        self.tracker.follow(problem)
+        average = self.ensemble.fit(
+            problem,
+            self.z0,
+            self.log_contact_friction_std,
+            self.center_of_mass,
+            self.tracker.report,
+            starts,
+        )
+        assert average.best is not None
+        return average, average.best
+
+    def fit_few(self, problem: PushProblem) -> MapFit:
+        """Fits one smooth field to a few pushes."""
+        return self.ensemble.fit_field(
+            problem, self.z0, self.log_contact_friction_std, self.center_of_mass
+        )
+
+
+def fit_robustly(
+    task: FitTask,
+    problem: PushProblem,
+    screened: Screening,
+    starts: tuple[FitStart, ...],
+    seed: int,
+) -> tuple[MapEnsembleFit, Screening]:
+    """Fits a log, and refuses what does not agree with the rest.
+
+    Args:
+        task: how to fit.
+        problem: the pushes of `screened`.
+        screened: the log, without the poses that no motion of the pusher explains.
+        starts: where the first fit begins, see `MapEnsemble.fit`.
+        seed: of the sets of pushes that are fitted by themselves where the fit to all is poor.
+
+    Returns:
+        The last fit, and the log that it was made of with all that was refused.
+    """
+    average, best = task.fit(problem, starts)
+    # Several outlier pushes at once can hide each other in one poor fit. Then small sets of pushes
+    # are asked by themselves, and what the best of them refuses stays out if the rest fits well.
+    if is_poor(best) and screened.may_refuse and len(problem) > MAJORITY_PUSHES:
+        majority = find_majority(task, problem, screened, seed)
+        if majority is not screened:
+            rest = problem.replace_log(majority.log)
+            average_of_rest, best_of_rest = task.fit(rest)
+            if not is_poor(best_of_rest):
+                problem, screened = rest, majority
+                average, best = average_of_rest, best_of_rest
+    # Single poses first, then whole pushes, one a fit: each refusal changes what the rest says.
+    for _ in range(MAX_FITS - 1):
+        left_out = best.linearized.leave_out()
+        refused = screened.refuse_poses(left_out, problem.obj.radius_of_gyration)
+        if refused is screened:
+            refused = refuse_worst_push(screened, best.linearized, left_out)
+        if refused is screened:
+            break
+        screened = refused
+        problem = problem.replace_log(screened.log)
+        average, best = task.fit(problem, average.starts)
+    return average, screened
+
+
+def is_poor(fit: MapFit) -> bool:
+    """Whether a fit needs so much noise, or such shifts of the load, that outliers may be in it."""
+    return fit.scale.pose > POOR_SCALE.pose or fit.scale.shift > POOR_SCALE.shift
+
+
+def find_majority(task: FitTask, problem: PushProblem, screened: Screening, seed: int) -> Screening:
+    """Finds the pushes that belong together, by fits to a few of them.
+
+    Each set of a few pushes says of every other push how probable it is, as this object's or as
+    another's. The set that makes the others the most probable names the outliers.
+
+    Returns:
+        The log without the outliers; `screened` itself where there are none, or more than may be
+        refused.
+    """
+    rng = np.random.default_rng(seed)
+    travels = _calc_travels(screened)
+    best_score = -np.inf
+    outliers: list[int] = []
+    for _ in range(MAJORITY_TRIALS):
+        few = np.sort(rng.choice(len(problem), MAJORITY_PUSHES, replace=False))
+        fit = task.fit_few(problem.choose(few.tolist()))
+        if is_poor(fit):
+            continue
+        others = np.setdiff1d(np.arange(len(problem)), few).tolist()
+        judged = fit.judge(problem, others)
+        odds = [calc_outlier_odds(one, travels[i]) for one, i in zip(judged, others, strict=True)]
+        # log of (density as this object's + density as another's), push by push
+        scores = [
+            one.log_density + np.logaddexp(0.0, value)
+            for one, value in zip(judged, odds, strict=True)
+        ]
+        score = float(np.mean(scores))
+        if score > best_score:
+            best_score = score
+            outliers = [i for i, value in zip(others, odds, strict=True) if value > 0]
+    if len(outliers) > screened.may_refuse:
+        return screened
+    for i in reversed(outliers):
+        screened = screened.refuse_push(i)
+    return screened
+
+
+def refuse_worst_push(
+    screened: Screening, fit: LinearizedFit, left_out: list[LeftOut]
+) -> Screening:
+    """Refuses the push that agrees least with the others, if they say it is another object's.
+
+    Args:
+        screened: the log.
+        fit: the most probable fit to it.
+        left_out: what the other pushes say of each, to first order. Suspected pushes are judged
+            again by a fit to the others.
+
+    Returns:
+        The log without that push; `screened` itself where none is refused.
+    """
+    travels = _calc_travels(screened)
+    odds = [calc_outlier_odds(seen, travel) for seen, travel in zip(left_out, travels, strict=True)]
+    suspects = [int(i) for i in np.argsort(odds)[::-1] if odds[i] > SUSPECT_ODDS]
+    for i in suspects[: min(screened.may_refuse, MAX_TRIALS)]:
+        if calc_outlier_odds(fit.fit_without(i), travels[i]) > 0:
+            return screened.refuse_push(i)
+    return screened
+
+
+def _calc_travels(screened: Screening) -> list[Array]:
+    """How far the pusher had gone at each observed pose after the first, (K,) m, push by push."""
+    return [seen.push.distance_at(seen.t_observed) for seen in screened.log]
