@@ -9,10 +9,13 @@ from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 
 MICROSECONDS = 1e6
-"""In a second."""
+"""Microseconds in a second."""
 
 KEPT = 32
-"""Poses that a receiver remembers."""
+"""Number of last poses that a receiver remembers."""
+
+LARGEST_POSE = 1e6
+"""A pose with a number beyond this, m or rad, was not measured, and counts as not seen."""
 
 
 class PlanarManipulandStatusReceiver(LeafSystem):
@@ -29,8 +32,9 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         - newest_pose
 
     * message: abstract `lcmt_planar_manipuland_status`, X_WB of the object's body frame; its
-      `utime` differs from message to message, and is 0 before the first. A pose that is not finite
-      says that the object is not seen.
+      `utime` grows from message to message, and is 0 before the first. Where it is smaller than
+      before, its clock was set back, and the poses before that are forgotten. A pose that is not
+      finite says that the object is not seen.
     * time: vector of 1, s, by the clock that `utime` is of. It need not be connected.
     * object_pose: vector of 3, x and y in W, m, and yaw, rad; the yaw is continuous, it counts
       whole turns. It is of `delay` ago, between the messages before and after; as last seen where
@@ -76,11 +80,13 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         if message.utime != utime:
             state.set_value(self._last, [message.utime, time])
             yaw = float(context.get_discrete_state(self._yaw).value()[0])
-            pose = np.array([*message.position, yaw + wrap_angle(message.theta - yaw)])
-            if np.isfinite(pose).all():
+            seen = np.array([*message.position, message.theta])
+            pose = np.full(3, np.nan)
+            if (np.abs(seen) <= LARGEST_POSE).all():  # false for NaN
+                pose = np.array([*seen[:2], yaw + wrap_angle(seen[2] - yaw)])
                 state.set_value(self._yaw, pose[2:])
-            else:
-                pose = np.full(3, np.nan)
+            if message.utime < utime:
+                kept = np.tile([-np.inf, np.nan, np.nan, np.nan], (KEPT, 1))
             came, kept = time, np.vstack([kept[1:], [message.utime / MICROSECONDS, *pose]])
             state.set_value(self._kept, kept.ravel())
         clock = (

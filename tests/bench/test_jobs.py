@@ -232,6 +232,8 @@ def test_every_benchs_results_come_back_as_they_were(tmp_path, function, result)
         (signal.SIGINT, True, 130),
         (signal.SIGTERM, False, 143),
         (signal.SIGTERM, True, 143),
+        (signal.SIGHUP, False, 129),
+        (signal.SIGHUP, True, 129),
     ],
 )
 def test_a_signal_ends_everything(tmp_path, number, group, code):

@@ -158,7 +158,7 @@ gone."""
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_after_the_work_changes_nothing(number):
     done = subprocess.run(
         [sys.executable, "-c", LATE, str(int(number))], capture_output=True, text=True, timeout=60, check=False,
@@ -169,7 +169,9 @@ def test_a_signal_after_the_work_changes_nothing(number):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
 def test_an_interrupt_that_python_ignores_ends_the_process_all_the_same(number, code):
     """One raised in a finalizer is lost; the process ends a moment later."""
     script = (

@@ -65,6 +65,19 @@ def test_two_processes_and_the_controller_is_killed_interrupted_and_begun_again(
 
 
 @pytest.mark.slow
+def test_two_processes_and_the_terminal_is_lost(tmp_path):
+    told = tell("lose_terminal", tmp_path)
+    print({key: told[key] for key in ("stopped_within", "held_for", "speed_before")})
+    check_stop(told)
+    assert told["code"] == 129, told
+    assert "asked to stop by SIGHUP" in told["log"]
+    assert "guard holding: stopped by the user" in told["log"]
+    assert {"object.yaml", "robot.log", "scenario.yaml", "stream.csv"} <= set(told["files"])
+    assert told["twin_code"] == 129
+    assert "Traceback" not in told["twin_err"]
+
+
+@pytest.mark.slow
 def test_two_processes_and_the_robot_is_lost(tmp_path):
     told = tell("lose_twin", tmp_path)
     alone = told["alone"]

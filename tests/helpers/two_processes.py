@@ -4,11 +4,14 @@
 folder; what the story came to is one JSON document on standard output.
 """
 
+import fcntl
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -207,6 +210,51 @@ def lose_controller(folder: Path) -> dict:
     return told
 
 
+def lose_terminal(folder: Path) -> dict:
+    """The controller's terminal is lost in the middle of a push, as by an ssh connection that breaks."""
+    watch, twin = Watch(), start("twin", folder)
+    watch.until(lambda: bool(watch.statuses and watch.poses), "the twin")
+    ours, its = pty.openpty()
+    arguments = ["--scenario", str(folder / "scenario.yaml"), "--lcm", URL]
+    more = [
+        "--realtime-rate",
+        str(RATE),
+        "--task",
+        "identify",
+        "--go",
+        "--out",
+        str(folder / "lost"),
+    ]
+    robot = subprocess.Popen(
+        [sys.executable, "-m", "gridpush_drake.cli.main", "robot", *arguments, *more],
+        stdin=its,
+        stdout=its,
+        stderr=its,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    os.close(its)
+    watch.until_pushing()
+    os.close(ours)  # the kernel sends SIGHUP, and every write fails from now on
+    fault = watch.statuses[-1][0]
+    watch.for_seconds(1.0)
+    told = watch.describe_stop(fault)
+    watch.until(lambda: robot.poll() is not None, "the end")
+    files = sorted(path.name for path in (folder / "lost").iterdir())
+    log = (folder / "lost/robot.log").read_text()
+    twin.send_signal(signal.SIGHUP)
+    _, err = twin.communicate(timeout=PATIENCE)
+    return {
+        **told,
+        "code": robot.returncode,
+        "files": files,
+        "log": log,
+        "twin_code": twin.returncode,
+        "twin_err": err,
+    }
+
+
 def lose_twin(folder: Path) -> dict:
     """The twin is killed in the middle of a push; with another one the controller begins anew."""
     alone = start("robot", folder, "--task", "identify")
@@ -282,7 +330,8 @@ def whole_story(folder: Path, *seeds: str) -> list[dict]:
 
 
 STORIES = {
-    story.__name__: story for story in (lose_controller, lose_twin, see_by_pictures, whole_story)
+    story.__name__: story
+    for story in (lose_controller, lose_terminal, lose_twin, see_by_pictures, whole_story)
 }
 
 

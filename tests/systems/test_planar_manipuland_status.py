@@ -118,3 +118,30 @@ def test_what_the_sender_says_is_what_the_receiver_hears():
     bench = Bench()
     bench.give(message.utime, (*message.position, message.theta))
     np.testing.assert_allclose(bench.read(0.005), [0.6, -0.1, 0.3], atol=1e-15)
+
+
+def test_a_clock_that_was_set_back_is_followed():
+    """The poses by the clock before it would be taken for newer ones."""
+    receiver = PlanarManipulandStatusReceiver(PERIOD, 1.0, 0.05)
+    simulator = Simulator(receiver)
+    context = simulator.get_mutable_context()
+    for k in range(1, 61):
+        seconds = 100.0 + PERIOD * k if k <= 30 else 5.0 + PERIOD * k
+        message = lcmt_planar_manipuland_status()
+        message.utime, message.position = round(1e6 * seconds), [0.01 * k, 0.0]
+        receiver.GetInputPort("message").FixValue(context, AbstractValue.Make(message))
+        receiver.GetInputPort("time").FixValue(context, [seconds])
+        simulator.AdvanceTo(PERIOD * k + PERIOD / 2)
+        told = receiver.GetOutputPort("object_pose").Eval(context)
+        if k > 36:
+            assert told[0] == pytest.approx(0.01 * (k - 5), abs=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e300])
+def test_a_pose_that_no_tracker_measures_is_not_seen_and_changes_nothing_after_it(wrong):
+    for spoiled in range(3):
+        bench, pose = Bench(), [0.6, -0.1, 0.3]
+        bench.give(1, [wrong if k == spoiled else pose[k] for k in range(3)])
+        assert np.isnan(bench.read(0.005)).all()
+        bench.give(2, pose)
+        np.testing.assert_allclose(bench.read(0.015), pose, atol=1e-15)

@@ -1,0 +1,277 @@
+"""Single faults of messages, clocks and of the controller itself, each once in the whole twin."""
+
+import math
+from functools import partial
+
+import numpy as np
+import pytest
+from drake import lcmt_iiwa_command, lcmt_iiwa_status, lcmt_planar_manipuland_status
+
+from gridpush_drake.cli import robot as robot_command
+from gridpush_drake.cli.demo_tasks import TASKS
+from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
+from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
+from gridpush_drake.systems.messages import PushPhase
+from tests.helpers.twin_bench import TwinBench
+
+ARM = ARM_MESSAGES["iiwa"]
+
+STOPS_WITHIN = 0.1
+"""s of the robot's time after a fault."""
+
+NEAR = 1e-3
+"""rad, of a joint that is where it is held."""
+
+FAR = 4e9
+"""us, by which a clock jumps."""
+
+
+@pytest.fixture(scope="module")
+def bench():
+    scenario = PushScenario(object="open_book", base="planar", object_pose=[0.55, 0.0, 0.0])
+    scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.08
+    scenario.pokes.distance = [0.05, 0.05]
+    return TwinBench(scenario, IdentifyTask)
+
+
+class Fault:
+    """Spoils a channel's messages from 0.35 s after a push begins: `count` of them, or all."""
+
+    def __init__(self, bench, channel, spoil, count=math.inf):
+        self.bench, self.spoil, self.count = bench, spoil, count
+        self.begun, self.since = None, bench.time
+        bench.spoil[channel] = self
+
+    def __call__(self, time, data):
+        if self.begun is None:
+            if self.bench.task.read("executor.status").phase != PushPhase.PUSHING:
+                self.since = time
+            if time - self.since < 0.35:
+                return [data]
+            self.begun = time
+        if self.count <= 0:
+            return [data]
+        self.count -= 1
+        return [self.spoil(data)]
+
+
+def change_status(data, **changed):
+    message = lcmt_iiwa_status.decode(data)
+    for name, value in changed.items():
+        setattr(message, name, value(getattr(message, name)))
+    return message.encode()
+
+
+def change_pose(data, **changed):
+    message = lcmt_planar_manipuland_status.decode(data)
+    for name, value in changed.items():
+        setattr(message, name, value(getattr(message, name)))
+    return message.encode()
+
+
+def spoil_number(value, number=math.nan):
+    return [*value[:2], number, *value[3:]]
+
+
+SPOILED = {
+    "joints": partial(change_status, joint_position_measured=spoil_number),
+    "velocities": partial(change_status, joint_velocity_estimated=spoil_number),
+    "torques": partial(change_status, joint_torque_external=partial(spoil_number, number=math.inf)),
+    "huge": partial(change_status, joint_position_measured=partial(spoil_number, number=1e300)),
+    "longer": lambda data: data + b"more",
+    "shorter": lambda data: data[:-1],
+    "future": partial(change_status, utime=lambda utime: utime + int(FAR)),
+    "past": partial(change_status, utime=lambda utime: utime - int(2e6)),
+}
+"""A status of the arm that cannot be used."""
+
+
+def run(bench):
+    """Runs the task; returns its record, and the positions that were commanded."""
+    sent = []
+    bench.disturb = lambda data: [sent.append(lcmt_iiwa_command.decode(data).joint_position), data][
+        1:
+    ]
+    record = bench.task.run(drive=bench.link)
+    bench.lcm.HandleSubscriptions(0)  # the last command is still under way
+    return record, np.array(sent)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name == "joints" else pytest.mark.slow) for name in SPOILED],
+)
+def test_one_status_that_cannot_be_used_is_left_out_and_the_work_goes_on(bench, name):
+    bench.begin()
+    fault = Fault(bench, ARM.status, SPOILED[name], count=1)
+    record, _ = run(bench)
+    assert fault.begun is not None
+    assert record.status == TaskStatus.FINISHED, record.message
+    assert sum(bench.link.report.left_out.values()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in SPOILED if name not in ("future", "past")])
+def test_where_no_status_can_be_used_any_more_the_arm_is_stopped_and_it_is_said_why(bench, name):
+    bench.begin()
+    fault = Fault(bench, ARM.status, SPOILED[name])
+    record, _ = run(bench)
+    assert record.status == TaskStatus.STOPPED
+    assert "the robot has sent no status for" in record.message
+    assert "Since the last usable status" in record.message
+    assert "messages were left out: IIWA_STATUS" in record.message
+    assert bench.find_stop(fault.begun, NEAR) < STOPS_WITHIN
+
+
+@pytest.mark.parametrize("name", ["future", pytest.param("past", marks=pytest.mark.slow)])
+def test_where_the_robot_s_clock_truly_jumps_the_arm_is_stopped_and_the_next_run_goes_on(
+    bench, name
+):
+    bench.begin()
+    jump = {"future": int(FAR), "past": -int(2e6)}[name]
+    fault = Fault(bench, ARM.status, SPOILED[name])
+    bench.spoil[OBJECT_STATUS] = lambda time, data: [
+        data if fault.begun is None else change_pose(data, utime=lambda utime: utime + jump)
+    ]
+    record, _ = run(bench)
+    assert record.status == TaskStatus.STOPPED
+    assert f"The robot's clock jumped by {jump / 1e6:.3f} s." in record.message
+    assert any("clock jumped" in text for _, text in bench.link.report.events)
+    assert bench.find_stop(fault.begun, NEAR) < STOPS_WITHIN
+    bench.link.armed = True
+    again = bench.task.run(drive=bench.link)
+    assert again.status == TaskStatus.FINISHED, again.message
+    # and back again, before the other tests
+    bench.begin()
+    for _ in range(100):
+        bench.move()
+        bench.lcm.HandleSubscriptions(0)
+
+
+@pytest.mark.parametrize("count", [1, pytest.param(math.inf, marks=pytest.mark.slow)])
+def test_a_pose_from_the_future_is_left_out(bench, count):
+    """One changes nothing; where all are, the object is not seen any more, and nothing is pushed for long."""
+    bench.begin()
+    spoil = partial(change_pose, utime=lambda utime: utime + int(FAR))
+    fault = Fault(bench, OBJECT_STATUS, spoil, count)
+    places = []
+    advance = bench.link.advance
+
+    def watch(simulator, time):
+        advance(simulator, time)
+        if fault.begun is not None and not np.isfinite(bench.task.read("object.pose")).all():
+            places.append(bench.time - fault.begun)
+
+    bench.link.advance = watch
+    try:
+        record, _ = run(bench)
+    finally:
+        del bench.link.advance
+    why = f"{OBJECT_STATUS} is from the future, by the robot's clock"
+    assert bench.link.report.left_out[why] >= 1
+    if count == 1:
+        assert record.status == TaskStatus.FINISHED, record.message
+        assert places == []
+    else:
+        assert places[0] < 0.65  # OBJECT_MAX_AGE, and a look every 0.1 s
+        assert record.status != TaskStatus.FINISHED
+
+
+class BrokenPencilError(Exception):
+    """What nobody foresaw."""
+
+
+def fail_in_loop(bench, begun):
+    """The task's own bookkeeping fails in the middle of a push; the guard is well."""
+    note = bench.task.note
+
+    def failing(record, time):
+        if bench.task.read("executor.status").phase == PushPhase.PUSHING and len(bench.rows) > 20:
+            begun.append(bench.time)
+            raise BrokenPencilError("the pencil broke")
+        return note(record, time)
+
+    bench.task.note = failing
+    return lambda: delattr(bench.task, "note")
+
+
+def fail_in_station(bench, begun):
+    """Nothing of the station can be moved on any more, the guard included, from the middle of a push on."""
+    take_step = bench.link._step
+
+    def failing(simulator):
+        if begun or bench.task.read("executor.status").phase == PushPhase.PUSHING:
+            if not begun:
+                for _ in range(60):
+                    take_step(simulator)
+            begun.append(bench.time)
+            raise SystemExit("Failure at some.cc:1 in Some(): condition 'it' failed.")
+        take_step(simulator)
+
+    bench.link._step = failing
+    return lambda: delattr(bench.link, "_step")
+
+
+@pytest.mark.parametrize(
+    ("fail", "says", "by"),
+    [
+        (fail_in_loop, "The controller failed: BrokenPencilError: the pencil broke.", "guard"),
+        (
+            fail_in_station,
+            "The controller failed: SystemExit: Failure at some.cc:1",
+            "without the guard",
+        ),
+    ],
+)
+def test_whatever_fails_the_arm_is_braked_and_what_was_done_is_written(
+    bench, fail, says, by, tmp_path, capsys
+):
+    bench.begin()
+    begun = []
+    restore = fail(bench, begun)
+    try:
+        record, sent = run(bench)
+    finally:
+        restore()
+    assert record.status == TaskStatus.STOPPED
+    assert says in record.message
+    assert any(by in text for _, text in bench.link.report.events)
+    # the arm was moving, came to rest smoothly, and stays there
+    velocity = np.diff(sent, axis=0) / ARM_PERIOD
+    assert np.abs(velocity).max() > 0.05
+    limit = bench.task.station.scenario.safety.acceleration
+    assert np.abs(np.diff(velocity, axis=0)).max() / ARM_PERIOD < 1.001 * limit
+    np.testing.assert_allclose(velocity[-1], 0.0, atol=1e-9)
+    for _ in range(100):
+        bench.move()
+    assert bench.find_stop(begun[0], NEAR) < STOPS_WITHIN
+    # log, record and report, and an exit code that is not 0
+    task, scenario = TASKS["identify"], bench.task.station.scenario
+    summary = robot_command._report(task, scenario, record, bench.link, tmp_path, False, False)
+    assert summary["status"] == "stopped"
+    assert says in capsys.readouterr().err.replace("\n", " ")
+    log = (tmp_path / "robot.log").read_text()
+    assert says.rstrip(".") in log
+    assert "Traceback" in log
+    assert {"object.yaml", "scenario.yaml", "stream.csv"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+
+
+@pytest.mark.slow
+def test_commands_that_are_no_commands_are_left_out_by_the_twin(bench):
+    bench.begin()
+    count = [0]
+
+    def disturb(data):
+        count[0] += 1
+        if count[0] % 10 != 3:
+            return [data]
+        message = lcmt_iiwa_command.decode(data)
+        message.joint_position = [math.nan, *message.joint_position[1:]]
+        return [message.encode(), data[:-2], data + b"more", data]
+
+    bench.disturb = disturb
+    record = bench.task.run(drive=bench.link)
+    assert record.status == TaskStatus.FINISHED, record.message
+    assert sum(bench.twin_link.left_out.values()) > 10
