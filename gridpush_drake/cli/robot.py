@@ -132,13 +132,13 @@ class StopRequest:
 def _stopping(link: "HardwareLink") -> Iterator[StopRequest]:
     """Has the first signal stop the arm, as the loss of the terminal does; what was done is still written.
 
-    A second signal ends the process, and the robot's driver holds the arm. A second SIGHUP changes
-    nothing: a lost terminal sends several.
+    The same signal a second time ends the process, and the robot's driver holds the arm; but not
+    SIGHUP, of which a lost terminal sends several.
     """
     asked = StopRequest()
 
     def stop(number: int, _: Any) -> None:
-        if asked.number and not is_hangup(number):
+        if not is_hangup(number):
             signal.signal(number, before[number])
         if not asked.number:
             asked.number = number

@@ -11,6 +11,7 @@ import time
 import pytest
 
 from gridpush_drake.cli.interrupts import LosableOutput, losable_outputs, set_handlers
+from gridpush_drake.cli.robot import _stopping
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="POSIX signals and terminals")
 
@@ -118,3 +119,35 @@ def test_print_and_progress_go_through_it(capsys, monkeypatch):
     assert sys.stderr is before
     assert [error.errno for error in errors] == [errno.EIO]
     assert capsys.readouterr().out == "on standard output\n"
+
+
+class Link:
+    """Counts how often the robot is asked to stop."""
+
+    def __init__(self):
+        self.stops, self.notes = 0, []
+
+    def request_stop(self):
+        self.stops += 1
+
+    def note(self, text):
+        self.notes.append(text)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_first_signal_stops_the_arm_and_only_a_second_ctrl_c_ends_the_process(number):
+    link = Link()
+    before = signal.signal(number, signal.default_int_handler)
+    try:
+        with _stopping(link) as asked:
+            signal.raise_signal(number)
+            assert (link.stops, asked.number) == (1, number)
+            assert link.notes == [f"asked to stop by {number.name}"]
+            if number == signal.SIGHUP:
+                signal.raise_signal(number)
+            else:
+                with pytest.raises(KeyboardInterrupt):
+                    signal.raise_signal(number)
+        assert signal.getsignal(number) == signal.default_int_handler
+    finally:
+        signal.signal(number, before)

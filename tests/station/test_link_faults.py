@@ -8,9 +8,9 @@ import pytest
 from drake import lcmt_iiwa_command, lcmt_iiwa_status, lcmt_planar_manipuland_status
 
 from gridpush_drake.cli import robot as robot_command
-from gridpush_drake.cli.demo_tasks import TASKS
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
 from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
+from gridpush_drake.station.tasks import TASKS
 from gridpush_drake.systems.messages import PushPhase
 from tests.helpers.twin_bench import TwinBench
 
