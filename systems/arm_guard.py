@@ -1,28 +1,86 @@
 """`ArmGuard`: what stands last between all that commands an arm and the arm.
 
-It lets positions through no faster than the joints may move, and where something is wrong it stops
-the arm smoothly and holds it there, until a new Context begins.
+It lets positions through no faster than the joints may move, compares what the arm is told with
+what it is measured to do, and where something is wrong it stops the arm smoothly and holds it
+there, until a new Context begins. It trusts no single message: where it leads the arm back from a
+collision, it does so along the way that the arm has come (`arm_path`).
 
-`CommandRamp`: what stands on the robot's side of the commands. Where they stop coming, because
-whoever sends them has stalled or died, it brings the arm to rest smoothly; where they come again,
-it follows them again.
+What is *not* here: how a robot answers commands that stop coming (`CommandRamp`), and whether
+messages are whole and in order (`HardwareLink`).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike
-from pydrake.systems.framework import BasicVector, Context
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, InputPort
 
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, wrap_angle
-from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
+from gridpush_drake.systems.arm_path import ArmPath, CalcTip, WayBack, brake, follow
+from gridpush_drake.systems.messages import GraspStatus
 from gridpush_drake.systems.object_controller import AbstractStateSystem
+from gridpush_drake.systems.object_watch import ObjectWatch, WatchState
 
 MAX_OBJECT_SPEED = 0.5
-"""m/s and rad/s, by which an object may have moved on while it was not seen."""
+"""By how much an object may have moved on for every second that it was not seen, m and rad."""
+
+JOINT_SPEED_MARGIN = 1.5
+"""A joint that is measured to move faster than this many times its speed limit is measured wrongly,
+or is thrown. In simulation joints seem up to 1.2 times as fast as they are, as two statuses are
+4 to 6 ms apart."""
+
+JOINT_NOISE = 0.002
+"""How far a joint at rest may seem to move between two statuses, rad or m."""
+
+MAX_STATUS_GAP = 0.1
+"""Longest time between two statuses, s, for which a joint's motion is excused: in a longer pause no
+command goes out, and the robot's driver brings the arm to rest."""
+
+FROZEN_ERROR = 0.002
+"""Following error, rad or m, beyond which joints are taken for frozen that are measured at exactly
+the same positions for longer than `GuardLimits.following_time`. A true measurement is never twice
+the same while the arm moves."""
+
+HOLD_SPEED = 0.02
+"""Speed, rad/s or m/s, below which every joint must be measured before the arm counts as held."""
+
+HOLD_TIME = 0.02
+"""How long the joints must be measured that slow, s."""
+
+CONFIRM_TIME = 1.0
+"""How long after the commands came to rest, s, the joints are waited for to be measured at rest."""
+
+RETREAT_SPEED_SHARE = 0.1
+"""Share of its speed limit at which a joint goes back, at most, after a collision."""
+
+RETREAT_ACCELERATION_SHARE = 0.5
+"""Share of its greatest acceleration with which a joint sets out on the way back, and comes to rest
+at its end; the rest is left for the way's bends."""
+
+RETREAT_TIP_SPEED = 0.05
+"""Speed at which the finger's tip goes back, at most, after a collision, m/s."""
+
+RELIEF_TIME = 0.1
+"""How long after a collision, s, torques and forces may still rise: the arm has to brake first, and
+its estimate of them comes late. After that a retreat ends where they rise further, or again."""
+
+RELIEVED_SHARE = 0.8
+"""An arm is relieved where torques and forces are below this share of what is allowed."""
+
+IDLE_TIME = 0.5
+"""How long after its last motion, s, the arm counts as idle. The object may then be moved by hand:
+it is looked at anew before the next push."""
+
+HIDDEN_TIME = 0.2
+"""How long the object may be out of sight, s, for its motion still to be compared with the
+finger's. After longer it may only not be farther away than `MAX_OBJECT_SPEED` allows."""
+
+AT_REST = 1e-9
+"""Velocity of a commanded joint, rad/s or m/s, below which rounding errors alone are left."""
 
 PUSHER_STATE_SIZE = 6
 
@@ -32,21 +90,28 @@ ROUNDING = 1e-9
 STOPPED_BY_USER, WORK_DONE = "stopped by the user", "the work is done"
 
 BY_USER, DONE, BY_SILENCE = 1.0, 2.0, 3.0
-"""What a guard is told to stop for."""
+"""What a guard is told to stop for, on its port `stop`."""
 
 
 @dataclass(frozen=True, eq=False)
 class GuardLimits:
     """What an `ArmGuard` allows an arm of n joints.
 
+    Where a joint slides, read m for rad and N for N m.
+
     Attributes:
-        speed: (n,) of the commands, rad/s.
-        acceleration: (n,) of the commands, rad/s².
-        torque: (n,) greatest external torque, N m.
-        force: greatest on the finger's tip, N.
-        status_age: greatest age of what the robot says of itself, s.
-        pose_jump: farthest that the object may be seen to move at once, m.
-        pose_turn: likewise, rad.
+        speed: (n,) greatest speed of each joint in the commands, rad/s.
+        acceleration: (n,) greatest acceleration of each joint in the commands, rad/s².
+        torque: (n,) greatest torque on each joint from outside, N m; beyond it the arm goes back.
+        force: greatest force on the finger's tip, N; beyond it the arm goes back.
+        status_age: greatest age of the robot's last status, s; beyond it the arm is stopped.
+        pose_jump: farthest that the object may be seen to move from one look to the next, m.
+        pose_turn: farthest that the object may be seen to turn from one look to the next, rad.
+        retreat: farthest that the tip travels back after a torque or a force over its limit, m.
+        following_error: how far a joint may be measured from all positions that it was told within
+            the last `following_time`, rad.
+        following_time: how long a joint may be farther off than `following_error`, s; and how late
+            a joint may be without being off at all.
     """
 
     speed: Array
@@ -56,15 +121,57 @@ class GuardLimits:
     status_age: float = 0.05
     pose_jump: float = 0.03
     pose_turn: float = 0.3
+    retreat: float = 0.01
+    following_error: float = 0.02
+    following_time: float = 0.05
 
 
 class GuardMode(StrEnum):
-    """What a guard does."""
+    """What a guard does.
+
+    WAITING: the arm was not measured yet; no command goes out. FOLLOWING: commands are passed on.
+    STOPPING: the arm is brought to rest, or goes back from a collision. HOLDING: the arm is
+    commanded to stay, and is measured at rest there. UNCONFIRMED: the arm is commanded to stay, but
+    is not measured at rest there, or not measured at all.
+    """
 
     WAITING = "waiting"
     FOLLOWING = "following"
     STOPPING = "stopping"
     HOLDING = "holding"
+    UNCONFIRMED = "holding, not seen at rest"
+
+
+class StopKind(StrEnum):
+    """What a guard stops an arm for; each is noted once."""
+
+    USER = "user"
+    DONE = "done"
+    SILENCE = "silence"
+    NOT_FINITE = "not finite"
+    TORQUE = "torque"
+    FORCE = "force"
+    JOINT_SPEED = "joint speed"
+    FOLLOWING = "following"
+    TIP = "tip"
+    OBJECT = "object"
+
+
+COLLISIONS = (StopKind.TORQUE, StopKind.FORCE)
+"""Kinds after which the arm goes back along the way that it has come."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong.
+
+    Attributes:
+        kind: which kind of thing.
+        reason: a sentence about it, without a full stop.
+    """
+
+    kind: StopKind
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -73,51 +180,162 @@ class GuardStatus:
 
     Attributes:
         mode: what it does.
-        reason: why it stopped the arm; empty where it did not.
-        since: when it noticed that, s; NaN where it did not.
+        reason: why it stopped the arm, and what went wrong after that; empty where it did not.
+        since: when it stopped the arm, s; NaN where it did not.
+        kinds: what it stopped the arm for, and what came after that; empty where it did not.
     """
 
     mode: GuardMode = GuardMode.WAITING
     reason: str = ""
     since: float = float("nan")
+    kinds: tuple[StopKind, ...] = ()
 
     @property
     def by_user(self) -> bool:
-        """Whether the arm was stopped because `stop` said so."""
-        return self.reason == STOPPED_BY_USER
+        """Whether the arm was stopped because the user said so."""
+        return self.kinds[:1] == (StopKind.USER,)
 
     @property
     def stopped(self) -> bool:
         """Whether the arm was stopped, or is just being."""
         return bool(self.reason)
 
+    @property
+    def ended(self) -> bool:
+        """Whether the arm was stopped and nothing more is to come: it holds, as far as is known."""
+        return self.mode in (GuardMode.HOLDING, GuardMode.UNCONFIRMED)
+
+    @property
+    def failed(self) -> bool:
+        """Whether something was wrong, be it while the arm was at work or after it was stopped.
+
+        A robot that falls silent only after the work was done does no harm any more.
+        """
+        harmless = (StopKind.USER, StopKind.DONE, StopKind.SILENCE)
+        return self.kinds[:1] == (StopKind.SILENCE,) or any(
+            kind not in harmless for kind in self.kinds
+        )
+
+    def stop_for(self, fault: Fault, time: float) -> "GuardStatus":
+        """With a fault noted: the first one stops the arm, those after it are added to the reason."""
+        if not self.stopped:
+            return GuardStatus(GuardMode.STOPPING, fault.reason, time, (fault.kind,))
+        then = "while it was held" if self.ended else "while it was stopped"
+        reason = f"{self.reason}; then, {then}, {fault.reason}"
+        return replace(self, reason=reason, kinds=(*self.kinds, fault.kind))
+
+
+@dataclass(frozen=True, eq=False)
+class GuardInputs:
+    """What is on a guard's input ports at one time; see `ArmGuard`.
+
+    Attributes:
+        time: of the Context, s.
+        desired: (n,) where the joints should be, rad.
+        measured: (n,) where the joints are by the robot's last status, rad.
+        torque: (n,) on the joints from outside, N m.
+        force: (3,) on the finger's tip, N.
+        time_measured: of the robot's last status by the robot's clock, s.
+        tip: (3,) the place of the finger's tip p_WP as measured, m.
+        pose: (3,) of the object as it was seen last, m and rad; NaN while it is not seen.
+        stop: what to stop for; 0 for nothing.
+        grasping: whether a grasp is under way.
+    """
+
+    time: float
+    desired: Array
+    measured: Array
+    torque: Array
+    force: Array
+    time_measured: float
+    tip: Array
+    pose: Array
+    stop: float
+    grasping: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements(Unchanging):
+    """What a guard remembers of the robot's statuses.
+
+    Attributes:
+        time: of the last status, by the robot's clock, s; NaN before the first.
+        came: when that status came, s, by the Context's clock.
+        position: (n,) the last joints that were credible, rad; None before the first.
+        position_time: of the status that they are from, by the robot's clock, s.
+        before: (n,) the credible joints before these, rad; None before the second.
+        credible: whether the joints in the last status are.
+        too_fast: which joint, counted from 0, moved faster in the last status than the arm can, and
+            its speed, rad/s; None where none did.
+        slow_since: since when all joints have been slower than `HOLD_SPEED`, s; NaN while one is
+            not.
+        unchanged_since: since when the joints have been exactly where they are, s.
+        astray_since: since when a joint has been farther from its commands than it may be, s; NaN
+            while none is.
+        astray: which joint that is, counted from 0, and how far it is off, rad.
+    """
+
+    time: float = float("nan")
+    came: float = 0.0
+    position: Array | None = None
+    position_time: float = float("nan")
+    before: Array | None = None
+    credible: bool = False
+    too_fast: tuple[int, float] | None = None
+    slow_since: float = float("nan")
+    unchanged_since: float = 0.0
+    astray_since: float = float("nan")
+    astray: tuple[int, float] = (0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Retreat(Unchanging):
+    """How an arm goes back from a collision.
+
+    Attributes:
+        way: where it goes; None until it has braked.
+        gone: how long it has gone along the way, s.
+        worst: greatest torque or force so far, as a share of what is allowed.
+        relieved: whether torques and forces have been within their limits since.
+    """
+
+    way: WayBack | None = None
+    gone: float = 0.0
+    worst: float = 0.0
+    relieved: bool = False
+
 
 @dataclass(frozen=True, eq=False)
 class GuardState(Unchanging):
-    """All that a guard remembers.
+    """All that a guard remembers; never changed, only replaced.
 
     Attributes:
-        status: as on the port.
-        position: (n,) commanded, rad; None before anything was measured.
-        velocity: (n,) of that, rad/s.
-        desired: (n,) wanted at the last update, rad.
-        retreat: (n,) where to hold after a collision, rad; None to hold where the arm comes to
-            rest.
-        time_measured: of the robot's last status, by its clock, s.
-        fresh: when that came, s.
-        pose: (3,) where the object was last seen, m and rad.
-        seen: when, s.
+        status: what the guard does, as it is on the port `status`.
+        position: (n,) the joint positions that are commanded, rad; None before the arm was measured.
+        velocity: (n,) how fast the commanded positions move, rad/s.
+        desired: (n,) the joint positions that were desired at the last update, rad.
+        moved: when the commanded positions moved last, s.
+        seen: what is remembered of the robot's statuses.
+        path: the way that the arm has come; None before it was measured.
+        retreat: how the arm goes back; None where it does not.
+        at_rest_since: since when the commands have been at rest after a stop, s; NaN before.
+        pose: (3,) where the object was seen last, m and rad; None before it was.
+        pose_seen: when that was, s.
+        watch: what is remembered of the object's motion.
     """
 
     status: GuardStatus = GuardStatus()
     position: Array | None = None
     velocity: Array | None = None
     desired: Array | None = None
-    retreat: Array | None = None
-    time_measured: float = float("nan")
-    fresh: float = 0.0
+    moved: float = 0.0
+    seen: Measurements = field(default_factory=Measurements)
+    path: ArmPath | None = None
+    retreat: Retreat | None = None
+    at_rest_since: float = float("nan")
     pose: Array | None = None
-    seen: float = 0.0
+    pose_seen: float = 0.0
+    watch: WatchState = field(default_factory=WatchState)
 
 
 class ArmGuard(AbstractStateSystem[GuardState]):
@@ -135,6 +353,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         - pusher_state
         - object_pose
         - stop
+        - grasp_status
         output_ports:
         - position
         - status
@@ -143,8 +362,8 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     * position_measured: vector of n, where they are, rad.
     * torque_external: vector of n, on the joints from outside, N m.
     * force: vector of 3, on the finger's tip, N.
-    * time_measured: vector of 1, of the robot's status by the robot's clock, s; it changes with
-      every status.
+    * time_measured: vector of 1, of the robot's status by the robot's clock, s; it grows with every
+      status.
     * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W, as
       measured.
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN while the object is
@@ -152,17 +371,35 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     * stop: vector of 1; anything but 0 stops the arm: `BY_USER`; `BY_SILENCE`, where whoever moves
       the time on, and sends the commands, has done neither for `status_age`, as the robot was not
       heard of; else the work is done.
+    * grasp_status: abstract `GraspStatus`: while a grasp is under way the object moves with the
+      gripper. Need not be connected.
     * position: vector of n, for the robot, rad; it begins where the joints were first measured. NaN
       before.
     * status: abstract `GuardStatus`.
 
-    The arm is stopped where the status is as old as `GuardLimits.status_age`, a torque from outside
-    or the force on the tip is beyond its limit, the pose of the object jumps, the tip leaves where
-    it may be, a number is not finite, or `stop` says so. A stop is a straight line in the joints'
-    space, as short as the accelerations allow; after a collision the arm goes back to where it was
-    when that was noticed, so that it does not press. Where the robot's clock went on by more than
-    `status_age` between two updates, it was the commands that paused: the arm rests, and they begin
-    at rest again.
+    **What stops the arm**, each with a sentence in the status: the last status is as old as
+    `GuardLimits.status_age`; a number is not finite; a torque from outside or the force on the tip
+    is beyond its limit; a joint is measured to move faster than `JOINT_SPEED_MARGIN` times its
+    speed limit between two statuses; a joint is measured farther than `following_error` from all
+    that it was told within the last `following_time`, for longer than that again, or the joints
+    are measured at exactly the same place meanwhile, `FROZEN_ERROR` from where they should be; the
+    tip leaves where it may be; the pose of the object jumps, or the object moves as the finger
+    cannot have moved it; or `stop` says so.
+
+    **What a stop does.** The commands go on in a straight line in the joints' space, no farther
+    than the accelerations need, and rest there. After a torque or a force over its limit they then
+    go back slowly along the way that the arm was measured to have come, until the tip has traveled
+    by `retreat`, or as far as the way is known. A fault on the way back ends it there. All the
+    time, all commands keep the limits of speed and acceleration. No measurement leads the arm
+    anywhere. Faults that come after the stop are added to the status; nothing makes the arm follow
+    again.
+
+    The mode is `HOLDING` only while the joints were measured slower than `HOLD_SPEED`, and where
+    they were told to be; else it is `UNCONFIRMED`, at the latest `CONFIRM_TIME` after the commands
+    came to rest.
+
+    Where the robot's clock went on by more than `status_age` longer than the Context's, it was the
+    commands that paused: the arm rests, and they begin at rest again, at once.
 
     Abstract state: one `GuardState`.
     """
@@ -172,19 +409,28 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     def __init__(
         self,
         limits: GuardLimits,
+        calc_tip: CalcTip,
         validator: Callable[[Array], str | None] | None = None,
         period: float = 0.005,
+        object_watch: ObjectWatch | None = None,
     ) -> None:
         """Declares the system.
 
         Args:
             limits: what it allows; their sizes say how many joints there are.
+            calc_tip: the arm's forward kinematics, from the joint positions (n,), rad, to the place
+                of the tip p_WP (3,), m.
             validator: of the tip's place p_WP (3,), m: None where it may be there, else a sentence;
                 None allows all.
             period: of the commands, s.
+            object_watch: what the object's motion is judged by; None looks for jumps only.
         """
         super().__init__(GuardState(), period)
-        self.limits, self._validator, self._period = limits, validator, period
+        self.limits = limits
+        self._calc_tip = calc_tip
+        self._validator = validator
+        self._period = period
+        self._object_watch = object_watch
         n = len(limits.speed)
         self._desired = self.DeclareVectorInputPort("position_desired", n)
         self._measured = self.DeclareVectorInputPort("position_measured", n)
@@ -194,6 +440,9 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         self._pusher = self.DeclareVectorInputPort("pusher_state", PUSHER_STATE_SIZE)
         self._pose = self.DeclareVectorInputPort("object_pose", 3)
         self._stop = self.DeclareVectorInputPort("stop", 1)
+        self._grasp = self.DeclareAbstractInputPort(
+            "grasp_status", AbstractValue.Make(GraspStatus())
+        )
         self._declare_vector(
             "position", n, lambda now: np.full(n, np.nan) if now.position is None else now.position
         )
@@ -201,291 +450,405 @@ class ArmGuard(AbstractStateSystem[GuardState]):
 
     def _go_on(self, context: Context, now: GuardState) -> GuardState:
         """Looks whether all is well, and makes the next command."""
-        time = context.get_time()
-        now = self._look(context, now, time)
-        measured, desired = (
-            np.array(port.Eval(context)) for port in (self._measured, self._desired)
-        )
+        inputs = self._read(context)
+        paused = self._has_paused(now, inputs)
+        now = replace(now, seen=self._measure(now.seen, inputs))
         if now.position is None or now.velocity is None:
-            if not (np.isfinite(measured).all() and np.isfinite(desired).all()):
-                return now
-            following = GuardStatus(GuardMode.FOLLOWING)
+            return self._begin_at(now, inputs)
+        if paused:
+            now = replace(now, velocity=np.zeros_like(now.velocity))
+        if now.status.stopped:
+            now = self._note_faults(now, inputs, self._find_faults_at_rest(now, inputs))
+            return self._stop_on(now, inputs)
+        # what the arm and the object have done since the last update
+        now = self._compare(now, inputs)
+        now, object_fault = self._look_at_object(now, inputs)
+        # what is wrong, and the next command
+        faults = self._find_faults(now, inputs)
+        if object_fault:
+            faults.append(Fault(StopKind.OBJECT, object_fault))
+        now = self._note_faults(now, inputs, faults)
+        if now.status.stopped:
+            return self._stop_on(now, inputs)
+        return self._follow(now, inputs)
+
+    def _read(self, context: Context) -> GuardInputs:
+        """What is on the ports."""
+        grasping = self._grasp.HasValue(context) and not self._grasp.Eval(context).ready
+        return GuardInputs(
+            time=context.get_time(),
+            desired=np.array(self._desired.Eval(context)),
+            measured=np.array(self._measured.Eval(context)),
+            torque=np.array(self._torque.Eval(context)),
+            force=np.array(self._force.Eval(context)),
+            time_measured=float(self._time_measured.Eval(context)[0]),
+            tip=np.array(self._pusher.Eval(context)[:3]),
+            pose=np.array(self._pose.Eval(context)),
+            stop=float(self._stop.Eval(context)[0]),
+            grasping=grasping,
+        )
+
+    # What the robot says of itself.
+
+    def _has_paused(self, now: GuardState, inputs: GuardInputs) -> bool:
+        """Whether the robot's clock shows that no command has gone out for longer than is allowed.
+
+        It has then gone on although the Context's time, with which the commands come, has not.
+        """
+        ahead = (inputs.time_measured - now.seen.time) - (inputs.time - now.seen.came)
+        return bool(np.isfinite(ahead) and ahead > self.limits.status_age + ROUNDING)
+
+    def _measure(self, seen: Measurements, inputs: GuardInputs) -> Measurements:
+        """What is remembered once the status on the ports was read; each status counts once."""
+        newer = np.isnan(seen.time) or inputs.time_measured > seen.time
+        if not (np.isfinite(inputs.time_measured) and newer):
+            return seen
+        measured = inputs.measured
+        seen = replace(
+            seen, time=inputs.time_measured, came=inputs.time, credible=False, too_fast=None
+        )
+        if not np.isfinite(measured).all():
+            return replace(seen, slow_since=np.nan)
+        if seen.position is None:
+            return replace(seen, position=measured, position_time=seen.time)
+        # whether the joints can move like that from one status to the next
+        elapsed = float(np.clip(seen.time - seen.position_time, self._period, MAX_STATUS_GAP))
+        moved = np.abs(measured - seen.position)
+        farthest = JOINT_SPEED_MARGIN * self.limits.speed * elapsed + JOINT_NOISE
+        if (moved > farthest).any():
+            k = int((moved / farthest).argmax())
+            return replace(seen, slow_since=np.nan, too_fast=(k, float(moved[k]) / elapsed))
+        # whether they are at rest, and whether they are the very same numbers as before
+        slow = bool((moved <= HOLD_SPEED * elapsed).all())
+        since = seen.slow_since if np.isfinite(seen.slow_since) else inputs.time
+        return replace(
+            seen,
+            before=seen.position,
+            position=measured,
+            position_time=seen.time,
+            credible=True,
+            slow_since=since if slow else np.nan,
+            unchanged_since=inputs.time if moved.any() else seen.unchanged_since,
+        )
+
+    def _begin_at(self, now: GuardState, inputs: GuardInputs) -> GuardState:
+        """Begins where two statuses in a row say that the arm is, at rest."""
+        seen, measured = now.seen, inputs.measured
+        if seen.too_fast is not None:  # the first of the two may have been the wrong one
             return replace(
-                now,
-                status=following,
-                position=measured,
-                velocity=np.zeros_like(measured),
-                desired=desired,
+                now, seen=replace(seen, position=measured, position_time=seen.time, too_fast=None)
             )
-        if not now.status.stopped:
-            fault, collided = self._find_fault(context, now, time)
-            if fault is not None:
-                still = self._stop.Eval(context)[0] == BY_SILENCE  # no command went out meanwhile
-                velocity = np.zeros_like(now.velocity) if still else now.velocity
-                now = replace(
-                    now, status=fault, velocity=velocity, retreat=measured if collided else None
-                )
-        pose = np.array(self._pose.Eval(context))
-        if np.isfinite(pose).all():
-            now = replace(now, pose=pose, seen=time)
-        return self._stop_on(now) if now.status.stopped else self._follow(now, desired)
-
-    def _look(self, context: Context, now: GuardState, time: float) -> GuardState:
-        """Notes the robot's time."""
-        measured = float(self._time_measured.Eval(context)[0])
-        if measured == now.time_measured:
+        if not seen.credible or np.isnan(seen.slow_since) or not np.isfinite(inputs.desired).all():
             return now
-        paused = (
-            measured - now.time_measured > self.limits.status_age + ROUNDING
-            and now.velocity is not None
+        return replace(
+            now,
+            status=GuardStatus(GuardMode.FOLLOWING),
+            position=measured,
+            velocity=np.zeros_like(measured),
+            desired=inputs.desired,
+            moved=inputs.time,
+            seen=replace(seen, unchanged_since=inputs.time),
+            path=ArmPath.begin(measured, inputs.time, self._calc_tip(measured)),
         )
-        velocity = np.zeros_like(now.velocity) if paused else now.velocity
-        return replace(now, time_measured=measured, fresh=time, velocity=velocity)
 
-    def _follow(self, now: GuardState, desired: Array) -> GuardState:
-        assert now.position is not None and now.velocity is not None and now.desired is not None
-        position, velocity = follow(
-            now.position,
-            now.velocity,
-            now.desired,
-            desired,
-            self.limits.speed,
-            self.limits.acceleration,
-            self._period,
-        )
-        return replace(now, position=position, velocity=velocity, desired=desired)
-
-    def _brake(self, now: GuardState) -> GuardState:
-        assert now.position is not None and now.velocity is not None
-        velocity = brake(now.velocity, self.limits.acceleration, self._period)
-        return replace(now, position=now.position + self._period * velocity, velocity=velocity)
-
-    def _stop_on(self, now: GuardState) -> GuardState:
-        assert now.velocity is not None
-        if now.status.mode == GuardMode.HOLDING:
+    def _compare(self, now: GuardState, inputs: GuardInputs) -> GuardState:
+        """Notes which commands the arm has passed through, and how far it is off all of them."""
+        seen, path, limits = now.seen, now.path, self.limits
+        fresh = seen.credible and seen.came == inputs.time
+        if not fresh or path is None or seen.before is None or seen.position is None:
             return now
-        now = (
-            self._brake(now)
-            if now.retreat is None
-            else self._follow(replace(now, desired=now.retreat), now.retreat)
-        )
-        at_rest = now.velocity is not None and not now.velocity.any()
-        return replace(now, status=replace(now.status, mode=GuardMode.HOLDING)) if at_rest else now
+        path = path.confirm(seen.before, seen.position)
+        error = path.calc_error(seen.position, inputs.time, limits.following_time)
+        # joints that are said to be exactly where they were may not be measured at all
+        frozen = inputs.time - seen.unchanged_since > limits.following_time + ROUNDING
+        allowed = min(FROZEN_ERROR, limits.following_error) if frozen else limits.following_error
+        k = int(error.argmax())
+        since = np.nan
+        if error[k] > allowed:
+            since = seen.astray_since if np.isfinite(seen.astray_since) else inputs.time
+        seen = replace(seen, astray_since=since, astray=(k, float(error[k])))
+        return replace(now, seen=seen, path=path)
 
-    def _find_fault(
-        self, context: Context, now: GuardState, time: float
-    ) -> tuple[GuardStatus | None, bool]:
-        """What is wrong, None for nothing; and whether the arm has run into something."""
-        limits, torque = self.limits, np.abs(self._torque.Eval(context))
-        stop, age, force = (
-            self._stop.Eval(context)[0],
-            time - now.fresh,
-            np.linalg.norm(self._force.Eval(context)),
-        )
-        noticed = GuardStatus(
-            GuardMode.STOPPING, STOPPED_BY_USER if stop == BY_USER else WORK_DONE, time
-        )
-        if stop == BY_SILENCE or (not stop and age > limits.status_age - ROUNDING):
-            text = f"the robot has sent no status for {1e3 * max(age, limits.status_age):.0f} ms"
-            reason = f"{text}; {1e3 * limits.status_age:.0f} ms are allowed"
-            return replace(noticed, reason=reason), False
-        if stop:
-            return noticed, False
-        for port in (self._measured, self._torque, self._force, self._desired):
-            if not np.isfinite(port.Eval(context)).all():
-                return replace(
-                    noticed, reason=f"{port.get_name()} has numbers that are not finite"
-                ), False
+    # What is wrong.
+
+    def _find_faults(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
+        """All that is wrong while the arm is at work, the most telling first."""
+        faults = self._find_stops(now, inputs)
+        faults += self._find_not_finite(inputs, with_desired=True)
+        faults += self._find_collisions(inputs)
+        faults += self._find_astray_joints(now, inputs)
+        faults += self._find_breach(inputs)
+        return faults
+
+    def _find_faults_at_rest(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
+        """What is newly wrong after the arm was stopped, while it brakes, goes back and is held."""
+        faults = self._find_stops(now, inputs)
+        faults += self._find_not_finite(inputs, with_desired=False)
+        faults += self._find_astray_joints(now, inputs)
+        faults += self._find_breach(inputs)
+        known = (*now.status.kinds, StopKind.DONE, StopKind.FOLLOWING)
+        faults = [fault for fault in faults if fault.kind not in known]
+        return faults + self._find_further_collisions(now, inputs)
+
+    def _find_stops(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
+        """What the port `stop` says, and whether the robot is silent."""
+        allowed, age = self.limits.status_age, inputs.time - now.seen.came
+        if np.isfinite(inputs.stop) and inputs.stop not in (0.0, BY_SILENCE):
+            if inputs.stop == BY_USER:
+                return [Fault(StopKind.USER, STOPPED_BY_USER)]
+            return [Fault(StopKind.DONE, WORK_DONE)]
+        if inputs.stop == BY_SILENCE or age > allowed - ROUNDING:
+            text = f"the robot has sent no status for {1e3 * max(age, allowed):.0f} ms"
+            return [Fault(StopKind.SILENCE, f"{text}; {1e3 * allowed:.0f} ms are allowed")]
+        return []
+
+    def _find_not_finite(self, inputs: GuardInputs, with_desired: bool) -> list[Fault]:
+        """Which port has numbers that are not finite, where one has."""
+        values: list[tuple[InputPort, Array | float]] = [
+            (self._measured, inputs.measured),
+            (self._torque, inputs.torque),
+            (self._force, inputs.force),
+            (self._time_measured, inputs.time_measured),
+            (self._pusher, inputs.tip),
+            (self._stop, inputs.stop),
+        ]
+        if with_desired:
+            values.append((self._desired, inputs.desired))
+        for port, value in values:
+            if not np.isfinite(value).all():
+                reason = f"{port.get_name()} has numbers that are not finite"
+                return [Fault(StopKind.NOT_FINITE, reason)]
+        return []
+
+    def _find_collisions(self, inputs: GuardInputs) -> list[Fault]:
+        """Which torque, and whether the force, is beyond what is allowed."""
+        faults, limits = [], self.limits
+        torque, force = np.abs(inputs.torque), float(np.linalg.norm(inputs.force))
         if (torque > limits.torque).any():
             k = int((torque / limits.torque).argmax())
             allowed = f"{limits.torque[k]:.1f} N m are allowed"
             reason = f"the external torque on joint {k + 1} is {torque[k]:.1f} N m; {allowed}"
-            return replace(noticed, reason=reason), True
+            faults.append(Fault(StopKind.TORQUE, reason))
         if force > limits.force:
             reason = (
                 f"the force on the finger's tip is {force:.1f} N; {limits.force:.1f} N are allowed"
             )
-            return replace(noticed, reason=reason), True
-        breach = self._validator and self._validator(np.array(self._pusher.Eval(context)[:3]))
-        breach = breach or self._find_jump(context, now, time)
-        return (replace(noticed, reason=breach) if breach else None), False
+            faults.append(Fault(StopKind.FORCE, reason))
+        return faults
 
-    def _find_jump(self, context: Context, now: GuardState, time: float) -> str | None:
-        """How far the object was seen to jump; None where it did not."""
-        pose = self._pose.Eval(context)
-        if now.pose is None or not np.isfinite(pose).all():
-            return None
-        moved = MAX_OBJECT_SPEED * (time - now.seen)
-        jump, turn = (
-            float(np.linalg.norm(pose[:2] - now.pose[:2])),
-            abs(float(wrap_angle(pose[2] - now.pose[2]))),
-        )
+    def _find_further_collisions(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
+        """Torques and forces over their limits that are not what the arm was stopped for.
+
+        After a collision these are such as rise further although the arm goes back, or rise again.
+        """
+        kinds = now.status.kinds
+        if kinds[0] not in COLLISIONS:
+            return [fault for fault in self._find_collisions(inputs) if fault.kind not in kinds]
+        if sum(kind in COLLISIONS for kind in kinds) > 1:
+            return []
+        retreat = now.retreat or Retreat()
+        overdue = inputs.time - now.status.since > RELIEF_TIME
+        load = self._calc_load(inputs)
+        if retreat.relieved or (overdue and load > retreat.worst):
+            return self._find_collisions(inputs)[:1]
+        return []
+
+    def _calc_load(self, inputs: GuardInputs) -> float:
+        """Greatest torque or force, as a share of what is allowed; what is not finite is left out."""
+        shares = [*np.abs(inputs.torque) / self.limits.torque]
+        shares.append(float(np.linalg.norm(inputs.force)) / self.limits.force)
+        return max((float(share) for share in shares if np.isfinite(share)), default=0.0)
+
+    def _find_astray_joints(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
+        """Whether joints are measured where they cannot be, or where they should not be."""
+        faults, seen, limits = [], now.seen, self.limits
+        if seen.too_fast is not None:
+            k, speed = seen.too_fast
+            reason = (
+                f"joint {k + 1} was measured to move at {speed:.2f} per second between two "
+                f"statuses; it can move at {limits.speed[k]:.2f}"
+            )
+            faults.append(Fault(StopKind.JOINT_SPEED, reason))
+        late = inputs.time - seen.astray_since > limits.following_time + ROUNDING
+        if late:
+            k, error = seen.astray
+            asked = f"joint {k + 1} is measured {error:.3f} from where it was told to be"
+            if inputs.time - seen.unchanged_since > limits.following_time + ROUNDING:
+                still = 1e3 * (inputs.time - seen.unchanged_since)
+                reason = f"{asked}, and no joint's measured position has changed for {still:.0f} ms"
+            else:
+                reason = (
+                    f"{asked}, for more than {1e3 * limits.following_time:.0f} ms; "
+                    f"{limits.following_error:.3f} is allowed"
+                )
+            faults.append(Fault(StopKind.FOLLOWING, reason))
+        return faults
+
+    def _find_breach(self, inputs: GuardInputs) -> list[Fault]:
+        """Whether the tip is where it may not be."""
+        if self._validator is None or not np.isfinite(inputs.tip).all():
+            return []
+        breach = self._validator(inputs.tip)
+        return [Fault(StopKind.TIP, breach)] if breach else []
+
+    def _look_at_object(self, now: GuardState, inputs: GuardInputs) -> tuple[GuardState, str]:
+        """Takes in where the object is seen; a sentence where it cannot have come there, else ""."""
+        time, pose, watch = inputs.time, inputs.pose, now.watch
+        if not np.isfinite(pose).all():
+            return now, ""
+        fault = self._find_jump(now, inputs)
+        if self._object_watch is not None and np.isfinite(inputs.tip).all():
+            idle = time - now.moved > IDLE_TIME
+            hidden = time - now.pose_seen > HIDDEN_TIME
+            if idle or hidden or inputs.grasping:
+                watch = self._object_watch.forget(watch)
+            watch, moved = self._object_watch.watch(watch, time, pose, inputs.tip)
+            fault = fault or moved
+        return replace(now, pose=pose, pose_seen=time, watch=watch), fault
+
+    def _find_jump(self, now: GuardState, inputs: GuardInputs) -> str:
+        """How far the object was seen to jump; "" where it did not."""
+        if now.pose is None:
+            return ""
+        moved = MAX_OBJECT_SPEED * (inputs.time - now.pose_seen)
+        jump = float(np.linalg.norm(inputs.pose[:2] - now.pose[:2]))
+        turn = abs(float(wrap_angle(inputs.pose[2] - now.pose[2])))
         if jump > self.limits.pose_jump + moved or turn > self.limits.pose_turn + moved:
             return f"the object was seen to jump by {1e3 * jump:.0f} mm and {turn:.2f} rad"
-        return None
+        return ""
 
+    # What is done.
 
-@dataclass(frozen=True, eq=False)
-class RampState(Unchanging):
-    """All that a `CommandRamp` remembers.
-
-    Attributes:
-        status: as on the port.
-        position: (n,) for the joints, rad; None before the first update.
-        velocity: (n,) of that, rad/s.
-        target: (n,) of the last command, rad.
-        sent: that command's time, s, by its sender's clock.
-        came: when it was taken, s.
-    """
-
-    status: GuardStatus = GuardStatus()
-    position: Array | None = None
-    velocity: Array | None = None
-    target: Array | None = None
-    sent: float = float("nan")
-    came: float = 0.0
-
-
-class CommandRamp(AbstractStateSystem[RampState]):
-    """Passes commands for an arm's n joints on, and brings the arm to rest where none come.
-
-    .. pydrake_system::
-
-        name: CommandRamp
-        input_ports:
-        - position_desired
-        - time_sent
-        output_ports:
-        - position
-        - status
-
-    * position_desired: vector of n, of the last command, rad; before the first one, where the arm
-      is.
-    * time_sent: vector of 1, of the last command by its sender's clock, s; it changes with every
-      command.
-    * position: vector of n, for the joints' servos, rad.
-    * status: abstract `GuardStatus`.
-
-    A command counts as long as it is no older than `max_age`; until then the arm goes on as it
-    went. Then it brakes. A command that was sent before the last one and comes within that time was
-    overtaken, and is left out; so is one that is not finite. Whatever comes, speeds and
-    accelerations are kept.
-
-    Abstract state: one `RampState`.
-    """
-
-    __slots__ = NO_SLOTS
-
-    def __init__(
-        self, speed: Array, acceleration: Array, max_age: float, period: float = 0.005
-    ) -> None:
-        """Declares the system.
-
-        Args:
-            speed: (n,) greatest of the joints, rad/s.
-            acceleration: (n,) greatest, rad/s²: that of the commands, or more.
-            max_age: of a command, s.
-            period: of the updates, s.
-        """
-        super().__init__(RampState(), period)
-        self._speed, self._acceleration, self._max_age, self._period = (
-            speed,
-            acceleration,
-            max_age,
-            period,
+    def _follow(self, now: GuardState, inputs: GuardInputs) -> GuardState:
+        """With the next command after what is desired."""
+        assert now.position is not None and now.velocity is not None and now.desired is not None
+        assert now.path is not None
+        position, velocity = follow(
+            position=now.position,
+            velocity=now.velocity,
+            before=now.desired,
+            target=inputs.desired,
+            speed=self.limits.speed,
+            acceleration=self.limits.acceleration,
+            period=self._period,
         )
-        n = len(speed)
-        self._desired = self.DeclareVectorInputPort("position_desired", n)
-        self._sent = self.DeclareVectorInputPort("time_sent", 1)
-        inputs = {self._remembered, self._desired.ticket()}
-        self.DeclareVectorOutputPort("position", n, weakly(self._calc_position), inputs)
-        self._declare_value("status", lambda now: now.status)
-
-    def _calc_position(self, context: Context, output: BasicVector) -> None:
-        position = self._get_state(context).position
-        output.SetFromVector(self._desired.Eval(context) if position is None else position)
-
-    def _go_on(self, context: Context, now: RampState) -> RampState:
-        """Takes a new command, or does without."""
-        time, sent = context.get_time(), float(self._sent.Eval(context)[0])
-        target = np.array(self._desired.Eval(context))
-        if now.position is None or now.velocity is None or now.target is None:
-            return replace(
-                now,
-                position=target,
-                velocity=np.zeros_like(target),
-                target=target,
-                sent=sent,
-                came=time,
-            )
-        age = time - now.came
-        overtaken = sent < now.sent and age < self._max_age - ROUNDING
-        if sent != now.sent and not overtaken and np.isfinite(target).all():
-            before = target - self._period * (target - now.target) / max(age, self._period)
-            position, velocity = follow(
-                now.position,
-                now.velocity,
-                before,
-                target,
-                self._speed,
-                self._acceleration,
-                self._period,
-            )
-            following = GuardStatus(GuardMode.FOLLOWING)
-            return RampState(following, position, velocity, target, sent, time)
-        if now.status.mode in (GuardMode.WAITING, GuardMode.HOLDING):
-            return now
-        status, velocity = now.status, now.velocity
-        if age > self._max_age - ROUNDING:
-            if not status.stopped:
-                reason = f"no command has come for {1e3 * age:.0f} ms; {1e3 * self._max_age:.0f} ms are allowed"
-                status = GuardStatus(GuardMode.STOPPING, reason, time)
-            velocity = brake(velocity, self._acceleration, self._period)
-            status = status if velocity.any() else replace(status, mode=GuardMode.HOLDING)
         return replace(
-            now, status=status, position=now.position + self._period * velocity, velocity=velocity
+            now,
+            position=position,
+            velocity=velocity,
+            desired=inputs.desired,
+            moved=inputs.time if velocity.any() else now.moved,
+            path=now.path.add(inputs.time, position, self.limits.retreat, self._calc_tip),
         )
 
+    def _note_faults(self, now: GuardState, inputs: GuardInputs, faults: list[Fault]) -> GuardState:
+        """With faults in the status. The first one of all stops the arm; a further one ends a retreat."""
+        if not faults:
+            return now
+        retreat = None
+        if not now.status.stopped:
+            faults = faults[:1]
+            if faults[0].kind in COLLISIONS:
+                retreat = Retreat(worst=self._calc_load(inputs))
+        status = now.status
+        for fault in faults:
+            status = status.stop_for(fault, inputs.time)
+        return replace(now, status=status, retreat=retreat)
 
-def follow(
-    position: ArrayLike,
-    velocity: ArrayLike,
-    before: ArrayLike,
-    target: ArrayLike,
-    speed: Array,
-    acceleration: Array,
-    period: float,
-) -> tuple[Array, Array]:
-    """One step after a target that moves, each joint by itself.
+    def _stop_on(self, now: GuardState, inputs: GuardInputs) -> GuardState:
+        """With the next command on the way to rest, or at rest; and how far that has come."""
+        assert now.position is not None and now.velocity is not None
+        now = self._note_relief(now, inputs)
+        retreat = now.retreat
+        if inputs.stop == BY_SILENCE:  # no command goes out any more: the robot's driver brakes
+            now = replace(now, velocity=np.zeros_like(now.velocity))
+        if retreat is None:
+            now = self._brake(now)
+        elif retreat.way is None:
+            now = self._brake(now)
+            if now.velocity is not None and not now.velocity.any():
+                return replace(now, retreat=replace(retreat, way=self._plan_retreat(now)))
+        else:
+            now = self._go_back(now, retreat, retreat.way)
+        return self._judge_rest(now, inputs)
 
-    A target that keeps the limits is met exactly; behind one that does not, the step is the longest
-    after which the joint can still come to rest, seen from the target, before it overshoots. With
-    the gap e, the acceleration a and the period h, the speed v from which braking in whole periods
-    is just enough is
+    def _note_relief(self, now: GuardState, inputs: GuardInputs) -> GuardState:
+        """With what is pressing on the arm taken in, after a collision."""
+        retreat = now.retreat
+        if retreat is None:
+            return now
+        load = self._calc_load(inputs)
+        early = inputs.time - now.status.since <= RELIEF_TIME
+        worst = max(retreat.worst, load) if early else retreat.worst
+        relieved = retreat.relieved or load < RELIEVED_SHARE
+        if worst == retreat.worst and relieved == retreat.relieved:
+            return now
+        return replace(now, retreat=replace(retreat, worst=worst, relieved=relieved))
 
-        v (v / a + h) / 2 = |e|,  hence  v = (a h / 2) (sqrt(1 + 8 |e| / (a h^2)) - 1)
+    def _brake(self, now: GuardState) -> GuardState:
+        assert now.position is not None and now.velocity is not None
+        if not now.velocity.any():
+            return now
+        velocity = brake(now.velocity, self.limits.acceleration, self._period)
+        return replace(now, position=now.position + self._period * velocity, velocity=velocity)
 
-    Args:
-        position: (n,) rad.
-        velocity: (n,) rad/s.
-        before: (n,) the target at the step's beginning, rad.
-        target: (n,) at its end, rad.
-        speed: (n,) greatest, rad/s.
-        acceleration: (n,) greatest, rad/s².
-        period: s.
+    def _plan_retreat(self, now: GuardState) -> WayBack:
+        """The way back from where the commands have come to rest."""
+        assert now.position is not None and now.path is not None
+        acceleration = RETREAT_ACCELERATION_SHARE * self.limits.acceleration
+        return now.path.plan_retreat(
+            now.position,
+            distance=self.limits.retreat,
+            speed=RETREAT_SPEED_SHARE * self.limits.speed,
+            tip_speed=RETREAT_TIP_SPEED,
+            ramp=float(np.max(RETREAT_SPEED_SHARE * self.limits.speed / acceleration)),
+            calc_tip=self._calc_tip,
+        )
 
-    Returns:
-        Position (n,), rad, and velocity (n,), rad/s, after the step.
-    """
-    q, v, start, end = (np.asarray(value, float) for value in (position, velocity, before, target))
-    gap, unit = start - q, acceleration * period
-    braking = unit / 2 * (np.sqrt(1 + 8 * np.abs(gap) / (unit * period)) - 1)
-    wanted = (end - start) / period + np.sign(gap) * np.minimum(np.abs(gap) / period, braking)
-    v = np.clip(np.clip(wanted, -speed, speed), v - unit, v + unit)
-    return q + period * v, v
+    def _go_back(self, now: GuardState, retreat: Retreat, way: WayBack) -> GuardState:
+        """With the next command along the way back."""
+        assert now.position is not None and now.velocity is not None
+        gone = min(retreat.gone + self._period, way.duration)
+        target = way.calc_position(gone)
+        position, velocity = follow(
+            position=now.position,
+            velocity=now.velocity,
+            before=way.calc_position(retreat.gone),
+            target=target,
+            speed=RETREAT_SPEED_SHARE * self.limits.speed,
+            acceleration=self.limits.acceleration,
+            period=self._period,
+        )
+        if retreat.gone >= way.duration and np.abs(velocity).max() < AT_REST:
+            velocity = np.zeros_like(velocity)
+        return replace(
+            now, position=position, velocity=velocity, retreat=replace(retreat, gone=gone)
+        )
 
-
-def brake(velocity: Array, acceleration: Array, period: float) -> Array:
-    """Velocity (n,), rad/s, one step later of joints that all come to rest together, as soon as they can."""
-    left = float(np.max(np.abs(velocity) / acceleration))
-    return velocity * (1 - period / left) if left > period else np.zeros_like(velocity)
+    def _judge_rest(self, now: GuardState, inputs: GuardInputs) -> GuardState:
+        """With the mode in which a stopped arm is."""
+        assert now.position is not None and now.velocity is not None
+        retreat = now.retreat
+        going_back = retreat is not None and (
+            retreat.way is None or retreat.gone < retreat.way.duration
+        )
+        if now.velocity.any() or going_back:
+            return replace(now, at_rest_since=np.nan)
+        since = inputs.time if np.isnan(now.at_rest_since) else now.at_rest_since
+        now = replace(now, at_rest_since=since)
+        # the arm, too, must be measured at rest, and there
+        seen, time = now.seen, inputs.time
+        silent = time - seen.came > self.limits.status_age - ROUNDING or inputs.stop == BY_SILENCE
+        there = False
+        if seen.credible and seen.position is not None:
+            off = np.abs(seen.position - now.position).max()
+            there = bool(off <= self.limits.following_error)
+        slow = time - seen.slow_since >= HOLD_TIME - ROUNDING
+        mode = now.status.mode
+        if slow and there and not silent:
+            mode = GuardMode.HOLDING
+        elif now.status.ended or silent or time - since > CONFIRM_TIME:
+            mode = GuardMode.UNCONFIRMED
+        return (
+            now if mode == now.status.mode else replace(now, status=replace(now.status, mode=mode))
+        )

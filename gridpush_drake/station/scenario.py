@@ -59,6 +59,9 @@ MIN_SIZE, MAX_SIZE = 1e-6, 1e4
 MAX_COUNT = 10_000
 """Of pushes and the like."""
 
+MAX_RETREAT = 0.1
+"""Farthest that a stopped arm may be told to go back, m."""
+
 MAX_SEED = 2**63 - 1
 
 MIN_POKE = 0.01
@@ -438,21 +441,32 @@ class SimulationConfig(_Config):
 
 
 class SafetyConfig(_Config):
-    """What stops a real arm; see `ArmGuard`.
+    """What stops a real arm; see `ArmGuard`. Where a joint slides, read m for rad.
 
     Attributes:
-        status_age: greatest age of what the robot says of itself, s.
-        command_age: greatest age of a command, after which a twin brings the arm to rest, s; see
-            `CommandRamp`.
+        status_age: greatest age of the robot's last status, s; beyond it the arm is stopped.
+        command_age: greatest age of the last command, s; beyond it a twin brings the arm to rest,
+            see `CommandRamp`.
         clock_jump: how far a message's time may be ahead of its sender's clock, s; a message from
             further in the future is left out, see `station.lcm.channel`.
-        acceleration: greatest of a joint, rad/s² (m/s² where it slides).
+        acceleration: greatest acceleration of a joint in the commands, rad/s².
         torque_share: greatest torque on a joint from outside, as a share of what the joint can
-            give.
-        force: greatest on the finger's tip, N.
-        pose_jump: farthest that the object may be seen to move at once, m.
-        pose_turn: likewise, rad.
-        margin: beyond workspace and home, that the tip may go, m.
+            give; beyond it the arm is stopped and goes back along the way that it has come.
+        force: greatest force on the finger's tip, N; beyond it the arm is stopped and goes back
+            along the way that it has come.
+        retreat: farthest that the finger's tip travels back after a torque or a force over its
+            limit, m; 0 for not at all.
+        following_error: how far a joint may be measured from all positions that it was told within
+            the last `following_time`, rad; farther off for longer than that, the arm is stopped.
+            Healthy arms in simulation are at most 0.0015 rad off.
+        following_time: how long a joint may be farther off than that, s; and how late it may come
+            without being off at all. Healthy arms in simulation are 0.015 s late.
+        pose_jump: farthest that the object may be seen to move from one look to the next, m; beyond
+            it the arm is stopped.
+        pose_turn: farthest that the object may be seen to turn from one look to the next, rad;
+            beyond it the arm is stopped.
+        margin: how far beyond workspace and home the finger's tip may be, m; beyond it the arm is
+            stopped.
     """
 
     status_age: Annotated[Number, _positive("s")] = 0.05
@@ -461,6 +475,14 @@ class SafetyConfig(_Config):
     acceleration: Annotated[Number, _positive("rad/s²")] = 10.0
     torque_share: Annotated[Number, _positive("of the joint's own", high=1.0)] = 0.1
     force: Annotated[Number, _positive("N")] = 30.0
+    retreat: Annotated[
+        Number,
+        Field(
+            ge=0, le=MAX_RETREAT, description=f"a number, 0 or more, in m, at most {MAX_RETREAT:g}"
+        ),
+    ] = 0.01
+    following_error: Annotated[Number, _positive("rad")] = 0.02
+    following_time: Annotated[Number, _positive("s", high=1.0)] = 0.05
     pose_jump: Annotated[Number, _positive("m")] = 0.03
     pose_turn: Annotated[Number, _positive("rad")] = 0.3
     margin: Annotated[Number, _not_negative("m")] = 0.1

@@ -28,7 +28,7 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
 from gridpush_drake.station.station import Station
-from gridpush_drake.systems.arm_guard import GuardMode
+from gridpush_drake.systems.arm_guard import GuardMode, GuardStatus
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
 from gridpush_drake.systems.messages import GraspCommand, PushCommand, PushStatus
 
@@ -309,6 +309,9 @@ class StationTask(Generic[R]):
                 drive.fail(error)
                 record.status = TaskStatus.STOPPED
             drive.finish(simulator)
+            guard = self._read_guard()
+            if guard is not None and guard.failed and record.status != TaskStatus.INTERRUPTED:
+                record.status, record.message = TaskStatus.STOPPED, describe_stop(guard)
         self._complete(record, drive)
         return record
 
@@ -436,12 +439,27 @@ class StationTask(Generic[R]):
         record.status, record.message = self.judge(
             record, Waiting(time - self._last_seen, time - self._last_new)
         )
-        guard = self.read(GUARD_STATUS) if self.station.HasOutputPort(GUARD_STATUS) else None
-        if guard is not None and guard.mode == GuardMode.HOLDING:
+        guard = self._read_guard()
+        if guard is None or not guard.stopped:
+            return
+        # whatever the judge says, a task in which the arm was stopped ends once that is at rest
+        record.status, record.message = GO_ON
+        if guard.ended:
             record.status = TaskStatus.INTERRUPTED if guard.by_user else TaskStatus.STOPPED
-            record.message = (
-                f"The arm was stopped at {guard.since:.2f} s and is held: {guard.reason}."
-            )
+            record.message = describe_stop(guard)
+
+    def _read_guard(self) -> GuardStatus | None:
+        """What the guard of a real arm says; None where there is none."""
+        if not self.station.HasOutputPort(GUARD_STATUS):
+            return None
+        status: GuardStatus = self.read(GUARD_STATUS)
+        return status
+
+
+def describe_stop(guard: GuardStatus) -> str:
+    """Says in a sentence that an arm was stopped, why, and whether it is known to be at rest."""
+    held = "is held" if guard.mode == GuardMode.HOLDING else "was not seen at rest"
+    return f"The arm was stopped at {guard.since:.2f} s and {held}: {guard.reason}."
 
 
 def AddEstimateVisualizer(

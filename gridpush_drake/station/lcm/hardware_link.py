@@ -49,8 +49,8 @@ from gridpush_drake.systems.arm_guard import (
     DONE,
     GuardMode,
     GuardStatus,
-    brake,
 )
+from gridpush_drake.systems.arm_path import brake
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"

@@ -40,12 +40,24 @@ from gridpush_drake.station.station import (
     Station,
 )
 from gridpush_drake.systems.arm_guard import ArmGuard, GuardLimits
+from gridpush_drake.systems.object_watch import ObjectWatch
 from gridpush_drake.systems.pusher_state_sensor import ArmTipSensor
 
 MAX_TILT = 0.1
 """Of the finger from where it points when a run begins, rad."""
 
 DEGREES = 180 / np.pi
+
+MIN_OBJECT_NOISE = 0.01
+"""How far a point of an object at rest may seem to move, m, whatever the camera's noise. In healthy
+runs with the twin it was 4 mm."""
+
+OBJECT_NOISE_DEVIATIONS = 8.0
+"""How many standard deviations of an ideal camera's noise a point of an object at rest may seem to
+move, where that is more."""
+
+OBJECT_MESSAGE_TIME = 0.05
+"""Longest time that a pose takes from the tracker to the guard, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +107,34 @@ def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardL
         [control_plant.get_joint_actuator(index).effort_limit() for index in actuators]
     )
     return GuardLimits(
-        control_plant.GetVelocityUpperLimits(),
-        np.full(n, safety.acceleration),
-        safety.torque_share * effort,
-        safety.force,
-        safety.status_age,
-        safety.pose_jump,
-        safety.pose_turn,
+        speed=control_plant.GetVelocityUpperLimits(),
+        acceleration=np.full(n, safety.acceleration),
+        torque=safety.torque_share * effort,
+        force=safety.force,
+        status_age=safety.status_age,
+        pose_jump=safety.pose_jump,
+        pose_turn=safety.pose_turn,
+        retreat=safety.retreat,
+        following_error=safety.following_error,
+        following_time=safety.following_time,
+    )
+
+
+def make_object_watch(setting: Setting) -> ObjectWatch:
+    """What the motion of a scenario's object is judged by, as the scenario's camera sees it."""
+    scenario, outline = setting.scenario, setting.obj.outline
+    camera = scenario.camera
+    noise = MIN_OBJECT_NOISE
+    if camera.kind == "ideal":
+        reach = float(np.hypot(*np.abs(shapely.get_coordinates(outline)).T).max())
+        deviation = camera.position_noise + reach * camera.angle_noise
+        noise = max(noise, OBJECT_NOISE_DEVIATIONS * deviation)
+    return ObjectWatch(
+        outline=outline,
+        height=setting.obj.height or scenario.object_height,
+        tip_radius=setting.robot.finger.tip_radius,
+        noise=noise,
+        lag=calc_pose_age(camera) + 1 / camera.rate + OBJECT_MESSAGE_TIME,
     )
 
 
@@ -240,8 +273,21 @@ def MakeHardwareStation(
             control.grasping.GetOutputPort("gripper_force_limit"),
             gripper.GetInputPort("force_limit"),
         )
-    limits = make_limits(scenario, setting.control_plant)
-    guard = builder.AddNamedSystem("guard", ArmGuard(limits, make_bounds(setting), ARM_PERIOD))
+    posture = ArmPosture(setting.control_plant, robot)
+    guard = builder.AddNamedSystem(
+        "guard",
+        ArmGuard(
+            make_limits(scenario, setting.control_plant),
+            calc_tip=lambda q: posture.calc_tip_pose(q).translation(),
+            validator=make_bounds(setting),
+            period=ARM_PERIOD,
+            object_watch=make_object_watch(setting),
+        ),
+    )
+    if control.grasping is not None:
+        builder.Connect(
+            control.grasping.GetOutputPort("status"), guard.GetInputPort("grasp_status")
+        )
     builder.Connect(
         control.kinematics.GetOutputPort("joint_positions"), guard.GetInputPort("position_desired")
     )

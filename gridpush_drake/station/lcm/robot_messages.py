@@ -52,7 +52,7 @@ from pydrake.systems.primitives import MatrixGain
 from gridpush_drake.errors import StationError
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.station.robot import Robot
-from gridpush_drake.systems.arm_guard import CommandRamp
+from gridpush_drake.systems.command_ramp import CommandRamp
 from gridpush_drake.systems.planar_manipuland_status import (
     MICROSECONDS,
     PlanarManipulandStatusReceiver,

@@ -22,7 +22,7 @@ from gridpush_drake.station.push_station import AddSensors, AddWorld, World
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import Setting
-from gridpush_drake.systems.arm_guard import CommandRamp
+from gridpush_drake.systems.command_ramp import CommandRamp
 
 TORQUE = "torque_external"
 """Name of the port of an arm's driver with the torques from outside."""

@@ -1,0 +1,286 @@
+"""How an arm's joints are led: after a target (`follow`), to rest (`brake`), and back (`ArmPath`).
+
+Pure functions of positions and velocities, without Drake. `ArmGuard` and `CommandRamp` step them.
+`ArmPath` remembers the way that an arm has come, so that it can be led back along it: positions
+that it was commanded to take and was then measured to have passed through. No single measurement
+decides where a retreat leads.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.frozen import Unchanging
+from gridpush_drake.geometry.se2 import Array
+
+CalcTip = Callable[[Array], Array]
+"""Forward kinematics: from joint positions (n,), rad, to the place of the tip p_WP (3,), m."""
+
+AGREEMENT = 0.005
+"""A command counts as passed through if the joints were measured within this of it, rad or m. In
+simulation a healthy arm stays within 0.0015 rad of the commands that it follows, iiwa and Panda."""
+
+UNCONFIRMED_TIME = 0.2
+"""How long after a command, s, a measurement may still confirm it. Later the arm is not expected to
+pass through it any more, and the command is forgotten."""
+
+SPACING = 0.0005
+"""Least distance between two remembered positions, rad or m of a joint, so that an arm that stands
+still does not fill the memory."""
+
+MAX_GAP = 0.1
+"""Greatest distance between two neighbors on the remembered way, rad or m of a joint. Where the arm
+was not measured for longer than that, the way before the gap is forgotten."""
+
+MAX_PASSED = 400
+"""Most positions that are remembered."""
+
+SPARE = 0.005
+"""How much longer than the longest retreat the remembered way is, m of the tip's travel."""
+
+PIECE = 0.005
+"""Longest piece of a way whose length at the tip is measured as a straight line, rad or m of a
+joint. At 1 m from the joint such a piece is straight to 0.02 micrometers."""
+
+ROUNDING = 1e-9
+"""s, of times that are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class WayBack(Unchanging):
+    """Positions to go through one after the other, from rest to rest.
+
+    Attributes:
+        times: (k,) when each would be reached at full speed, s, from 0.
+        positions: (k, n) of the joints, rad; straight lines lie between them.
+        ramp: how long it takes to come to full speed, or from it to rest, s.
+    """
+
+    times: Array
+    positions: Array
+    ramp: float
+
+    @property
+    def duration(self) -> float:
+        """From the first position to the last, s."""
+        length = float(self.times[-1])
+        rise = min(self.ramp, float(np.sqrt(length * self.ramp)))
+        return length * self.ramp / rise + rise if rise > 0.0 else 0.0
+
+    def calc_position(self, time: float) -> Array:
+        """(n,) where the joints should be, rad, at a time since the beginning, s.
+
+        The speed rises in a straight line from 0 to the full one within the ramp, and falls
+        likewise at the end; on a way that is too short for that it turns round in the middle.
+        """
+        length, duration = float(self.times[-1]), self.duration
+        rise = min(self.ramp, float(np.sqrt(length * self.ramp)))
+        time = float(np.clip(time, 0.0, duration))
+        if time < rise:
+            gone = time**2 / (2 * self.ramp)
+        elif time > duration - rise:
+            gone = length - (duration - time) ** 2 / (2 * self.ramp)
+        else:
+            gone = (time - rise / 2) * rise / self.ramp
+        return np.array([np.interp(gone, self.times, column) for column in self.positions.T])
+
+
+@dataclass(frozen=True, eq=False)
+class ArmPath(Unchanging):
+    """The way that an arm has come; never changed, only replaced.
+
+    Attributes:
+        times: (k,) when the latest commands were sent, s, the last one last.
+        commands: (k, n) those commands, rad.
+        confirmed: (k,) whether the arm was measured to pass through each of them.
+        passed: (m, n) older commands that were confirmed, rad, the last one last.
+        tips: (m, 3) where the tip is at each of these, p_WP, m.
+    """
+
+    times: Array
+    commands: Array
+    confirmed: NDArray[np.bool_]
+    passed: Array
+    tips: Array
+
+    @staticmethod
+    def begin(position: Array, time: float, tip: Array) -> "ArmPath":
+        """The way of an arm that was measured at a position (n,), rad, where its tip is (3,), m."""
+        return ArmPath(
+            times=np.array([time]),
+            commands=position[np.newaxis],
+            confirmed=np.array([True]),
+            passed=position[np.newaxis],
+            tips=np.asarray(tip, float)[np.newaxis],
+        )
+
+    def add(self, time: float, command: Array, length: float, calc_tip: CalcTip) -> "ArmPath":
+        """With another command, sent at a time.
+
+        Args:
+            time: s.
+            command: (n,) rad.
+            length: of the way to remember, m of the tip's travel.
+            calc_tip: the arm's forward kinematics.
+        """
+        old = self.times < time - UNCONFIRMED_TIME
+        leaving = self.commands[old & self.confirmed]
+        kept = ~old
+        path = replace(
+            self,
+            times=np.append(self.times[kept], time),
+            commands=np.vstack([self.commands[kept], command]),
+            confirmed=np.append(self.confirmed[kept], False),
+        )
+        for position in leaving:
+            path = path._remember(position, length, calc_tip)
+        return path
+
+    def confirm(self, before: Array, measured: Array) -> "ArmPath":
+        """With the commands confirmed that lie between two measurements in a row, (n,), rad."""
+        low = np.minimum(before, measured) - AGREEMENT
+        high = np.maximum(before, measured) + AGREEMENT
+        passed = ((self.commands >= low) & (self.commands <= high)).all(axis=1)
+        if (passed <= self.confirmed).all():
+            return self
+        return replace(self, confirmed=self.confirmed | passed)
+
+    def calc_error(self, measured: Array, time: float, duration: float) -> Array:
+        """How far joints are from all that they were told within a time before now.
+
+        A joint that merely comes late is not off at all: it is at an earlier command.
+
+        Args:
+            measured: (n,) rad.
+            time: now, s.
+            duration: how late a joint may come, s.
+
+        Returns:
+            (n,) distance of each joint from the range of its commands, rad.
+        """
+        recent = self.commands[self.times >= time - duration - ROUNDING]
+        recent = recent if len(recent) else self.commands[-1:]
+        below = recent.min(axis=0) - measured
+        above = measured - recent.max(axis=0)
+        error: Array = np.maximum(np.maximum(below, above), 0.0)
+        return error
+
+    def plan_retreat(
+        self,
+        position: Array,
+        distance: float,
+        speed: Array,
+        tip_speed: float,
+        ramp: float,
+        calc_tip: CalcTip,
+    ) -> WayBack:
+        """The way back from a position, at most so far as the tip may travel.
+
+        Args:
+            position: (n,) that is commanded now, rad.
+            distance: of the tip's travel, m.
+            speed: (n,) greatest of the joints, rad/s.
+            tip_speed: greatest of the tip, m/s.
+            ramp: how long it takes to come to these speeds, s.
+            calc_tip: the arm's forward kinematics.
+
+        Returns:
+            The way; the position alone where nothing is remembered.
+        """
+        recent = self.commands[self.confirmed]
+        places = [position, *recent[::-1], *self.passed[::-1]]
+        positions, times = [position], [0.0]
+        tip, left = calc_tip(position), distance
+        for start, end in pairwise(places):
+            for next_position in _divide(start, end):
+                next_tip = calc_tip(next_position)
+                length = float(np.linalg.norm(next_tip - tip))
+                share = min(1.0, left / length) if length > 0.0 else 1.0
+                reached = positions[-1] + share * (next_position - positions[-1])
+                taken = float(np.max(np.abs(reached - positions[-1]) / speed))
+                times.append(times[-1] + max(taken, share * length / tip_speed))
+                positions.append(reached)
+                if share < 1.0:
+                    return WayBack(np.array(times), np.array(positions), ramp)
+                tip, left = next_tip, left - length
+        return WayBack(np.array(times), np.array(positions), ramp)
+
+    def _remember(self, position: Array, length: float, calc_tip: CalcTip) -> "ArmPath":
+        """With a confirmed position at the end of the way."""
+        gap = float(np.abs(position - self.passed[-1]).max())
+        if gap < SPACING:
+            return self
+        tip = calc_tip(position)
+        if gap > MAX_GAP:
+            return replace(self, passed=position[np.newaxis], tips=tip[np.newaxis])
+        passed = np.vstack([self.passed[1 - MAX_PASSED :], position])
+        tips = np.vstack([self.tips[1 - MAX_PASSED :], tip])
+        # of what is longer ago than a retreat may lead, nothing is needed
+        steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+        travel = np.cumsum(steps[::-1])[::-1]
+        first = max(int(np.count_nonzero(travel > length + SPARE)) - 1, 0)
+        return replace(self, passed=passed[first:], tips=tips[first:])
+
+
+def _divide(start: Array, end: Array) -> Array:
+    """The straight line between two positions, in pieces that are short; without its beginning."""
+    count = max(int(np.ceil(np.abs(end - start).max() / PIECE)), 1)
+    shares = np.arange(1, count + 1)[:, np.newaxis] / count
+    points: Array = start + shares * (end - start)
+    return points
+
+
+def follow(
+    position: ArrayLike,
+    velocity: ArrayLike,
+    before: ArrayLike,
+    target: ArrayLike,
+    speed: Array,
+    acceleration: Array,
+    period: float,
+) -> tuple[Array, Array]:
+    """One step after a target that moves, each joint by itself.
+
+    A target that keeps the limits is met exactly; behind one that does not, the step is the longest
+    after which the joint can still come to rest, seen from the target, before it overshoots. With
+    the gap e, the acceleration a and the period h, the speed v from which braking in whole periods
+    is just enough is
+
+        v (v / a + h) / 2 = |e|,  hence  v = (a h / 2) (sqrt(1 + 8 |e| / (a h^2)) - 1)
+
+    Args:
+        position: (n,) rad.
+        velocity: (n,) rad/s.
+        before: (n,) the target at the step's beginning, rad.
+        target: (n,) at its end, rad.
+        speed: (n,) greatest, rad/s.
+        acceleration: (n,) greatest, rad/s².
+        period: s.
+
+    Returns:
+        Position (n,), rad, and velocity (n,), rad/s, after the step.
+    """
+    q, v, start, end = (np.asarray(value, float) for value in (position, velocity, before, target))
+    gap, unit = start - q, acceleration * period
+    braking = unit / 2 * (np.sqrt(1 + 8 * np.abs(gap) / (unit * period)) - 1)
+    wanted = (end - start) / period + np.sign(gap) * np.minimum(np.abs(gap) / period, braking)
+    v = np.clip(np.clip(wanted, -speed, speed), v - unit, v + unit)
+    return q + period * v, v
+
+
+def brake(velocity: Array, acceleration: Array, period: float) -> Array:
+    """One step on the way to rest, which all joints reach together and as soon as they can.
+
+    Args:
+        velocity: (n,) rad/s.
+        acceleration: (n,) greatest, rad/s².
+        period: s.
+
+    Returns:
+        Velocity (n,), rad/s, after the step; its direction stays as it was.
+    """
+    left = float(np.max(np.abs(velocity) / acceleration))
+    return velocity * (1 - period / left) if left > period else np.zeros_like(velocity)

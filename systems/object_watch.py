@@ -1,0 +1,162 @@
+"""`ObjectWatch`: whether the motion of an object, as it is seen, can be the finger's doing.
+
+An object that is pushed slowly moves only while the finger touches it, and about as far as the
+finger. One that is seen to move otherwise is seen wrongly, or somebody else moves it, with a hand
+in the cell. For every two looks i and k at the object, the farthest that a point of it moved
+between them is at most
+
+    d_ik  <=  noise + LEVER s(t_i - lag, t_k)
+
+with s the way that the tip went sideways, near the object, from when the first look may have been
+taken until the second one came. This module decides on nothing: `ArmGuard` stops the arm.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.frozen import Unchanging
+from gridpush_drake.geometry.se2 import Array, transform
+
+LEVER = 2.0
+"""How much farther than the finger the farthest point of an object may go. In pushes of the
+shipped objects it went 1.4 times as far, at most: an object turns about a point that lies beyond
+its center of mass, seen from the finger."""
+
+NEAR = 0.02
+"""Greatest gap between the finger and the object's outline, or the object's top, at which the
+finger may touch it, m. The pose may be as old as the camera is late."""
+
+WINDOW = 0.5
+"""How long looks are remembered, s, to be compared with the present one."""
+
+MM = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Look(Unchanging):
+    """One look at the object.
+
+    Attributes:
+        time: when the pose came, s.
+        pose: (3,) X_WB of the object, m and rad.
+        way: how far the tip had gone sideways near the object since the beginning, m.
+        way_before: the same, `lag` before the pose came, m: the pose may be as old as that.
+    """
+
+    time: float
+    pose: Array
+    way: float
+    way_before: float
+
+
+@dataclass(frozen=True, eq=False)
+class WatchState(Unchanging):
+    """All that an `ObjectWatch` remembers; never changed, only replaced.
+
+    Attributes:
+        tip: (3,) where the finger's tip was last, p_WP, m; None before it was known.
+        way: how far the tip has gone sideways near the object since the beginning, m.
+        ways: (time in s, `way` then in m) of the last `lag`, the last one last.
+        looks: the looks of the last `WINDOW`, the last one last.
+        untouched: the first look since which the finger has not been near the object; None where it
+            was since the last one.
+    """
+
+    tip: Array | None = None
+    way: float = 0.0
+    ways: tuple[tuple[float, float], ...] = ()
+    looks: tuple[Look, ...] = ()
+    untouched: Look | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectWatch:
+    """What an object's motion is judged by.
+
+    Attributes:
+        outline: of the object in its body frame B, m.
+        height: of the object's top above the table, m.
+        tip_radius: of the finger's tip, a sphere, m.
+        noise: farthest that a point of an object at rest may seem to move, m.
+        lag: longest from when a picture is taken until its pose comes, s.
+    """
+
+    outline: BaseGeometry
+    height: float
+    tip_radius: float
+    noise: float = 0.01
+    lag: float = 0.1
+    corners: Array = field(init=False)
+    """(k, 2) corners of the outline's convex hull in B, m: one of them moves the farthest."""
+
+    def __post_init__(self) -> None:
+        corners = shapely.get_coordinates(self.outline.convex_hull)
+        object.__setattr__(self, "corners", corners)
+
+    def is_near(self, pose: Array, p_WP: Array) -> bool:
+        """Whether the finger may touch the object, with its tip at p_WP (3,), m, by a pose (3,)."""
+        if p_WP[2] - self.tip_radius > self.height + NEAR:
+            return False
+        # the tip's place in B
+        offset = p_WP[:2] - pose[:2]
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        p_BP = shapely.Point(cos * offset[0] + sin * offset[1], cos * offset[1] - sin * offset[0])
+        return bool(self.outline.distance(p_BP) < NEAR + self.tip_radius)
+
+    def calc_motion(self, before: Array, after: Array) -> float:
+        """How far the point of the object that moves the farthest goes between poses (3,), m."""
+        moved = transform(after, self.corners) - transform(before, self.corners)
+        return float(np.linalg.norm(moved, axis=1).max())
+
+    def forget(self, now: WatchState) -> WatchState:
+        """Without the looks: the object may have been moved by others, and that is as it should be."""
+        return replace(now, looks=(), untouched=None)
+
+    def watch(
+        self, now: WatchState, time: float, pose: Array, p_WP: Array
+    ) -> tuple[WatchState, str]:
+        """Takes in where tip and object are.
+
+        Args:
+            now: what is remembered.
+            time: s.
+            pose: (3,) X_WB of the object as it was seen last, m and rad; finite. It counts as
+                another look where it has changed.
+            p_WP: (3,) the tip's place, m; finite.
+
+        Returns:
+            What is remembered from then on; and a sentence where the object cannot have moved like
+            that, else "".
+        """
+        # the tip's way near the object, sideways
+        way = now.way
+        if now.tip is not None and self.is_near(pose, p_WP):
+            way += float(np.hypot(*(p_WP - now.tip)[:2]))
+        ways = [item for item in now.ways if item[0] >= time - self.lag]
+        now = replace(now, tip=np.array(p_WP), way=way, ways=(*ways, (time, way)))
+        if now.looks and (pose == now.looks[-1].pose).all():
+            return now, ""
+        # another look, against those before
+        look = Look(time=time, pose=np.array(pose), way=way, way_before=now.ways[0][1])
+        earlier = [now.untouched] if now.untouched is not None else []
+        earlier += [now.looks[0], now.looks[-1]] if now.looks else []
+        fault = next(filter(None, (self._compare(one, look) for one in earlier)), "")
+        kept = tuple(one for one in now.looks if one.time >= time - WINDOW)
+        touched = now.untouched is None or look.way > now.untouched.way_before
+        untouched = look if touched else now.untouched
+        return replace(now, looks=(*kept, look), untouched=untouched), fault
+
+    def _compare(self, before: Look, after: Look) -> str:
+        """A sentence where the object cannot have moved like that between two looks, else ""."""
+        moved = self.calc_motion(before.pose, after.pose)
+        way = after.way - before.way_before
+        if moved <= self.noise + LEVER * way:
+            return ""
+        seen = f"the object was seen to move by {MM * moved:.0f} mm"
+        if way > 0.0:
+            time = f"within {MM * (after.time - before.time):.0f} ms"
+            return f"{seen} {time}; the finger at it moved by {MM * way:.0f} mm"
+        return f"{seen} while nothing touched it; up to {MM * self.noise:.0f} mm may be noise"
