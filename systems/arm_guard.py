@@ -835,13 +835,14 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         if now.velocity.any() or going_back:
             return replace(now, at_rest_since=np.nan)
         since = inputs.time if np.isnan(now.at_rest_since) else now.at_rest_since
+        place = now.position
         now = replace(now, at_rest_since=since)
         # the arm, too, must be measured at rest, and there
         seen, time = now.seen, inputs.time
         silent = time - seen.came > self.limits.status_age - ROUNDING or inputs.stop == BY_SILENCE
         there = False
         if seen.credible and seen.position is not None:
-            off = np.abs(seen.position - now.position).max()
+            off = np.abs(seen.position - place).max()
             there = bool(off <= self.limits.following_error)
         slow = time - seen.slow_since >= HOLD_TIME - ROUNDING
         mode = now.status.mode

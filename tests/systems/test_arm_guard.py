@@ -141,7 +141,7 @@ def measure_travel(positions):
     return float(np.linalg.norm(np.diff(tips, axis=0), axis=1).sum())
 
 
-def check_stop(positions, stopped, retreats, limits=LIMITS):
+def check_stop(positions, stopped, retreats, limits=LIMITS, rested=()):
     """What is promised of the commands from `stopped` on, the index of the first one after a stop.
 
     They brake in a straight line, as short as the accelerations allow; then they rest, or go back
@@ -151,7 +151,7 @@ def check_stop(positions, stopped, retreats, limits=LIMITS):
     velocity = (positions[stopped - 1] - positions[stopped - 2]) / PERIOD
     duration = float(np.max(np.abs(velocity) / limits.acceleration))
     braked = stopped - 1 + int(np.ceil(duration / PERIOD - 1e-6))
-    braked = min(braked, len(positions) - 1)
+    braked = min([braked, len(positions) - 1, *(k - 1 for k in rested if k >= stopped)])
     line = np.array(positions[stopped - 1 : braked + 1]) - positions[stopped - 1]
     forward = np.abs(line) <= np.abs(velocity) * duration / 2 + 1e-9
     assert forward.all()
@@ -604,11 +604,14 @@ class Story:
         self.motion, self.episodes = motion, episodes
         self.rng = np.random.default_rng(7)
         self.offset = 0.0  # of the robot's clock, s
-        self.newest = 0.0  # greatest time of a status so far, s
+        self.newest, self.came = (
+            np.nan,
+            0.0,
+        )  # greatest time of a status so far, and when that came, s
         self.pose = POSE.copy()
         self.frozen = None
         self.stopped = None  # how many commands there were before the stop
-        self.relaxed = []  # indices of commands at which the arm itself had come to rest
+        self.rested = []  # indices of commands at which the arm itself was at rest
 
     def run(self):
         for k in range(LENGTH):
@@ -661,12 +664,12 @@ class Story:
         count = len(bench.positions)
         bench.step(fresh=fresh, **told)
         now = bench.inputs["time_measured"][0]
-        # a leap of the robot's clock tells that the commands paused, and the arm rests
-        leaps = np.isfinite(now) and now - self.newest > LIMITS.status_age + 1e-9
-        if np.isfinite(now):
-            self.newest = max(self.newest, now)
-        if leaps or told["stop"][0] == BY_SILENCE:
-            self.relaxed.append(len(bench.positions) - 1)
+        # where the robot's clock leaps, or it is silent, the arm itself rests: commands begin anew
+        leaps = np.isfinite(now) and (now - self.newest) - (bench.time - self.came) > 0.05 + 1e-9
+        if np.isfinite(now) and not now <= self.newest:
+            self.newest, self.came = now, bench.time
+        if leaps or (bench.status.stopped and told["stop"][0] == BY_SILENCE):
+            self.rested.append(count)
         self._check(was, count)
 
     def _spoil(self, told, name, one):
@@ -710,8 +713,8 @@ class Story:
         velocity = (positions[-1] - positions[-2]) / PERIOD
         assert (np.abs(velocity) <= LIMITS.speed * (1 + 1e-9) + 1e-9).all()
         before = (positions[-2] - positions[-3]) / PERIOD if count > 1 else np.zeros(2)
-        if count in self.relaxed:
-            before = np.where(np.abs(velocity) < np.abs(before), velocity, before * 0)
+        if count in self.rested:
+            before = np.zeros(2)
         change = np.abs(velocity - before)
         assert (change <= LIMITS.acceleration * PERIOD * (1 + 1e-9) + 1e-9).all(), (was, status)
         # a stop is for good, and says why
@@ -733,15 +736,11 @@ class Story:
         kinds = self.bench.status.kinds
         retreats = kinds[0] in (StopKind.TORQUE, StopKind.FORCE)
         positions = self.bench.positions
-        if self.stopped < 2:
-            positions = [positions[0], *positions]
-            self.stopped += 1
-        if any(index >= self.stopped - 1 for index in self.relaxed):
-            # the arm's own clock said that it rested meanwhile: it braked at once
-            tail = np.array(positions[self.stopped - 1 :])
-            assert measure_travel(tail) <= LIMITS.retreat + 0.1
-            return
-        check_stop(positions, self.stopped, retreats)
+        stopped, rested = self.stopped, self.rested
+        if stopped < 2:  # it was stopped before it had moved
+            positions = [positions[0]] * 2 + positions
+            stopped, rested = stopped + 2, [index + 2 for index in rested]
+        check_stop(positions, stopped, retreats, rested=rested)
 
 
 @settings(
