@@ -26,7 +26,7 @@ from .pushes.push_log import ObservedPush as ObservedPush
 from .pushes.push_log import PushLog as PushLog
 from .station.push_station import MakePushStation as MakePushStation
 from .station.scenario import PushScenario as PushScenario
-from .station.scenario import read_scenario as read_scenario
+from .station.scenario_file import read_scenario as read_scenario
 from .systems.contact_point_controller import ContactPointController as ContactPointController
 from .systems.grid_identifier import GridIdentifier as GridIdentifier
 from .systems.grid_lcp_system import GridLcpSystem as GridLcpSystem

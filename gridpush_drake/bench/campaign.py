@@ -21,7 +21,8 @@ from gridpush_drake.bench.table import CONFIDENCE, MM, PERCENT, Share, Table, Va
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.station.pregrasp_task import PreGraspRecord
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PushScenario, format_scenario, parse_scenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import format_scenario, parse_scenario
 from gridpush_drake.station.scene import use_object
 from gridpush_drake.station.task import TaskRecord, TaskStatus
 from gridpush_drake.station.tasks import TASKS, calc_center_error

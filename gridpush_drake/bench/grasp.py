@@ -17,7 +17,7 @@ from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.table import MM, Table, by_object, calc_mean, count_of, mean_of
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.station.scenario import format_scenario, read_scenario
+from gridpush_drake.station.scenario_file import format_scenario, read_scenario
 from gridpush_drake.station.task import TaskStatus
 
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")

@@ -63,7 +63,7 @@ def campaign(
     from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
     from gridpush_drake.bench.jobs import open_results
     from gridpush_drake.station.resolve import resolve
-    from gridpush_drake.station.scenario import format_scenario, read_scenario
+    from gridpush_drake.station.scenario_file import format_scenario, read_scenario
     from gridpush_drake.station.scene import use_object
 
     scenario = read_scenario(scenario_file)

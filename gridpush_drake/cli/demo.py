@@ -104,7 +104,7 @@ def demo(
     from gridpush_drake.files import make_folder
     from gridpush_drake.station.resolve import resolve
     from gridpush_drake.station.robot import make_robot_directives
-    from gridpush_drake.station.scenario import read_scenario
+    from gridpush_drake.station.scenario_file import read_scenario
     from gridpush_drake.station.scene import use_object
     from gridpush_drake.station.tasks import TASKS, write_files
 

@@ -128,7 +128,7 @@ def read_robot_scenario(
     scenario_file: Path | None, object_file: str | None, seed: int | None
 ) -> "PushScenario":
     """The scenario that twin and robot agree on, with what the command line says instead."""
-    from gridpush_drake.station.scenario import read_scenario
+    from gridpush_drake.station.scenario_file import read_scenario
 
     scenario = read_scenario(scenario_file or DEFAULT_SCENARIO)
     if object_file is not None:

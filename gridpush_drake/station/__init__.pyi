@@ -11,8 +11,8 @@ from .push_task import PushTaskRecord as PushTaskRecord
 from .robot import Robot as Robot
 from .robot import find_robot as find_robot
 from .scenario import PushScenario as PushScenario
-from .scenario import read_scenario as read_scenario
-from .scenario import write_scenario as write_scenario
+from .scenario_file import read_scenario as read_scenario
+from .scenario_file import write_scenario as write_scenario
 from .station import Station as Station
 from .task import StationTask as StationTask
 from .task import TaskRecord as TaskRecord

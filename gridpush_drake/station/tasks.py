@@ -45,7 +45,8 @@ from gridpush_drake.station.identify_task import IdentifyTask, IdentifyTaskRecor
 from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
 from gridpush_drake.station.push_task import GOAL_COLOR, PushTask, PushTaskRecord
 from gridpush_drake.station.resolve import ResolvedScenario
-from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario, write_scenario
 from gridpush_drake.station.task import ADVANCE, TaskRecord, TaskStatus
 from gridpush_drake.systems.estimate_visualizer import OBJECT_PATH
 from gridpush_drake.systems.messages import (

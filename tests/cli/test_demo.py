@@ -19,8 +19,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station import camera as station_camera
-from gridpush_drake.station import scenario as station_scenario
-from gridpush_drake.station.scenario import read_scenario
+from gridpush_drake.station import scenario_file
+from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.tasks import TASKS, TaskKind
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
 from tests.helpers.renderer import require_renderer
@@ -235,7 +235,7 @@ def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, r
     monkeypatch.setattr(TaskKind, "run", take)
     if more == ["--scenario"]:
         more = ["--scenario", str(tmp_path / "scenario.yaml")]
-        station_scenario.write_scenario(tmp_path / "scenario.yaml", TASKS[task].make_scenario())
+        scenario_file.write_scenario(tmp_path / "scenario.yaml", TASKS[task].make_scenario())
     outcome = gridpush("demo", "--task", task, "--out", tmp_path / "demo", *more)
     assert taken == [kind]
     assert ("libegl1" in outcome.err) == (not renders)

@@ -24,7 +24,7 @@ from gridpush_drake.identification.baselines.search import Bounds, SearchStatus,
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_log import COLUMNS, PushLog
-from gridpush_drake.station.scenario import find_scenario
+from gridpush_drake.station.scenario_file import find_scenario
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.made_logs import make_pushed_block
 

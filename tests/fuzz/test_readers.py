@@ -16,7 +16,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.scenario import read_scenario
+from gridpush_drake.station.scenario_file import read_scenario
 from tests.fuzz.mutations import broken
 from tests.helpers.made_identifications import make_block, make_identification
 

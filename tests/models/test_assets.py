@@ -17,7 +17,8 @@ from gridpush_drake.multibody.contact_material import (
 from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario, write_scenario
 
 FILES = sorted(
     path.relative_to(find_models()).as_posix()

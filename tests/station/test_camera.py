@@ -25,13 +25,8 @@ from gridpush_drake.station.camera import calc_pose_age, make_camera
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import (
-    CameraConfig,
-    PushScenario,
-    format_scenario,
-    parse_scenario,
-    read_scenario,
-)
+from gridpush_drake.station.scenario import CameraConfig, PushScenario
+from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, read_scenario
 from tests.helpers.renderer import require_renderer
 from tests.helpers.shapes import make_shape
 

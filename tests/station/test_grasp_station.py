@@ -11,7 +11,8 @@ from gridpush_drake.planning.pregrasp.side_grasp import choose_varied, find_side
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.scenario import PushScenario, read_scenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.station import make_style
 from gridpush_drake.systems.messages import GraspCommand, PushCommand
 

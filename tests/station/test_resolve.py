@@ -10,7 +10,8 @@ from gridpush_drake.station import push_station
 from gridpush_drake.station import resolve as resolving
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import PushScenario, read_scenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.task import StationTask
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.renderer import require_renderer

@@ -23,7 +23,8 @@ from gridpush_drake.station.robot import (
     make_robot_directives,
     read_measures,
 )
-from gridpush_drake.station.scenario import PushScenario, read_scenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene import CalcTipReach
 from gridpush_drake.station.station import MakeRing
 from gridpush_drake.systems.messages import PushCommand

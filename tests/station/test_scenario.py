@@ -21,10 +21,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import find_robot
-from gridpush_drake.station.scenario import (
-    PartTruth,
-    PushScenario,
-    TruthConfig,
+from gridpush_drake.station.scenario import PartTruth, PushScenario, TruthConfig
+from gridpush_drake.station.scenario_file import (
     format_scenario,
     list_shipped_scenarios,
     read_scenario,

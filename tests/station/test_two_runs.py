@@ -17,7 +17,8 @@ from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.pregrasp_task import PreGraspTask
 from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.scenario import PushScenario, read_scenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene import MakeTruth
 from gridpush_drake.systems.messages import PushCommand
 

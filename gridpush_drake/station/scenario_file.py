@@ -1,0 +1,207 @@
+"""The file of a scenario: found by its path or by its name, read, checked and written.
+
+What a scenario holds, and what each of its fields may be, is in `station.scenario`. Whether a
+scenario makes sense as a whole is `station.resolve`'s to say.
+"""
+
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_data
+from pydrake.multibody.parsing import ModelDirectives
+
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.files import is_file, read_text, shorten_path, write_whole
+from gridpush_drake.multibody.parser import find_models
+from gridpush_drake.station.robot import make_robot_directives
+from gridpush_drake.station.scenario import CURRENT_VERSION, OtherConfig, PushScenario
+from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml, shorten
+
+ROBOT = "robot"
+"""Key of a scenario file that names a robot. It stands in place of `directives`, and means the
+directives of the scene that comes with this robot."""
+
+WHAT = "a scenario (object, base, directives, ...)"
+"""What a message says that a scenario file should hold."""
+
+LINE_LENGTH = 120
+"""Greatest length of a line in a written scenario, in characters."""
+
+
+def list_shipped_scenarios() -> list[str]:
+    """Names of the scenarios that come with the package, sorted."""
+    return sorted(path.stem for path in _find_shipped().glob("*.yaml"))
+
+
+def find_scenario(scenario: Path | str) -> Path:
+    """Finds the file of a scenario by its path, or by the name under which one comes with the package.
+
+    A file that is there goes before a shipped scenario of the same name.
+
+    Raises:
+        ScenarioError: a word that is neither a file nor the name of a shipped scenario; the message
+            suggests the nearest name and lists all.
+    """
+    path = Path(scenario)
+    is_path = bool(path.suffix) or path.name != str(scenario)
+    if is_path or is_file(path):
+        return path
+    known = list_shipped_scenarios()
+    if path.name in known:
+        return _find_shipped() / f"{path.name}.yaml"
+    near = get_close_matches(path.name, known, n=1)
+    guess = f"; did you mean {near[0]}?" if near else "."
+    raise ScenarioError(
+        f"{shorten_path(path)}: no shipped scenario has this name, and no file{guess} "
+        f"Shipped are: {', '.join(known)}"
+    )
+
+
+def _find_shipped() -> Path:
+    return find_models() / "scenarios"
+
+
+def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushScenario:
+    """Reads a scenario, or one of several in a file.
+
+    Args:
+        path: the YAML file, or the name of a scenario that comes with the package, see
+            `list_shipped_scenarios`. Instead of `directives` the file may have `robot`, the name of
+            one that comes with the package or the folder of a robot.yaml, for the scene that it
+            names, to grasp in where it can.
+        child_name: key of the document's root under which the scenario stands; the root itself
+            where None.
+
+    Returns:
+        The scenario. What the file does not say is as `PushScenario` has it; an object file it
+        names is looked up beside it and named in full.
+
+    Raises:
+        ScenarioError: there is no such file or shipped scenario; the file cannot be read, is of
+            another schema, has an unknown key or a value that will not do; the message names the
+            file, the field and the expected form.
+    """
+    path = find_scenario(path)
+    return parse_scenario(
+        path, read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE), child_name=child_name
+    )
+
+
+def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> PushScenario:
+    """Makes a scenario of the text of a file, which need not be there; otherwise as `read_scenario`."""
+    data = _parse(path, text)
+    where = str(path)
+    if child_name is not None:
+        where, data = f"{path}, {child_name}", _pick_child(path, data, child_name)
+    try:
+        if not isinstance(data, dict):
+            raise ScenarioError(f"the scenario is {shorten(data)}; expected `key: value` lines")
+        _check_version(data.get("version", CURRENT_VERSION))
+        if ROBOT in data:
+            data = _name_robot(path, data)
+        scenario = PushScenario(**data)
+    except ScenarioError as error:
+        raise ScenarioError(f"{where}: {error}") from error
+    named: list[PushScenario | OtherConfig] = [scenario, *scenario.others]
+    for each in named:
+        beside = path.parent / each.object
+        if beside.suffix or is_file(beside):
+            each.object = str(beside.resolve())
+    return scenario
+
+
+def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False) -> None:
+    """Writes a scenario with every field, so that `read_scenario` gives it back.
+
+    Args:
+        path: the YAML file to be written.
+        scenario: to be written.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        ScenarioError: a field holds what will not do.
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
+    write_whole(path, format_scenario(scenario), force)
+
+
+def format_scenario(scenario: PushScenario) -> str:
+    """A scenario with every field, as YAML. Raises ScenarioError where a field holds what will not do."""
+    scenario.check()
+    fields = scenario.model_dump(exclude={"directives"})
+    text = yaml.dump(
+        fields,
+        Dumper=_TaggedDumper,
+        sort_keys=False,
+        default_flow_style=None,
+        allow_unicode=True,
+        width=LINE_LENGTH,
+    )
+    directives = ModelDirectives(directives=scenario.directives)
+    return text + str(yaml_dump_typed(directives, schema=ModelDirectives))
+
+
+class _TaggedDumper(yaml.SafeDumper):
+    """Safe, and writes what stands under _tag in a mapping as its tag, as Drake's reader expects it."""
+
+
+def _represent_mapping(dumper: yaml.SafeDumper, data: dict[str, Any]) -> yaml.Node:
+    tag = data.get("_tag", yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG)
+    return dumper.represent_mapping(
+        tag, {key: value for key, value in data.items() if key != "_tag"}
+    )
+
+
+_TaggedDumper.add_representer(dict, _represent_mapping)
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    check_yaml(path, text, WHAT, ScenarioError)
+    try:
+        data = yaml_load_data(text, private=True)
+    except (yaml.YAMLError, *NOT_YAML) as error:
+        raise ScenarioError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
+    if data is None:
+        raise ScenarioError(f"{path}: is empty; expected {WHAT}")
+    if not isinstance(data, dict):
+        raise ScenarioError(
+            f"{path}: is {shorten(data)} at its top level; expected {WHAT}: `key: value` lines"
+        )
+    for key in data:
+        if not isinstance(key, str):
+            raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")
+    return {key: value for key, value in data.items() if not key.startswith("_")}
+
+
+def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
+    """The scene of the robot that the data names, in its place."""
+    robot = data[ROBOT]
+    if not isinstance(robot, str) or not robot.strip():
+        raise ScenarioError(
+            f"{ROBOT} is {shorten(robot)}; expected a robot's name, or the folder of a robot.yaml"
+        )
+    if "directives" in data:
+        raise ScenarioError(f"{ROBOT} and directives are both given; expected one of them")
+    beside = path.parent / robot
+    directives = make_robot_directives(
+        str(beside) if is_file(beside / "robot.yaml") else robot, grasping=None
+    )
+    return {key: value for key, value in data.items() if key != ROBOT} | {"directives": directives}
+
+
+def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:
+    if name in data:
+        return data[name]
+    near = get_close_matches(name, map(str, data), n=1)
+    guess = f"; did you mean {near[0]}?" if near else ";"
+    raise ScenarioError(f"{path}: has no scenario {name}{guess} it has {', '.join(map(str, data))}")
+
+
+def _check_version(version: Any) -> None:
+    if isinstance(version, int) and version != CURRENT_VERSION:
+        age = "an older" if version < CURRENT_VERSION else "a newer"
+        raise ScenarioError(
+            f"version is {version}, {age} schema; this release reads version {CURRENT_VERSION}"
+        )
