@@ -6,39 +6,19 @@ says so; see `interrupts`.
 
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
 
-from gridpush_drake.cli import (
-    bench,
-    calibrate,
-    campaign,
-    demo,
-    export,
-    identify,
-    import_logs,
-    plan,
-    predict,
-    record,
-    robot,
-    show,
-    simulate,
-    slide,
-    track,
-    tracker,
-    twin,
-    view,
-)
-from gridpush_drake.cli import object as object_from_photo
 from gridpush_drake.cli.interrupts import (
     EXIT_INTERRUPTED,
     SIGNAL_CODES,
     say_interrupted,
     watch_interrupts,
 )
+from gridpush_drake.cli.lazy_group import LazyCommand, LazyGroup
 from gridpush_drake.errors import GridPushError, ObjectWarning, PushLogWarning
 
 EXIT_BAD_INPUT = 2
@@ -49,24 +29,110 @@ DOUBTS = (ObjectWarning, PushLogWarning)
 GRACEFUL = {"demo", "view", "twin", "tracker", "robot"}
 """Commands that answer an interrupt themselves: they end in order, and write what was done."""
 
+COMMANDS: dict[str, LazyCommand] = {
+    "demo": LazyCommand(
+        "gridpush_drake.cli.demo:demo",
+        "Let a simulated robot poke an object to learn it, then push or lift it; write a "
+        "report and a recording.",
+    ),
+    "campaign": LazyCommand(
+        "gridpush_drake.cli.campaign:campaign",
+        "Run whole episodes with many seeds and objects: how many are held, dropped, given "
+        "up, and why.",
+    ),
+    "identify": LazyCommand(
+        "gridpush_drake.cli.identify:identify",
+        "Learn an object's friction and mass from pushes of it.",
+    ),
+    "predict": LazyCommand(
+        "gridpush_drake.cli.predict:predict",
+        "Predict where pushes take an object, and compare with where they took it.",
+    ),
+    "simulate": LazyCommand(
+        "gridpush_drake.cli.simulate:simulate",
+        "Simulate one push of an object or of a learned model.",
+    ),
+    "show": LazyCommand(
+        "gridpush_drake.cli.show:show",
+        "Draw an object with its parts, or what a model learned of it.",
+    ),
+    "plan": LazyCommand(
+        "gridpush_drake.cli.plan:plan",
+        "Plan pushes that bring an object, or a learned model, to a goal pose.",
+    ),
+    "export": LazyCommand(
+        "gridpush_drake.cli.export:export",
+        "Write an object or a learned model for Drake (SDFormat, URDF) or MuJoCo (MJCF).",
+    ),
+    "view": LazyCommand(
+        "gridpush_drake.cli.view:view",
+        "Show a learned model, replay pushes beside their predictions, or play a recording, "
+        "in Meshcat.",
+    ),
+    "slide": LazyCommand(
+        "gridpush_drake.cli.slide:slide",
+        "Plan pushes to the table's edge, until a part hangs over that a gripper can take and "
+        "nothing falls.",
+    ),
+    "object": LazyCommand(
+        "gridpush_drake.cli.object:make_object",
+        "Find the object in a photograph and write its outline, cells and height as an object "
+        "file.",
+    ),
+    "calibrate": LazyCommand(
+        "gridpush_drake.cli.calibrate:calibrate",
+        "Find the camera's pose from a photograph of a board of tags: its middle is the "
+        "world's origin, z up.",
+    ),
+    "track": LazyCommand(
+        "gridpush_drake.cli.track:track",
+        "Follow an object through a video and write the pushes in it as a push log.",
+    ),
+    "record": LazyCommand(
+        "gridpush_drake.cli.record:record",
+        "Cut a stream of the tip's and the object's poses into pushes, as the robot does "
+        "while it pokes.",
+    ),
+    "twin": LazyCommand(
+        "gridpush_drake.cli.twin:twin",
+        "Simulate a robot that speaks its driver's LCM messages, for `gridpush robot` to "
+        "move; Ctrl-C ends it.",
+    ),
+    "tracker": LazyCommand(
+        "gridpush_drake.cli.tracker:tracker",
+        "Find an object in a camera's LCM pictures and tell `gridpush robot` where it is; "
+        "Ctrl-C ends it.",
+    ),
+    "robot": LazyCommand(
+        "gridpush_drake.cli.robot:robot",
+        "Carry out a task of `gridpush demo` with a real arm over LCM; nothing moves before --go.",
+    ),
+    "import": LazyCommand(
+        "gridpush_drake.cli.import_logs:app",
+        "Convert a public data set or a ROS bag to a push log and an object file.",
+    ),
+    "bench": LazyCommand(
+        "gridpush_drake.cli.bench:app",
+        "Measure speed and accuracy, on the objects that ship with the package.",
+    ),
+}
+"""All commands, in the order in which the help lists them."""
+
+
+class GridPushGroup(LazyGroup):
+    """The commands of `gridpush`."""
+
+    lazy_commands = COMMANDS
+
+
 app = typer.Typer(
     name="gridpush",
+    cls=GridPushGroup,
     help="Learn an object's friction and mass by pushing it, and predict where the next push takes it.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["--help", "-h"]},
 )
-
-COMMANDS: dict[str, Callable[..., None]] = {
-    "demo": demo.demo, "campaign": campaign.campaign, "identify": identify.identify, "predict": predict.predict,
-    "simulate": simulate.simulate, "show": show.show, "plan": plan.plan, "export": export.export, "view": view.view,
-    "slide": slide.slide, "object": object_from_photo.make_object, "calibrate": calibrate.calibrate,
-    "track": track.track, "record": record.record, "twin": twin.twin, "tracker": tracker.tracker, "robot": robot.robot,
-}  # fmt: skip
-for name, command in COMMANDS.items():
-    app.command(name)(command)
-app.add_typer(import_logs.app, name="import")
-app.add_typer(bench.app, name="bench")
 
 
 def _print_version(wanted: bool) -> None:

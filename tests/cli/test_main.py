@@ -1,4 +1,3 @@
-import inspect
 import os
 import re
 import signal
@@ -7,6 +6,7 @@ import sys
 import time
 
 import pytest
+import typer
 
 import gridpush_drake
 from gridpush_drake.cli.main import app
@@ -31,13 +31,15 @@ def test_every_command_has_help(gridpush, command):
 
 def test_a_paragraph_of_help_is_one_line_of_the_docstring():
     """The help breaks its lines where the docstring does, so none breaks within a sentence."""
-    groups = [app, *(group.typer_instance for group in app.registered_groups)]
-    commands = [command for group in groups for command in group.registered_commands]
-    paragraphs = [
-        text
-        for each in commands
-        for text in (each.help or inspect.getdoc(each.callback)).split("\n\n")
-    ]
+    pending, commands = [typer.main.get_command(app)], []
+    while pending:
+        command = pending.pop()
+        if hasattr(command, "list_commands"):
+            pending += [command.get_command(None, name) for name in command.list_commands(None)]
+        else:
+            commands.append(command)
+    assert len(commands) > 25
+    paragraphs = [text for command in commands for text in command.help.split("\n\n")]
     assert [text for text in paragraphs if "\n" in text] == []
 
 

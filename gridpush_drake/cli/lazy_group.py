@@ -1,0 +1,103 @@
+"""A group of commands, each of which is imported when it is asked for: Click's LazyGroup.
+
+The list of commands, in `--help` and in the shell's completion, needs only names and one line of
+help each. These stand in a table, so that the list is shown without importing any command. A
+command that runs, or whose own help is shown, is imported as a whole; its module can therefore have
+its imports at its top, however long they take.
+"""
+
+from collections.abc import Mapping
+from copy import copy
+from importlib import import_module
+from typing import Any, ClassVar, NamedTuple
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+
+class LazyCommand(NamedTuple):
+    """Where a command is, and what the list of commands says about it.
+
+    Attributes:
+        target: "MODULE:NAME" of a function, or of a `typer.Typer` that has commands of its own.
+        help: the first paragraph of the command's own help.
+    """
+
+    target: str
+    help: str
+
+
+class ListedCommand(TyperCommand):
+    """A command that is not imported yet: it can be listed, but not run."""
+
+
+class LazyGroup(TyperGroup):
+    """A group whose commands are imported when they are asked for.
+
+    A subclass gives the table; `typer.Typer(cls=...)` takes that subclass.
+
+    Attributes:
+        lazy_commands: the commands by their names, in the order in which they are listed.
+    """
+
+    lazy_commands: ClassVar[Mapping[str, LazyCommand]] = {}
+
+    def __init__(self, **settings: Any) -> None:
+        """Lists the commands of the table; none of them is imported.
+
+        Args:
+            settings: those of `TyperGroup`.
+        """
+        super().__init__(**settings)
+        self._settings = settings
+        for name, command in self.lazy_commands.items():
+            self.commands[name] = ListedCommand(name, help=command.help)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Imports a command, and returns it; returns None if there is no command of this name."""
+        command = self.commands.get(cmd_name)
+        if isinstance(command, ListedCommand):
+            command = load_command(cmd_name, self.lazy_commands[cmd_name].target)
+            self.commands[cmd_name] = command
+        return command
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Writes the group's help, with the list of its commands."""
+        self._make_listing().format_help(ctx, formatter)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+        """Returns the commands and options that begin with what was typed."""
+        listing = self._make_listing()
+        # the commands that are completed are those of the context's own group
+        context = copy(ctx)
+        context.command = listing
+        return listing.shell_complete(context, incomplete)
+
+    def _make_listing(self) -> TyperGroup:
+        """Makes a group with the same help and options that imports no command to list it."""
+        return TyperGroup(
+            **{**self._settings, "commands": dict(self.commands), "params": self.params}
+        )
+
+
+def load_command(name: str, target: str) -> Any:
+    """Imports a command.
+
+    Args:
+        name: the command's name on the command line.
+        target: see `LazyCommand`.
+
+    Returns:
+        The command or group, as Typer runs it.
+    """
+    module, _, attribute = target.partition(":")
+    found = getattr(import_module(module), attribute)
+    if isinstance(found, typer.Typer):
+        command: Any = typer.main.get_group(found)
+    else:
+        # an application of one command that has no group is that command
+        single = typer.Typer(add_completion=False)
+        single.command(name)(found)
+        command = typer.main.get_command(single)
+    command.name = name
+    return command
