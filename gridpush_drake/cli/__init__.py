@@ -1,4 +1,5 @@
-"""The command line, one short file per command.
+"""The command line, one short file for each command.
 
-What is slow to import is imported when a command runs, so that `gridpush` starts fast.
+`main` has the table of commands. A command's file is imported only when the command is asked for, so
+that `gridpush` starts fast whatever the files import.
 """

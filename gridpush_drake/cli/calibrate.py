@@ -1,16 +1,23 @@
 """`gridpush calibrate`: where a camera is, from a printed board of tags on the table."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_json, print_line
 from gridpush_drake.errors import PerceptionError
-
-if TYPE_CHECKING:
-    from gridpush_drake.perception import TagBoard
+from gridpush_drake.files import write_whole
+from gridpush_drake.perception import (
+    Camera,
+    TagBoard,
+    calibrate_pose,
+    draw_tags,
+    find_tag_corners,
+    read_color,
+    write_picture,
+)
 
 FORM = "COLUMNSxROWS:SIZE[:GAP[:FIRST]], such as 4x5:0.035 (m)"
 
@@ -55,8 +62,6 @@ def calibrate(
     json: options.Json = False,
 ) -> None:
     """Find the camera's pose from a photograph of a board of tags: its middle is the world's origin, z up."""
-    from gridpush_drake.files import write_whole
-
     tags = parse_board(board)
     if (photo is None) == (sheet is None):
         raise options.OptionError("calibrate: expected either a photograph, or --print BOARD.pdf")
@@ -79,14 +84,6 @@ def calibrate(
         raise options.OptionError(
             "calibrate: --camera and --out are needed: the camera's file, and the one to write"
         )
-    from gridpush_drake.perception import (
-        Camera,
-        calibrate_pose,
-        draw_tags,
-        find_tag_corners,
-        read_color,
-        write_picture,
-    )
 
     options.check_outputs(force, out, picture, inputs=(photo,))
     seen_by = Camera.read(camera)
@@ -108,10 +105,8 @@ def calibrate(
         )
 
 
-def parse_board(text: str) -> "TagBoard":
+def parse_board(text: str) -> TagBoard:
     """Reads a board. Raises OptionError where the text is of another form, TagError where a measure is out of range."""
-    from gridpush_drake.perception import TagBoard
-
     grid, *rest = text.split(":")
     try:
         columns, rows = map(int, grid.split("x"))

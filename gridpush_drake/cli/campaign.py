@@ -1,19 +1,23 @@
 """`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
+from gridpush_drake.bench.jobs import Results, hash_content, open_results
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line, print_table
-from gridpush_drake.cli.demo import TaskName
-from gridpush_drake.errors import GridPushError
-from gridpush_drake.files import exists, make_folder, read_text, write_whole
-
-if TYPE_CHECKING:
-    from gridpush_drake.bench.jobs import Results
-    from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.errors import GridPushError, ObjectError
+from gridpush_drake.files import exists, make_folder, read_bytes, read_text, write_whole
+from gridpush_drake.objects.object_file import list_shipped_objects
+from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.scenario import MAX_SEED, PushScenario
+from gridpush_drake.station.scenario_file import format_scenario, read_scenario
+from gridpush_drake.station.scene import use_object
+from gridpush_drake.station.tasks import TaskName
+from gridpush_drake.yaml_file import shorten
 
 MAX_EPISODES = 1_000_000
 """Of a campaign."""
@@ -60,12 +64,6 @@ def campaign(
 
     Writes scenario.yaml, episodes.jsonl (a line for each episode, as soon as it ends) and table.md.
     """
-    from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
-    from gridpush_drake.bench.jobs import open_results
-    from gridpush_drake.station.resolve import resolve
-    from gridpush_drake.station.scenario_file import format_scenario, read_scenario
-    from gridpush_drake.station.scene import use_object
-
     scenario = read_scenario(scenario_file)
     chosen = _find_objects(scenario, objects)
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
@@ -73,7 +71,7 @@ def campaign(
         trial = scenario.model_copy()
         resolve(trial, scenario_file, told=use_object(trial, name))
 
-    def begin() -> "Results":
+    def begin() -> Results:
         make_folder(out)
         results = open_results(out / EPISODES, "campaign", describe_settings(task, scenario), force)
         path, text = out / SCENARIO, format_scenario(scenario)
@@ -102,9 +100,6 @@ def parse_seeds(option: str, text: str, most: int) -> list[int]:
     Raises:
         OptionError: the text is something else, or there are none or too many.
     """
-    from gridpush_drake.station.scenario import MAX_SEED
-    from gridpush_drake.yaml_file import shorten
-
     ranges = []
     for part in text.split(","):
         start, colon, stop = part.partition(":")
@@ -126,13 +121,8 @@ def parse_seeds(option: str, text: str, most: int) -> list[int]:
     return sorted({seed for each in ranges for seed in each})
 
 
-def _find_objects(scenario: "PushScenario", names: str | None) -> dict[str, str]:
+def _find_objects(scenario: PushScenario, names: str | None) -> dict[str, str]:
     """Shipped objects' names, with "", and object files in full, with their content's hash."""
-    from gridpush_drake.bench.jobs import hash_content
-    from gridpush_drake.errors import ObjectError
-    from gridpush_drake.files import read_bytes
-    from gridpush_drake.objects.object_file import list_shipped_objects
-
     found = {}
     for name in [scenario.object] if names is None else names.split(","):
         if not name:

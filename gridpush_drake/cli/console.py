@@ -5,12 +5,12 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from rich.console import RenderableType
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from gridpush_drake.identification.result import HistoryEntry
+from gridpush_drake.identification.result import HistoryEntry
 
 PIPE_WIDTH = 160
 """Columns that a table may take where standard output is not a terminal."""
@@ -34,15 +34,11 @@ def count_noun(count: int, noun: str) -> str:
 
 def print_line(text: str = "") -> None:
     """Prints a line of plain words on standard output, wrapped to the terminal."""
-    from rich.console import Console
-
     Console(soft_wrap=not sys.stdout.isatty()).print(text, markup=False, highlight=False)
 
 
-def print_table(table: "RenderableType") -> None:
+def print_table(table: RenderableType) -> None:
     """Prints a table on standard output; as wide as it likes where that is not a terminal."""
-    from rich.console import Console
-
     console = Console()
     if not console.is_terminal:
         console.width = PIPE_WIDTH
@@ -86,14 +82,14 @@ def _plain(value: Any) -> Any:
 
 
 @contextmanager
-def search_progress(what: str, budget: int | None) -> Iterator[Callable[["HistoryEntry"], None]]:
+def search_progress(what: str, budget: int | None) -> Iterator[Callable[[HistoryEntry], None]]:
     """Shows how a search goes, on standard error; yields what the search calls with each of its steps.
 
     The budget is of simulations; None where the search decides itself.
     """
     with count_progress(what, budget) as show:
 
-        def report(entry: "HistoryEntry") -> None:
+        def report(entry: HistoryEntry) -> None:
             found = f"{entry.simulations} simulations, cell error {entry.loss * MM:.2f} mm"
             show(entry.stage, found, entry.simulations)
 
@@ -160,9 +156,6 @@ def count_progress(
         such as the simulated time, the count, and what to count to: `report(doing, detail, count,
         of)`.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
     console = Console(stderr=True)
     if not console.is_terminal:
         plain = PlainProgress(period)

@@ -1,28 +1,25 @@
 """`gridpush demo`: a robot and an object it knows nothing about: poked, learned, slid to the edge, grasped, lifted."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_progress, print_json, print_line, print_notice
 from gridpush_drake.cli.interrupts import EXIT_INTERRUPTED
-
-if TYPE_CHECKING:
-    from gridpush_drake.station.tasks import TaskKind
+from gridpush_drake.display.live_page import LivePage
+from gridpush_drake.errors import StationError
+from gridpush_drake.files import make_folder
+from gridpush_drake.station.camera import check_renderer
+from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.robot import make_robot_directives
+from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scene import use_object
+from gridpush_drake.station.tasks import TASKS, TaskKind, TaskName, write_files
 
 EXIT_NOT_DONE = 1
 """Where everything went as it should but the robot did not get there."""
-
-
-class TaskName(StrEnum):
-    """What the robot is to do."""
-
-    identify = "identify"
-    push = "push"
-    pregrasp = "pregrasp"
 
 
 def demo(
@@ -100,14 +97,6 @@ def demo(
 
     Exit code 1 where the robot did not reach its goal.
     """
-    from gridpush_drake.display.live_page import LivePage
-    from gridpush_drake.files import make_folder
-    from gridpush_drake.station.resolve import resolve
-    from gridpush_drake.station.robot import make_robot_directives
-    from gridpush_drake.station.scenario_file import read_scenario
-    from gridpush_drake.station.scene import use_object
-    from gridpush_drake.station.tasks import TASKS, write_files
-
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(
             f"--pushes: is for --task identify; {task} decides itself how many to make"
@@ -151,7 +140,7 @@ def demo(
         raise typer.Exit(EXIT_NOT_DONE)
 
 
-def print_summary(task: "TaskKind", summary: dict[str, Any], written: list[Path]) -> None:
+def print_summary(task: TaskKind, summary: dict[str, Any], written: list[Path]) -> None:
     """Prints what came of a run, and what was written."""
     for line in task.describe(summary):
         print_line(line)
@@ -160,9 +149,6 @@ def print_summary(task: "TaskKind", summary: dict[str, Any], written: list[Path]
 
 def _choose_camera() -> Literal["ideal", "rgbd"]:
     """The camera that sees for itself, where its pictures can be rendered."""
-    from gridpush_drake.errors import StationError
-    from gridpush_drake.station.camera import check_renderer
-
     try:
         check_renderer()
     except StationError as error:

@@ -7,6 +7,8 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found, print_notice
+from gridpush_drake.multibody.mjcf import WriteMjcf
+from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 
 Format = Literal["sdf", "urdf", "mjcf"]
 
@@ -39,9 +41,6 @@ def export(
     json: options.Json = False,
 ) -> None:
     """Write an object or a learned model for Drake (SDFormat, URDF) or MuJoCo (MJCF)."""
-    from gridpush_drake.multibody.mjcf import WriteMjcf
-    from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
-
     chosen = file_format or SUFFIXES.get(out.suffix)
     if chosen is None:
         raise options.OptionError(

@@ -2,16 +2,21 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found, search_progress
-
-if TYPE_CHECKING:
-    from gridpush_drake.identification.result import Identification
-    from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.files import write_whole
+from gridpush_drake.identification.learning import identify as search
+from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.identification.prediction import calc_training_errors, doubt_center, doubt_fit
+from gridpush_drake.identification.result import Identification, IdentificationStatus
+from gridpush_drake.pushes.plausibility import explain_no_contact
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.page import make_report
 
 Method = Literal[
     "default", "paper", "random_search", "weighted_sampling", "finite_difference", "cma_es", "nelder_mead"
@@ -61,13 +66,6 @@ def identify(
 
     Exit code 3 where the model explains little of the very pushes it was learned from.
     """
-    from gridpush_drake.errors import PushLogError
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.identification.learning import identify as search
-    from gridpush_drake.identification.model_file import write_model
-    from gridpush_drake.identification.result import IdentificationStatus
-    from gridpush_drake.pushes.plausibility import explain_no_contact
-
     if budget is not None and method == "default":
         raise options.OptionError(
             "--budget: is for the other methods; the default one ends by itself"
@@ -85,8 +83,6 @@ def identify(
         raise PushLogError(explain_no_contact(obj, log))
     write_model(out, result, force)
     if report is not None:
-        from gridpush_drake.report.page import make_report
-
         write_whole(report, make_report(result, log), force)
     found = {
         **describe_result(result, log),
@@ -100,10 +96,8 @@ def identify(
         raise typer.Exit(EXIT_EXPLAINS_LITTLE)
 
 
-def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
+def describe_result(result: Identification, log: PushLog) -> dict[str, Any]:
     """What an identification found, for machines; lengths in m."""
-    from gridpush_drake.identification.prediction import calc_training_errors, doubt_fit
-
     before, after = calc_training_errors(result, log)
     return {
         "object": result.obj.name,
@@ -140,10 +134,8 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
     }
 
 
-def explain_result(result: "Identification", found: dict[str, Any]) -> list[str]:
+def explain_result(result: Identification, found: dict[str, Any]) -> list[str]:
     """The same in lines of words."""
-    from gridpush_drake.identification.prediction import doubt_center
-
     doubt = doubt_center(result) if result.push_names else None
     center, spread = (
         result.identifiability.center_of_friction,

@@ -6,7 +6,7 @@ There is a command for each importer in `pushes.importers`, with the options tha
 import dataclasses
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 from typer.core import TyperGroup
@@ -15,9 +15,8 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_found
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import exists, make_folder
-
-if TYPE_CHECKING:
-    from gridpush_drake.pushes.importers import Importer
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.importers import IMPORTERS, Importer, find_importer
 
 OutDir = Annotated[
     Path | None,
@@ -40,14 +39,10 @@ class ImporterGroup(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The importers' names."""
-        from gridpush_drake.pushes.importers import IMPORTERS
-
         return list(IMPORTERS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of an importer; None where there is no such importer."""
-        from gridpush_drake.pushes.importers import find_importer
-
         if cmd_name not in self.commands and cmd_name in self.list_commands(ctx):
             self.commands[cmd_name] = _make_command(cmd_name, find_importer(cmd_name))
         return super().get_command(ctx, cmd_name)
@@ -60,7 +55,7 @@ app = typer.Typer(
 )
 
 
-def _make_command(name: str, importer: "type[Importer]") -> Any:
+def _make_command(name: str, importer: type[Importer]) -> Any:
     types = get_type_hints(importer)
     fields = {field.name: field for field in dataclasses.fields(importer)}  # type: ignore[arg-type]
 
@@ -109,7 +104,7 @@ def _make_command(name: str, importer: "type[Importer]") -> Any:
     return typer.main.get_command(single)
 
 
-def _describe_option(field: "dataclasses.Field[Any]", kind: Any) -> Any:
+def _describe_option(field: dataclasses.Field[Any], kind: Any) -> Any:
     names = [field.metadata["name"]] if "name" in field.metadata else []
     if _is_object(kind):
         return Annotated[
@@ -119,7 +114,6 @@ def _describe_option(field: "dataclasses.Field[Any]", kind: Any) -> Any:
 
 
 def _is_object(kind: Any) -> bool:
-    from gridpush_drake.objects.grid_object import GridObject
 
     return kind == GridObject | None
 

@@ -1,19 +1,29 @@
 """`gridpush object`: an object file from one photograph."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from warnings import warn
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line
-from gridpush_drake.errors import ObjectWarning, PerceptionError
-
-if TYPE_CHECKING:
-    from gridpush_drake.objects.object_file import TagSchema
-    from gridpush_drake.perception import DetectedObject
-    from gridpush_drake.perception.frames import Color
+from gridpush_drake.errors import ObjectWarning, PerceptionError, TagError
+from gridpush_drake.files import write_whole
+from gridpush_drake.objects.object_file import SeenSchema, TagSchema, dump_object
+from gridpush_drake.perception import (
+    Camera,
+    DetectedObject,
+    DetectorOptions,
+    detect_object,
+    detect_tags,
+    read_color,
+    read_depth,
+    solve_tag_to_body,
+    write_picture,
+)
+from gridpush_drake.perception.foreground import CONTRADICTION
+from gridpush_drake.perception.frames import Color
 
 MM, CM2 = 1e3, 1e4
 """In m and m^2."""
@@ -79,18 +89,6 @@ def make_object(
     json: options.Json = False,
 ) -> None:
     """Find the object in a photograph and write its outline, cells and height as an object file."""
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.objects.object_file import SeenSchema, dump_object
-    from gridpush_drake.perception import (
-        Camera,
-        DetectorOptions,
-        detect_object,
-        read_color,
-        read_depth,
-        write_picture,
-    )
-    from gridpush_drake.perception.foreground import CONTRADICTION
-
     options.check_outputs(force, out, picture, inputs=(photo, camera, depth))
     seen_by = Camera.read(camera)
     color = read_color(photo, seen_by)
@@ -128,12 +126,7 @@ def make_object(
         )
 
 
-def _find_tag(
-    photo: Path, color: "Color", found: "DetectedObject", tag: int, size: float
-) -> "TagSchema":
-    from gridpush_drake.errors import TagError
-    from gridpush_drake.objects.object_file import TagSchema
-    from gridpush_drake.perception import detect_tags, solve_tag_to_body
+def _find_tag(photo: Path, color: Color, found: DetectedObject, tag: int, size: float) -> TagSchema:
 
     tags = detect_tags(color, found.camera, size, found.height)
     if tag not in tags:

@@ -1,27 +1,30 @@
 """What several commands share: options, tables, the objects, models and logs they read, and compiled kernels."""
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
+from gridpush_drake.bench.cluster import open_cluster
+from gridpush_drake.bench.jobs import Execution, Results
 from gridpush_drake.cli.console import count_noun, print_notice, work_progress
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.physics import Regime as SimulatedRegime
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import MAX_NUMBER, GridPushError, PlanningError
 from gridpush_drake.files import check_writable, exists, is_file, is_same
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from gridpush_drake.bench.jobs import Execution, Results
-    from gridpush_drake.dynamics.physics import Physics
-    from gridpush_drake.identification.result import Identification
-    from gridpush_drake.objects.grid_object import GridObject
-    from gridpush_drake.objects.parameters import CellParameters
-    from gridpush_drake.planning.support_surface import SupportSurface
-    from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.identification.model_file import looks_like_model, read_model
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 
 ObjectOrModel = Annotated[
     str,
@@ -43,7 +46,7 @@ PushesFile = Annotated[
 ]
 
 
-def expect_ending(*endings: str) -> "Callable[[Path | None], Path | None]":
+def expect_ending(*endings: str) -> Callable[[Path | None], Path | None]:
     """Makes the callback of an option that refuses a file to be written whose name has none of the endings."""
 
     def check(path: Path | None) -> Path | None:
@@ -139,7 +142,7 @@ Table = Annotated[
 ]
 
 
-def parse_shape(option: str, text: str) -> "SupportSurface":
+def parse_shape(option: str, text: str) -> SupportSurface:
     """Reads a table, or an obstacle.
 
     Args:
@@ -155,7 +158,6 @@ def parse_shape(option: str, text: str) -> "SupportSurface":
         OptionError: the text is of no such form.
         PlanningError: a side or radius is not positive, or the polygon crosses itself.
     """
-    from gridpush_drake.planning.support_surface import SupportSurface
 
     def read(numbers: str, separator: str, count: int) -> list[float]:
         parts = numbers.split(separator)
@@ -184,22 +186,20 @@ def parse_shape(option: str, text: str) -> "SupportSurface":
 class Target:
     """What a command works on: an object, what it is taken to weigh and rub (the model's, or uniform by its prior)."""
 
-    obj: "GridObject"
-    params: "CellParameters"
-    model: "Identification | None" = None
+    obj: GridObject
+    params: CellParameters
+    model: Identification | None = None
 
-    def make_physics(self, regime: "Regime") -> "Physics":
+    def make_physics(self, regime: Regime) -> Physics:
         """The model's physics, or else the default one; with `regime`, unless that is "auto"."""
-        from gridpush_drake.dynamics.physics import Physics
-
         physics = self.model.physics if self.model else Physics()
         return physics if regime == "auto" else physics.with_regime(regime)
 
 
 @contextmanager
 def executing(
-    what: str, workers: int, dask: str | None, open_results: "Callable[[], Results]"
-) -> "Iterator[Execution]":
+    what: str, workers: int, dask: str | None, open_results: Callable[[], Results]
+) -> Iterator[Execution]:
     """How jobs are run: their results are kept, and what is done is shown.
 
     Args:
@@ -211,13 +211,9 @@ def executing(
     Raises:
         GridPushError: no cluster answers.
     """
-    from gridpush_drake.bench.jobs import Execution
-
     with ExitStack() as stack:
         executor = None
         if dask is not None:
-            from gridpush_drake.bench.cluster import open_cluster
-
             executor = stack.enter_context(open_cluster(dask))
         results = open_results()
         known = f", {len(results.lines)} of them from before" if results.lines else ""
@@ -232,7 +228,7 @@ def executing(
 
 
 def check_outputs(
-    force: bool, *paths: Path | None, inputs: "Sequence[Path | str | None]" = ()
+    force: bool, *paths: Path | None, inputs: Sequence[Path | str | None] = ()
 ) -> None:
     """Checks, before long work begins, that files may be written, each to its own place.
 
@@ -263,26 +259,19 @@ def describe_written(*paths: Path | None) -> list[str]:
     return [f"Wrote {written}."] if written else []
 
 
-def load_object(name: str, largest_piece: bool = False) -> "GridObject":
+def load_object(name: str, largest_piece: bool = False) -> GridObject:
     """Reads an object by its file or by the name it is shipped under. Raises ObjectError where there is neither."""
-    from gridpush_drake.objects.grid_object import GridObject
-
     return GridObject.from_yaml(object_path(name), largest_piece=largest_piece)
 
 
 def object_path(name: str) -> Path:
     """The file of an object; a file goes before a shipped object of the same name."""
-    from gridpush_drake.objects.object_file import find_shipped_object
-
     path = Path(name)
     return path if exists(path) or path.suffix else find_shipped_object(name)
 
 
 def load_target(name: str, largest_piece: bool = False) -> Target:
     """Reads an object or a model. Raises ObjectError or IdentificationError where it is neither."""
-    from gridpush_drake.identification.model_file import looks_like_model, read_model
-    from gridpush_drake.objects.parameters import CellParameters
-
     if looks_like_model(name):
         model = read_model(name)
         return Target(model.obj, model.params, model)
@@ -290,15 +279,13 @@ def load_target(name: str, largest_piece: bool = False) -> Target:
     return Target(obj, CellParameters.uniform(obj))
 
 
-def choose_height(given: float | None, obj: "GridObject") -> float:
+def choose_height(given: float | None, obj: GridObject) -> float:
     """Height of an object, m: as given, or as its file says, or DEFAULT_HEIGHT."""
     return given if given is not None else obj.height or DEFAULT_HEIGHT
 
 
-def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "PushLog":
+def load_log(path: Path, obj: GridObject, *, require_final: bool = True) -> PushLog:
     """Reads a push log, made with the pusher that the object's file names; says so where it names none."""
-    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
-
     log = PushLog.read_csv(path, require_final=require_final)
     if log.radius_given:
         return log
@@ -310,7 +297,7 @@ def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "P
     return log.with_radius(obj.prior.pusher_radius)
 
 
-def describe_overhanging(names: "Sequence[str]") -> str:
+def describe_overhanging(names: Sequence[str]) -> str:
     """Says which pushes were left out, and why."""
     return f"left out {count_noun(len(names), 'push')}, as the object hung over the table's edge: {', '.join(names)}"
 
@@ -331,16 +318,10 @@ def compile_kernels() -> None:
     timer.daemon = True
     timer.start()
     try:
-        from gridpush_drake.dynamics.physics import Regime
-        from gridpush_drake.dynamics.push import Push
-        from gridpush_drake.dynamics.simulation import simulate
-        from gridpush_drake.objects.grid_object import GridObject
-        from gridpush_drake.objects.parameters import CellParameters
-
         obj = GridObject.from_outline([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]], max_cells=1)
         params = CellParameters.uniform(obj)
         push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)
-        regimes: tuple[Regime, ...] = ("inertial", "quasi_static")
+        regimes: tuple[SimulatedRegime, ...] = ("inertial", "quasi_static")
         for regime in regimes:
             simulate(obj, params, push, gradients=True, regime=regime)
     finally:

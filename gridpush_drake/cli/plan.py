@@ -1,16 +1,26 @@
 """`gridpush plan`: pushes that bring an object to a goal pose."""
 
-from math import isfinite
+from math import degrees, isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
-
-if TYPE_CHECKING:
-    from gridpush_drake.planning.goal.push_plan import PushPlan
+from gridpush_drake.files import write_whole
+from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS, ContactOptions
+from gridpush_drake.planning.goal.next_push import GoalRules
+from gridpush_drake.planning.goal.push_plan import (
+    PushPlan,
+    PushPlanStatus,
+    describe_plan,
+    plan_pushes,
+    write_plan,
+)
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.report.draw import to_png
+from gridpush_drake.report.plan_figures import draw_plan
 
 
 def plan(
@@ -61,17 +71,6 @@ def plan(
     json: options.Json = False,
 ) -> None:
     """Plan pushes that bring an object, or a learned model, to a goal pose."""
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS, ContactOptions
-    from gridpush_drake.planning.goal.next_push import GoalRules
-    from gridpush_drake.planning.goal.push_plan import (
-        PushPlanStatus,
-        describe_plan,
-        plan_pushes,
-        write_plan,
-    )
-    from gridpush_drake.planning.push_constraints import PushConstraints
-
     options.check_outputs(force, out, picture, inputs=(model,))
     aim, pose = (
         options.parse_numbers(name, text, "x,y,theta")
@@ -106,9 +105,6 @@ def plan(
     if out is not None:
         write_plan(out, found, target.obj.name, finger, force)
     if picture is not None:
-        from gridpush_drake.report.draw import to_png
-        from gridpush_drake.report.plan_figures import draw_plan
-
         write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
     written = [str(path) for path in (out, picture) if path is not None]
     document = {**describe_plan(found, target.obj.name, finger), "written": written}
@@ -121,8 +117,7 @@ def plan(
         raise typer.Exit(options.EXIT_NO_PLAN)
 
 
-def _describe(name: str, found: "PushPlan") -> list[str]:
-    from math import degrees
+def _describe(name: str, found: PushPlan) -> list[str]:
 
     lines = [f"{name}: {found.status}: {found.reason}"]
     for number, (planned, error) in enumerate(

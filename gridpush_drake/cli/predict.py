@@ -4,15 +4,26 @@ import csv
 import io
 from math import pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_json, print_line, print_table
-
-if TYPE_CHECKING:
-    from gridpush_drake.identification.prediction import ErrorSummary, Prediction
+from gridpush_drake.dynamics.motion import MotionStatus
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.files import write_whole
+from gridpush_drake.identification.prediction import (
+    ErrorSummary,
+    Prediction,
+    calc_final_errors,
+    predict_spread,
+    summarize_errors,
+)
+from gridpush_drake.identification.prediction import predict as predict_log
+from gridpush_drake.identification.problem import resolve_physics
+from gridpush_drake.pushes.plausibility import explain_no_contact
 
 COLUMNS = ("push", "x", "y", "theta")
 """Final pose of each push, m and rad, world frame."""
@@ -34,18 +45,6 @@ def predict(
     json: options.Json = False,
 ) -> None:
     """Predict where pushes take an object, and compare with where they took it."""
-    from gridpush_drake.dynamics.motion import MotionStatus
-    from gridpush_drake.errors import PushLogError
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.identification.prediction import (
-        calc_final_errors,
-        predict_spread,
-        summarize_errors,
-    )
-    from gridpush_drake.identification.prediction import predict as predict_log
-    from gridpush_drake.identification.problem import resolve_physics
-    from gridpush_drake.pushes.plausibility import explain_no_contact
-
     options.check_outputs(force, out, inputs=(model, pushes))
     target = options.load_target(model, largest_piece)
     full = options.load_log(pushes, target.obj, require_final=False)
@@ -110,7 +109,7 @@ def predict(
     print_line(f"Wrote {out}.")
 
 
-def _describe_summary(error: "ErrorSummary") -> dict[str, Any]:
+def _describe_summary(error: ErrorSummary) -> dict[str, Any]:
     """A summary for machines; its numbers are in its unit, "mm" or "deg"."""
     values = {key: getattr(error, key) * error.scale for key in ("mean", "median", "p90")}
     return {
@@ -121,10 +120,8 @@ def _describe_summary(error: "ErrorSummary") -> dict[str, Any]:
     }
 
 
-def print_errors(title: str, errors: "list[ErrorSummary]") -> None:
+def print_errors(title: str, errors: list[ErrorSummary]) -> None:
     """Prints a table of errors."""
-    from rich.table import Table
-
     table = Table("error", "mean", "median", "90 %", title=title, title_justify="left")
     for error in errors:
         values = (error.mean, error.median, error.p90)
@@ -132,7 +129,7 @@ def print_errors(title: str, errors: "list[ErrorSummary]") -> None:
     print_table(table)
 
 
-def _make_csv(predictions: "list[Prediction]") -> str:
+def _make_csv(predictions: list[Prediction]) -> str:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)

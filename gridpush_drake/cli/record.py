@@ -5,13 +5,18 @@ from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found
-
-ENGAGED_BELOW = 0.05
-"""`SegmenterOptions.engaged_below`, which takes long to import, m."""
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.planning.support_surface import stayed_supported
+from gridpush_drake.pushes.plausibility import check_plausible
+from gridpush_drake.pushes.pose_delay import choose_delay
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
+from gridpush_drake.pushes.stream import DELAY, MAX_TOLD_DELAY, read_stream_csv, record_pushes
 
 MAX_SPAN = 10.0
 """Of a tip's places, m; where they span more and nothing is pushed, they may be in another unit."""
@@ -39,7 +44,7 @@ def record(
     engaged_below: Annotated[
         float,
         typer.Option(help="Height of the tip's center below which it can touch the object, m."),
-    ] = ENGAGED_BELOW,
+    ] = SegmenterOptions.engaged_below,
     pose_delay: Annotated[
         float | None,
         typer.Option(
@@ -58,21 +63,6 @@ def record(
     json: options.Json = False,
 ) -> None:
     """Cut a stream of the tip's and the object's poses into pushes, as the robot does while it pokes."""
-    import numpy as np
-
-    from gridpush_drake.errors import PushLogError
-    from gridpush_drake.planning.support_surface import stayed_supported
-    from gridpush_drake.pushes.plausibility import check_plausible
-    from gridpush_drake.pushes.pose_delay import choose_delay
-    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
-    from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
-    from gridpush_drake.pushes.stream import (
-        DELAY,
-        MAX_TOLD_DELAY,
-        read_stream_csv,
-        record_pushes,
-    )
-
     options.check_outputs(force, out, inputs=(stream, object_file))
     if not isfinite(engaged_below):
         raise options.OptionError(

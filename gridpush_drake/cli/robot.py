@@ -1,7 +1,4 @@
-"""`gridpush robot`: a task with a real arm, or its twin, over LCM.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush robot`: a task with a real arm, or its twin, over LCM."""
 
 import signal
 from collections.abc import Iterator
@@ -9,13 +6,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_progress, print_json, print_line, print_notice
-from gridpush_drake.cli.demo import EXIT_NOT_DONE, TaskName, print_summary
+from gridpush_drake.cli.demo import EXIT_NOT_DONE, print_summary
 from gridpush_drake.cli.interrupts import (
     EXIT_INTERRUPTED,
     SIGNALED,
@@ -32,13 +29,14 @@ from gridpush_drake.cli.twin import (
     read_robot_scenario,
 )
 from gridpush_drake.errors import GridPushError, ScenarioError
-
-if TYPE_CHECKING:
-    from gridpush_drake.station.lcm.hardware_link import HardwareLink
-    from gridpush_drake.station.scenario import PushScenario
-    from gridpush_drake.station.task import StationTask
-    from gridpush_drake.station.tasks import TaskKind
-    from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.files import make_folder, write_whole
+from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
+from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
+from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.task import StationTask
+from gridpush_drake.station.tasks import TASKS, TaskKind, TaskName, write_files
+from gridpush_drake.systems.messages import PushCommand
 
 LOG = "robot.log"
 """Name of the file that it leaves beside what a demo does: what happened when, and how the loop went."""
@@ -80,12 +78,6 @@ def robot(
 
     Exit code 1 where the task was not done, 128 + its number after a signal: 130 after Ctrl-C.
     """
-    from gridpush_drake.files import make_folder
-    from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
-    from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
-    from gridpush_drake.station.resolve import resolve
-    from gridpush_drake.station.tasks import TASKS
-
     chosen, scenario = TASKS[task], read_robot_scenario(scenario_file, object_file, seed)
     scenario.simulation.answer_delay = None  # a real arm waits for nobody
     resolved = resolve(scenario, scenario_file)
@@ -129,7 +121,7 @@ class StopRequest:
 
 
 @contextmanager
-def _stopping(link: "HardwareLink") -> Iterator[StopRequest]:
+def _stopping(link: HardwareLink) -> Iterator[StopRequest]:
     """Has the first signal stop the arm, as the loss of the terminal does; what was done is still written.
 
     The same signal a second time ends the process, and the robot's driver holds the arm; but not
@@ -158,7 +150,7 @@ def _stopping(link: "HardwareLink") -> Iterator[StopRequest]:
             signal.signal(number, handler)
 
 
-def _run(task: "StationTask[Any]", link: "HardwareLink") -> Any:
+def _run(task: StationTask[Any], link: HardwareLink) -> Any:
     with count_progress("the robot", 1) as report:
         link.armed = True
         context = task.simulator.get_context
@@ -170,18 +162,15 @@ def _run(task: "StationTask[Any]", link: "HardwareLink") -> Any:
 
 
 def _report(
-    task: "TaskKind",
-    scenario: "PushScenario",
+    task: TaskKind,
+    scenario: PushScenario,
     record: Any,
-    link: "HardwareLink",
+    link: HardwareLink,
     out: Path,
     force: bool,
     json: bool,
 ) -> dict[str, Any]:
     """Writes and prints what a run came to, and returns its summary; after a failure, as much as there is."""
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.station.tasks import write_files
-
     # the log first: it does not depend on how far the run came
     write_whole(out / LOG, _format_log(link), force)
     written, unwritten = [], ""
@@ -212,7 +201,7 @@ def _report(
     return summary
 
 
-def _look(task: "StationTask[Any]", link: "HardwareLink", json: bool) -> None:
+def _look(task: StationTask[Any], link: HardwareLink, json: bool) -> None:
     """Prints what is seen, and the first push that would be made; nothing moves."""
     push = task.preview(link, LOOKING)
     pose, tip = task.read("object.pose"), task.read("pusher.state")[:3]
@@ -234,7 +223,7 @@ def _look(task: "StationTask[Any]", link: "HardwareLink", json: bool) -> None:
     print_line("Nothing has moved. With --go it will.")
 
 
-def _describe_push(push: "PushCommand | None") -> str:
+def _describe_push(push: PushCommand | None) -> str:
     if push is None:
         return f"No push was found within {LOOKING:g} s."
     return (
@@ -243,7 +232,7 @@ def _describe_push(push: "PushCommand | None") -> str:
     )
 
 
-def _describe_loop(link: "HardwareLink") -> dict[str, Any]:
+def _describe_loop(link: HardwareLink) -> dict[str, Any]:
     report = link.report
     return {
         "commands": report.steps,
@@ -257,6 +246,6 @@ def _describe_loop(link: "HardwareLink") -> dict[str, Any]:
     }
 
 
-def _format_log(link: "HardwareLink") -> str:
+def _format_log(link: HardwareLink) -> str:
     lines = [f"{time:10.3f} s  {text}" for time, text in link.report.events]
     return "\n".join([*lines, link.report.describe(), *link.report.traces, ""])

@@ -7,6 +7,8 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found
+from gridpush_drake.files import write_whole
+from gridpush_drake.report.figures import draw_model, draw_object
 
 
 def show(
@@ -22,9 +24,6 @@ def show(
     json: options.Json = False,
 ) -> None:
     """Draw an object with its parts, or what a model learned of it."""
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.report.figures import draw_model, draw_object
-
     options.check_outputs(force, out)
     loaded = options.load_target(target, largest_piece)
     obj = loaded.obj

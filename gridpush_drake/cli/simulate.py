@@ -5,10 +5,17 @@ from math import degrees
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import simulate as simulate_push
+from gridpush_drake.files import write_whole
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.report.figures import draw_motion
 
 PUSH_NAME = "push_1"
 
@@ -49,14 +56,6 @@ def simulate(
     json: options.Json = False,
 ) -> None:
     """Simulate one push of an object or of a learned model."""
-    import numpy as np
-
-    from gridpush_drake.dynamics.push import Push
-    from gridpush_drake.dynamics.simulation import simulate as simulate_push
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.objects.parameters import CellParameters
-    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
-
     options.check_outputs(force, out, picture, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
     finger = loaded.obj.prior.pusher_radius if radius is None else radius
@@ -80,8 +79,6 @@ def simulate(
         )
         PushLog((seen,)).write_csv(out, force)
     if picture is not None:
-        from gridpush_drake.report.figures import draw_motion
-
         write_whole(picture, draw_motion(loaded.obj, push, motion.poses), force)
     first, last = motion.poses[0], motion.final_pose
     found = {

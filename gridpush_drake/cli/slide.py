@@ -1,22 +1,41 @@
 """`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes."""
 
+import json
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+import yaml
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found, to_json
-
-if TYPE_CHECKING:
-    from gridpush_drake.objects.grid_object import GridObject
-    from gridpush_drake.planning.pregrasp.goals import ArmLimits, PreGraspGoal
-    from gridpush_drake.planning.pregrasp.grasp_parts import PadLimit
-    from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
-    from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
-    from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.files import write_whole
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
+from gridpush_drake.planning.pregrasp.exploration import PokeOptions
+from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, GoalOptions, PreGraspGoal
+from gridpush_drake.planning.pregrasp.grasp_parts import (
+    FlatPart,
+    Gripper,
+    PadLimit,
+    find_held_grasps,
+)
+from gridpush_drake.planning.pregrasp.planner import (
+    ACCEPTED_SHARE,
+    PreGraspOptions,
+    PreGraspPlan,
+    PreGraspPlanner,
+    PreGraspPlanStatus,
+    plan_pregrasp,
+)
+from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, check_thickness
+from gridpush_drake.planning.pregrasp.slides import SlideOptions
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.report.draw import to_png
+from gridpush_drake.report.plan_figures import draw_slide
 
 USUAL_HEIGHT = 0.03
 """Of an object whose file does not say how thick it is, m."""
@@ -77,22 +96,6 @@ def slide(
     json: options.Json = False,
 ) -> None:
     """Plan pushes to the table's edge, until a part hangs over that a gripper can take and nothing falls."""
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
-    from gridpush_drake.planning.pregrasp.exploration import PokeOptions
-    from gridpush_drake.planning.pregrasp.goals import ANY_ARM, GoalOptions
-    from gridpush_drake.planning.pregrasp.grasp_parts import Gripper, PadLimit
-    from gridpush_drake.planning.pregrasp.planner import (
-        ACCEPTED_SHARE,
-        PreGraspOptions,
-        PreGraspPlanner,
-        PreGraspPlanStatus,
-        plan_pregrasp,
-    )
-    from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
-    from gridpush_drake.planning.pregrasp.slides import SlideOptions
-    from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
-
     options.check_outputs(force, out, picture, inputs=(model,))
     surface = options.parse_shape("--table", table)
     target = options.load_target(model, largest_piece)
@@ -134,25 +137,18 @@ def slide(
     if out is not None:
         write_whole(out, _to_text(found, out), force)
     if picture is not None:
-        from gridpush_drake.report.draw import to_png
-        from gridpush_drake.report.plan_figures import draw_slide
-
         write_whole(picture, to_png(draw_slide(planner, uncertain.masses, plan)), force)
     print_found(found, [*_explain(found), *options.describe_written(out, picture)], json)
     if plan.status != PreGraspPlanStatus.READY:
         raise typer.Exit(options.EXIT_NO_PLAN)
 
 
-def _limit_to_held(obj: "GridObject", surface: "SupportSurface", pads: "PadLimit") -> "ArmLimits":
+def _limit_to_held(obj: GridObject, surface: SupportSurface, pads: PadLimit) -> ArmLimits:
     """Asks of a goal with a part of the rim whether the gripper gets there clear of the table, and holds the object."""
-    from gridpush_drake.planning.pregrasp.goals import ArmLimits
-    from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, find_held_grasps
-    from gridpush_drake.planning.pregrasp.side_grasp import check_thickness
-
     height = obj.height or USUAL_HEIGHT
     check_thickness(obj, height, pads.gripper)
 
-    def can_grasp(goal: "PreGraspGoal", masses: "PlausibleMassSet") -> bool:
+    def can_grasp(goal: PreGraspGoal, masses: PlausibleMassSet) -> bool:
         if not isinstance(goal.part, FlatPart):
             return True
         return bool(
@@ -164,7 +160,7 @@ def _limit_to_held(obj: "GridObject", surface: "SupportSurface", pads: "PadLimit
     return ArmLimits(can_grasp=can_grasp)
 
 
-def _describe(planner: "PreGraspPlanner", plan: "PreGraspPlan", model: str) -> dict[str, Any]:
+def _describe(planner: PreGraspPlanner, plan: PreGraspPlan, model: str) -> dict[str, Any]:
     goal = plan.goal
     found: dict[str, Any] = {
         "object": planner.obj.name,
@@ -189,8 +185,7 @@ def _describe(planner: "PreGraspPlanner", plan: "PreGraspPlan", model: str) -> d
     return found
 
 
-def _describe_grasp(goal: "PreGraspGoal") -> dict[str, Any]:
-    from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
+def _describe_grasp(goal: PreGraspGoal) -> dict[str, Any]:
 
     if isinstance(goal.part, FlatPart):
         return {"at": goal.p_WG, "by": "rim", "approach": goal.part.heading + goal.pose[2]}
@@ -210,9 +205,6 @@ def _to_text(found: dict[str, Any], out: Path) -> str:
     document = to_json({key: value for key, value in found.items() if key != "written"})
     if out.suffix == ".json":
         return document
-    import json
-
-    import yaml
 
     return str(yaml.safe_dump(json.loads(document), sort_keys=False, allow_unicode=True))
 

@@ -1,27 +1,48 @@
 """`gridpush track`: a push log from a video, or a folder of images, of an object that is pushed."""
 
+import csv
 import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import cv2
+import numpy as np
+import shapely
 import typer
+from numpy.typing import NDArray
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_json, print_line
 from gridpush_drake.cli.object import TagSize
-from gridpush_drake.errors import CameraError, ImageError, PerceptionError
+from gridpush_drake.errors import CameraError, ImageError, PerceptionError, PushLogError, TagError
+from gridpush_drake.files import read_text
+from gridpush_drake.geometry.se2 import compose, transform
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import TagSchema, read_object_file
+from gridpush_drake.perception import (
+    Camera,
+    Frame,
+    PoseTracker,
+    detect_tags,
+    draw_outline,
+    read_frames,
+    track_object,
+    write_picture,
+)
+from gridpush_drake.perception.camera import NOT_KNOWN
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.pushes.segmentation import SegmenterOptions
+from gridpush_drake.pushes.stream import (
+    calc_velocities,
+    make_samples,
+    record_pushes,
+    write_stream_csv,
+)
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+Array = NDArray[np.float64]
 
-    from gridpush_drake.objects.grid_object import GridObject
-    from gridpush_drake.objects.object_file import TagSchema
-    from gridpush_drake.perception import Camera, Frame
-
-    Array = NDArray[np.float64]
 
 TAG = "tag:"
 """Before a tag's number."""
@@ -74,23 +95,6 @@ def track(
     json: options.Json = False,
 ) -> None:  # fmt: skip
     """Follow an object through a video and write the pushes in it as a push log."""
-    import numpy as np
-    import shapely
-
-    from gridpush_drake.errors import PushLogError
-    from gridpush_drake.geometry.se2 import transform
-    from gridpush_drake.objects.object_file import read_object_file
-    from gridpush_drake.perception import Camera, draw_outline, write_picture
-    from gridpush_drake.perception.camera import NOT_KNOWN
-    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
-    from gridpush_drake.pushes.segmentation import SegmenterOptions
-    from gridpush_drake.pushes.stream import (
-        calc_velocities,
-        make_samples,
-        record_pushes,
-        write_stream_csv,
-    )
-
     options.check_outputs(force, out, picture, stream, inputs=(video, camera, object_file, tip))
     offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z")
     seen_by, obj = Camera.read(camera), options.load_object(object_file)
@@ -164,7 +168,7 @@ class _TipFinder:
     """Where the tip is in a frame: from a CSV file on the same clock, or from a tag on the pusher."""
 
     def __init__(
-        self, text: str, camera: "Camera", size: float, offset: "Array", height: float | None
+        self, text: str, camera: Camera, size: float, offset: Array, height: float | None
     ) -> None:
         self.text, self.camera, self.size, self.offset, self.height = (
             text,
@@ -185,15 +189,12 @@ class _TipFinder:
         else:
             self.times, self.places = _read_tips(Path(text))
 
-    def __call__(self, frame: "Frame") -> "Array":
+    def __call__(self, frame: Frame) -> Array:
         """(3,) p_WP of the tip, m; NaN where it is not known."""
-        import numpy as np
-
         if self.tag is None:
             if not self.times[0] <= frame.t <= self.times[-1]:
                 return np.full(3, np.nan)
             return np.array([np.interp(frame.t, self.times, self.places[:, i]) for i in range(3)])
-        from gridpush_drake.perception import detect_tags
 
         tags = detect_tags(frame.color, self.camera, self.size, self.height)
         self.seen |= tags.keys()
@@ -202,10 +203,6 @@ class _TipFinder:
 
     def check(self, video: Path, rows: list[Any]) -> None:
         """Raises TagError or PushLogError where the tip was known in no frame."""
-        import numpy as np
-
-        from gridpush_drake.errors import PushLogError, TagError
-
         if any(np.isfinite(row[1]).all() for row in rows):
             return
         if self.tag is not None:
@@ -217,15 +214,8 @@ class _TipFinder:
         )
 
 
-def _read_tips(path: Path) -> "tuple[Array, Array]":
+def _read_tips(path: Path) -> tuple[Array, Array]:
     """Times (K,), s, and places (K, 3), m, of the tip."""
-    import csv
-
-    import numpy as np
-
-    from gridpush_drake.errors import PushLogError
-    from gridpush_drake.files import read_text
-
     lines = list(
         csv.reader(read_text(path, f"the tip's places: {TIP_FORM}", PushLogError).splitlines())
     )
@@ -248,18 +238,14 @@ def _read_tips(path: Path) -> "tuple[Array, Array]":
 
 
 def _follow_outline(
-    video: Path, camera: "Camera", obj: "GridObject", height: float, radius: float, find_tip: _TipFinder,
-    tag: "TagSchema | None",
-) -> "Iterator[tuple[Frame, Array]]":  # fmt: skip
-    import cv2
-    import numpy as np
-
-    from gridpush_drake.perception import PoseTracker, read_frames, track_object
+    video: Path, camera: Camera, obj: GridObject, height: float, radius: float, find_tip: _TipFinder,
+    tag: TagSchema | None,
+) -> Iterator[tuple[Frame, Array]]:  # fmt: skip
 
     around = np.linspace(0, 2 * np.pi, ROD_POINTS, endpoint=False)
     circle = ROD_MARGIN * radius * np.column_stack([np.cos(around), np.sin(around)])
 
-    def cover(frame: "Frame") -> "NDArray[np.bool_] | None":
+    def cover(frame: Frame) -> NDArray[np.bool_] | None:
         place = find_tip(frame)
         if not np.isfinite(place).all():
             return None
@@ -283,13 +269,9 @@ def _follow_outline(
 
 
 def _follow_tag(
-    video: Path, camera: "Camera", obj: "GridObject", height: float, radius: float, find_tip: _TipFinder,
-    tag: "TagSchema | None",
-) -> "Iterator[tuple[Frame, Array]]":  # fmt: skip
-    import numpy as np
-
-    from gridpush_drake.geometry.se2 import compose
-    from gridpush_drake.perception import detect_tags, read_frames
+    video: Path, camera: Camera, obj: GridObject, height: float, radius: float, find_tip: _TipFinder,
+    tag: TagSchema | None,
+) -> Iterator[tuple[Frame, Array]]:  # fmt: skip
 
     assert tag is not None
     for frame in read_frames(video, camera):

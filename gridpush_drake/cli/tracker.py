@@ -2,16 +2,19 @@
 
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_line, print_notice
 from gridpush_drake.cli.twin import DEFAULT_URL, LcmUrl, Scenario, read_robot_scenario
-
-if TYPE_CHECKING:
-    from gridpush_drake.station.lcm.picture_tracker import PictureTracker
+from gridpush_drake.files import check_writable, write_whole
+from gridpush_drake.objects.object_file import dump_object
+from gridpush_drake.station.lcm.hardware_link import open_lcm
+from gridpush_drake.station.lcm.picture_tracker import PictureTracker
+from gridpush_drake.station.lcm.robot_messages import OBJECT_STATUS
+from gridpush_drake.station.resolve import resolve
 
 WAIT = 0.1
 """Longest time that messages are waited for between two looks at whether to end, s."""
@@ -40,12 +43,6 @@ def tracker(
     force: options.Force = False,
 ) -> None:
     """Find an object in a camera's LCM pictures and tell `gridpush robot` where it is; Ctrl-C ends it."""
-    from gridpush_drake.files import check_writable
-    from gridpush_drake.station.lcm.hardware_link import open_lcm
-    from gridpush_drake.station.lcm.picture_tracker import PictureTracker
-    from gridpush_drake.station.lcm.robot_messages import OBJECT_STATUS
-    from gridpush_drake.station.resolve import resolve
-
     scenario = read_robot_scenario(scenario_file, object_file, None)
     resolved = resolve(scenario, scenario_file)
     if object_file is None:
@@ -61,7 +58,7 @@ def tracker(
         print_notice(f"{follower.report.describe()}.")
 
 
-def _follow(follower: "PictureTracker") -> None:
+def _follow(follower: PictureTracker) -> None:
     """Looks for as long as the command runs; says when no picture could be used for a while, and why."""
     last, told = monotonic(), False
     while True:
@@ -76,11 +73,8 @@ def _follow(follower: "PictureTracker") -> None:
             told = True
 
 
-def _find(follower: "PictureTracker", out: Path | None, force: bool) -> None:
+def _find(follower: PictureTracker, out: Path | None, force: bool) -> None:
     """Looks until the object is seen, and says what is in the way; writes what was found."""
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.objects.object_file import dump_object
-
     begin, said = monotonic(), ""
     while True:
         tracked = follower.step(WAIT)

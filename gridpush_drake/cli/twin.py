@@ -2,14 +2,20 @@
 
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.cli.console import print_notice
-
-if TYPE_CHECKING:
-    from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.lcm.hardware_link import open_lcm
+from gridpush_drake.station.lcm.twin import MakeTwin
+from gridpush_drake.station.lcm.twin_camera import PictureProcess
+from gridpush_drake.station.lcm.twin_link import TwinLink
+from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.systems.arm_guard import GuardMode
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 
@@ -65,15 +71,6 @@ def twin(
     realtime_rate: RealtimeRate = 1.0,
 ) -> None:
     """Simulate a robot that speaks its driver's LCM messages, for `gridpush robot` to move; Ctrl-C ends it."""
-    from pydrake.systems.analysis import Simulator
-
-    from gridpush_drake.station.lcm.hardware_link import open_lcm
-    from gridpush_drake.station.lcm.twin import MakeTwin
-    from gridpush_drake.station.lcm.twin_camera import PictureProcess
-    from gridpush_drake.station.lcm.twin_link import TwinLink
-    from gridpush_drake.station.resolve import resolve
-    from gridpush_drake.systems.arm_guard import GuardMode
-
     scenario = read_robot_scenario(scenario_file, object_file, seed)
     resolved = resolve(scenario, scenario_file)
     link = TwinLink(open_lcm(lcm), resolved.robot)
@@ -126,10 +123,8 @@ def twin(
 
 def read_robot_scenario(
     scenario_file: Path | None, object_file: str | None, seed: int | None
-) -> "PushScenario":
+) -> PushScenario:
     """The scenario that twin and robot agree on, with what the command line says instead."""
-    from gridpush_drake.station.scenario_file import read_scenario
-
     scenario = read_scenario(scenario_file or DEFAULT_SCENARIO)
     if object_file is not None:
         scenario.object = object_file

@@ -1,18 +1,26 @@
 """`gridpush view`: a model, a log of pushes or a recording, in Meshcat."""
 
+import os
+import sys
+import webbrowser
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from threading import Event
+from typing import Annotated, Any, Literal
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_found
+from gridpush_drake.cli.view_scene import AddModel, AddPushes, describe_colors, make_overlay
+from gridpush_drake.display.film import write_film
+from gridpush_drake.display.live_page import LivePage
+from gridpush_drake.display.overlay import Overlay
+from gridpush_drake.display.server import PublishOnce, looks_like_recording, write_recording
 from gridpush_drake.errors import GridPushError
-
-if TYPE_CHECKING:
-    from gridpush_drake.display.live_page import LivePage
-    from gridpush_drake.display.overlay import Overlay
+from gridpush_drake.files import exists, is_file
+from gridpush_drake.identification.model_file import looks_like_model
+from gridpush_drake.identification.prediction import predict, summarize_errors
 
 Shows = Literal["mass", "friction", "relative_friction"]
 
@@ -91,14 +99,10 @@ def view(
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
     options.check_outputs(force, out, inputs=(source,))
 
-    def serve(
-        page: "LivePage", overlay: "Overlay", found: dict[str, Any], lines: list[str]
-    ) -> None:
+    def serve(page: LivePage, overlay: Overlay, found: dict[str, Any], lines: list[str]) -> None:
         _write_or_serve(page, overlay, found, lines, out, open_page, force, json)
 
     if film is not None:
-        from gridpush_drake.display.film import write_film
-
         _check_recording(Path(source))
         write_film(Path(source), film, force)
         print_found({"kind": "film", "written": [str(film)]}, options.describe_written(film), json)
@@ -132,8 +136,6 @@ def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> No
 
 
 def _check_recording(path: Path) -> None:
-    from gridpush_drake.display.server import looks_like_recording
-    from gridpush_drake.files import is_file
 
     if not is_file(path):
         raise ViewError(f"{path}: there is no such file")
@@ -146,8 +148,6 @@ def _check_recording(path: Path) -> None:
 def _view_model(
     source: str, largest_piece: bool, shows: Shows, height: float | None, port: int | None, serve: Serve
 ) -> None:  # fmt: skip
-    from gridpush_drake.cli.view_scene import AddModel, describe_colors, make_overlay
-    from gridpush_drake.display.live_page import LivePage
 
     target = options.load_target(source, largest_piece)
     page = LivePage(port)
@@ -159,11 +159,8 @@ def _view_model(
 
 def _find_target(
     log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool
-) -> "options.Target":
+) -> options.Target:
     """The model or object of a push log: as told, or by the names the demo uses."""
-    from gridpush_drake.files import exists, is_file
-    from gridpush_drake.identification.model_file import looks_like_model
-
     if model_file is not None and not looks_like_model(model_file):
         raise ViewError(
             f"--model: {model_file} is not a model; expected a file that `gridpush identify` wrote"
@@ -180,12 +177,9 @@ def _find_target(
 
 
 def _view_pushes(
-    path: Path, target: "options.Target", names: list[str] | None, shows: Shows, height: float | None, port: int | None,
+    path: Path, target: options.Target, names: list[str] | None, shows: Shows, height: float | None, port: int | None,
     serve: Serve,
 ) -> None:  # fmt: skip
-    from gridpush_drake.cli.view_scene import AddPushes, describe_colors, make_overlay
-    from gridpush_drake.display.live_page import LivePage
-    from gridpush_drake.identification.prediction import predict, summarize_errors
 
     log = options.load_log(path, target.obj, require_final=False)
     known = [seen.name for seen in log]
@@ -222,12 +216,10 @@ def _view_pushes(
 
 
 def _write_or_serve(
-    page: "LivePage", overlay: "Overlay", found: dict[str, Any], lines: list[str], out: Path | None, open_page: bool,
+    page: LivePage, overlay: Overlay, found: dict[str, Any], lines: list[str], out: Path | None, open_page: bool,
     force: bool, json: bool,
 ) -> None:  # fmt: skip
     """Writes the page, or serves it until told to stop."""
-    from gridpush_drake.display.server import PublishOnce, write_recording
-
     url = page.url
     page.overlay = overlay
     if out is not None:
@@ -249,10 +241,6 @@ def _write_or_serve(
 
 def _open(address: str) -> bool:
     """Opens a page in the desktop's browser; False where there is none."""
-    import os
-    import sys
-    import webbrowser
-
     # Without a display Python would start a browser in the terminal itself, if it finds one.
     if sys.platform.startswith("linux") and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -263,9 +251,6 @@ def _open(address: str) -> bool:
 
 def _wait() -> None:
     """Returns on Enter at a terminal; elsewhere never."""
-    import sys
-    from threading import Event
-
     if sys.stdin is not None and sys.stdin.isatty():
         sys.stdin.readline()
     else:

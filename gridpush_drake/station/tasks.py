@@ -1,11 +1,12 @@
 """The one registry of tasks in the station, for `gridpush demo`, `robot` and `campaign`.
 
 Of each: how it is made, in which scenario, when it is done, what its run leaves in a folder, and
-how that is described and summarized. A task of your own is a `TaskKind` more in `TASKS`, and a word
-more in `cli.demo.TaskName`.
+how that is described and summarized. A task of your own is one more name in `TaskName`, and one more
+`TaskKind` in `TASKS`.
 """
 
 from collections.abc import Callable, Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,14 @@ PREGRASP_TITLES = {
 
 Report = Callable[[str, str, int], None]
 """Told what is being done, a detail that changes all the time, and how far the count is."""
+
+
+class TaskName(StrEnum):
+    """What the robot is to do, as `--task` names it on the command line."""
+
+    identify = "identify"
+    push = "push"
+    pregrasp = "pregrasp"
 
 
 class TaskKind:
@@ -534,11 +543,11 @@ class PreGraspKind(TaskKind):
 
 
 TASKS: dict[str, TaskKind] = {
-    "identify": IdentifyKind(),
-    "push": PushKind(),
-    "pregrasp": PreGraspKind(),
+    TaskName.identify: IdentifyKind(),
+    TaskName.push: PushKind(),
+    TaskName.pregrasp: PreGraspKind(),
 }
-"""By the words of `demo.TaskName`."""
+"""The tasks by their names. A name is a `TaskName`, or simply its text."""
 
 
 def calc_center_error(record: TaskRecord, params: CellParameters) -> float:

@@ -18,7 +18,6 @@ from gridpush_drake.bench.campaign import (
     GAVE_UP,
     NOT_LIFTED,
     REFUSED,
-    TASKS,
     Campaign,
     Episode,
     EpisodeJob,
@@ -28,10 +27,11 @@ from gridpush_drake.bench.campaign import (
     run_episode,
 )
 from gridpush_drake.bench.jobs import Execution, LostJobsError, open_results
-from gridpush_drake.cli.demo import TaskName, demo
+from gridpush_drake.cli.demo import demo
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario
+from gridpush_drake.station.tasks import TASKS, TaskName
 from tests.helpers.command_line import run_gridpush
 
 HELD = Episode("pliers", 0, "held", "It was lifted.", "held", 5, 3, 2, 0.1, 0.002, 60.0, 30.0)

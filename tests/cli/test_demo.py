@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from gridpush_drake.cli.demo import TaskName
+from gridpush_drake.cli import demo
 from gridpush_drake.display.cell_colors import CellColors
 from gridpush_drake.display.server import StartMeshcatServer, looks_like_recording
 from gridpush_drake.errors import GridPushError, StationError
@@ -18,10 +18,9 @@ from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station import camera as station_camera
 from gridpush_drake.station import scenario_file
 from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.tasks import TASKS, TaskKind
+from gridpush_drake.station.tasks import TASKS, TaskKind, TaskName
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
 from tests.helpers.renderer import require_renderer
 
@@ -231,7 +230,7 @@ def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, r
         raise GridPushError("no further")
 
     taken = []
-    monkeypatch.setattr(station_camera, "check_renderer", (lambda: None) if renders else refuse)
+    monkeypatch.setattr(demo, "check_renderer", (lambda: None) if renders else refuse)
     monkeypatch.setattr(TaskKind, "run", take)
     if more == ["--scenario"]:
         more = ["--scenario", str(tmp_path / "scenario.yaml")]

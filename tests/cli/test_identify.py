@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from gridpush_drake.cli import identify as command
-from gridpush_drake.identification import learning as search
+from gridpush_drake.identification.learning import METHODS
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -45,11 +45,11 @@ def test_prints_one_json_document(gridpush, block, pushes, tmp_path):
 
 
 def test_offers_every_method():
-    assert get_args(command.Method) == search.METHODS
+    assert get_args(command.Method) == METHODS
 
 
 def test_refuses_to_replace_a_file_before_it_begins(refuses, block, pushes, tmp_path, monkeypatch):
-    monkeypatch.setattr(search, "identify", None)
+    monkeypatch.setattr(command, "search", None)
     for name in ("learned.yaml", "report.html"):
         (tmp_path / name).write_text("mine")
         outputs = ("--out", tmp_path / "learned.yaml", "--report", tmp_path / "report.html")
@@ -133,7 +133,7 @@ def test_an_interrupt_leaves_nothing(gridpush, block, pushes, tmp_path, monkeypa
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(search, "identify", interrupted)
+    monkeypatch.setattr(command, "search", interrupted)
     outcome = gridpush("identify", block, pushes, "--out", tmp_path / "learned.yaml")
     assert outcome.code == 130
     assert outcome.err == "gridpush: interrupted; no file was left half-written\n"
