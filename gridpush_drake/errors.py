@@ -11,6 +11,10 @@ class GridPushError(Exception):
     """
 
 
+class MissingExtraError(GridPushError):
+    """A package is not installed that only some uses need; the message names the extra that installs it."""
+
+
 class ObjectError(GridPushError):
     """An object, a mask, an outline or their YAML is not what it should be."""
 

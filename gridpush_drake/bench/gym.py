@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from time import perf_counter, process_time
 from typing import Any
 
-import cma
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import sem
@@ -22,7 +21,8 @@ from gridpush_drake.bench.protocol import hide_parts, know_friction
 from gridpush_drake.bench.speed import one_core
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, Value, count_of, mean_of
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.errors import MissingExtraError
+from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -48,9 +48,11 @@ try:
 except ModuleNotFoundError as error:
     if error.name != "gymnasium":
         raise
-    raise GridPushError(
+    raise MissingExtraError(
         "gymnasium: is not installed; expected pip install 'gridpush-drake[gym]'"
     ) from error
+
+cma = import_extra("cma", "baselines")
 
 PLANNER, LEARNED, RANDOM = "planner", "learned", "random"
 PLAYERS = (PLANNER, LEARNED, RANDOM)

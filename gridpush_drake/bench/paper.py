@@ -38,6 +38,7 @@ from gridpush_drake.bench.table import (
 )
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.extras import import_extra
 from gridpush_drake.identification.learning import METHODS, identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
@@ -233,6 +234,7 @@ def run(
 
     Raises:
         GridPushError: the data are not there, or an argument is out of range.
+        MissingExtraError: CMA-ES is to be measured, and the package cma is not installed.
         OutputError: the figure cannot be written.
     """
     folder = None if data is None else Path(data).resolve()
@@ -308,6 +310,9 @@ def _check(
 ) -> None:
     check_known("objects", names, tuple(protocol.masses))
     check_known("methods", methods, METHODS)
+    if "cma_es" in methods:
+        # said before the first job, not in one that runs after an hour of others
+        import_extra("cma", "baselines")
     most = min(
         len(protocol.splits[TRAINING_PUSHES]), *(len(protocol.masses[name]) for name in names)
     )

@@ -26,6 +26,7 @@ from gridpush_drake.bench.truth.sets import (
 )
 from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
@@ -135,6 +136,7 @@ def run(
 
     Raises:
         GridPushError: an argument is out of range, or a set cannot be read or made.
+        MissingExtraError: a set must be made, and MuJoCo is not installed.
         ObjectError: an object is not shipped.
         OutputError: a file exists and may not be replaced, or cannot be written.
     """
@@ -142,6 +144,9 @@ def run(
         (min(sets, QUICK_SETS), QUICK_COUNTS) if quick else (sets, tuple(sorted(set(pushes))))
     )
     _check(kinds, sets, counts)
+    if out is None:
+        # only sets that lie in a folder already can be read without MuJoCo
+        import_extra("mujoco", "bench")
     names = OUTLINES if objects is None else tuple(objects)
     flat = [kind for kind in kinds if kind != OVERHANG]
     jobs = [

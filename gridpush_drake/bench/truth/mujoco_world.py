@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.multibody.mjcf import (
     FOOT_RADIUS,
@@ -153,15 +153,9 @@ class TruthWorld:
         """Finds how the body rests on a table of these sides in W, m; the radius is the pusher's.
 
         Raises:
-            GridPushError: MuJoCo is not installed.
+            MissingExtraError: MuJoCo is not installed.
         """
-        try:
-            import mujoco
-        except ImportError as error:
-            raise GridPushError(
-                "mujoco: is not installed; expected pip install 'gridpush-drake[bench]'"
-            ) from error
-
+        mujoco = import_extra("mujoco", "bench")
         self.body, self.radius, self._mujoco = body, radius, mujoco
         self._table, self._steps, self._scene, edges = table, 0, 0, _find_edges(table)
         self._rim = np.array(body.obj.outline.convex_hull.exterior.coords)[:-1]

@@ -4,7 +4,6 @@ Clarabel's solution is good to 1e-7; Newton's method then takes it to round-off,
 which the norms that vanish (what sticks) stay zero.
 """
 
-import clarabel
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import null_space
@@ -13,8 +12,11 @@ from scipy.sparse import csc_array, diags_array
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS, calc_spin_arm
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, twist_to_cells
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.extras import import_extra
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+
+clarabel = import_extra("clarabel", "reference")
 
 CONIC_TOLERANCE = 1e-13  # Clarabel's relative and absolute tolerance, on problems scaled to one
 

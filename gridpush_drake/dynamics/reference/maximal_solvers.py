@@ -21,7 +21,6 @@ no friction and are left out.
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
-import clarabel
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_array, csc_array, csr_array, diags_array, eye_array, vstack
@@ -30,6 +29,9 @@ from scipy.sparse.linalg import splu
 from gridpush_drake.dynamics.reference.isotropic_socp import solve_conic, solve_isotropic_socp
 from gridpush_drake.dynamics.reference.maximal_lcp import MaximalLcp
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.extras import import_extra
+
+clarabel = import_extra("clarabel", "reference")
 
 PROXIMAL_WEIGHT = (
     1e-12  # delta of `project`: makes redundant rows of C harmless; its effect is iterated away

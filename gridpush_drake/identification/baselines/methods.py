@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.paper import PaperDescent
 from gridpush_drake.identification.baselines.search import Search, SearchMethod, SearchStatus
@@ -97,7 +98,7 @@ class FiniteDifference:
 
 @dataclass(frozen=True)
 class CmaEs:
-    """CMA-ES, by the package `cma`.
+    """CMA-ES, by the package `cma`, which `pip install 'gridpush-drake[baselines]'` installs.
 
     Attributes:
         std: the initial standard deviation.
@@ -109,7 +110,7 @@ class CmaEs:
 
     def run(self, search: Search) -> SearchStatus:
         """Breeds generations until the strategy stops."""
-        import cma  # imported here, as it takes half a second and few want it
+        cma = import_extra("cma", "baselines")
 
         search(search.start, "start")
         options: dict[str, Any] = {

@@ -1,0 +1,134 @@
+"""What is installed with an extra only: nothing else needs it, and whoever needs it is told its name."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from gridpush_drake.cli.main import COMMANDS
+from gridpush_drake.errors import GridPushError, MissingExtraError
+from gridpush_drake.extras import import_extra
+from gridpush_drake.multibody.ground_truth import sample_ground_truth
+from tests.helpers.made_identifications import make_block
+from tests.helpers.simulated_pushes import make_pushes
+
+PROJECT = Path(__file__).parents[1] / "pyproject.toml"
+
+OF_EXTRAS = {"cma", "clarabel", "mujoco", "gymnasium", "rosbags", "distributed"}
+"""Packages that `pip install .` does not install."""
+
+MISSING = f"""
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {sorted(OF_EXTRAS)}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Missing())
+"""
+"""Makes a process one in which no extra is installed."""
+
+
+def run_without_extras(code, **settings):
+    return subprocess.run(
+        [sys.executable, "-c", MISSING + code], capture_output=True, text=True, **settings
+    )
+
+
+def read_project():
+    return tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
+
+
+def name_packages(requirements):
+    return {re.match(r"[\w-]+", requirement)[0] for requirement in requirements}
+
+
+def test_only_the_extras_bring_them():
+    project = read_project()
+    extras = project["optional-dependencies"]
+    assert not name_packages(project["dependencies"]) & OF_EXTRAS
+    for_users = [extras[name] for name in extras.keys() - {"dev", "docs"}]
+    assert set().union(*map(name_packages, for_users)) == OF_EXTRAS
+
+
+def test_whoever_works_on_the_project_gets_what_its_tests_need():
+    """MuJoCo is left out: it is large, and its tests are skipped without it."""
+    assert name_packages(read_project()["optional-dependencies"]["dev"]) >= OF_EXTRAS - {"mujoco"}
+
+
+def test_every_command_and_the_demo_work_without_extras():
+    modules = sorted({command.target.partition(":")[0] for command in COMMANDS.values()})
+    code = f"import importlib\nfor name in {modules}:\n    importlib.import_module(name)\n"
+    done = run_without_extras(code)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("module", ["maximal_solvers", "isotropic_socp"])
+def test_a_module_that_needs_an_extra_names_it(module):
+    done = run_without_extras(
+        "from gridpush_drake.errors import MissingExtraError\n"
+        "try:\n"
+        f"    import gridpush_drake.dynamics.reference.{module}\n"
+        "except MissingExtraError as error:\n"
+        "    print(error)\n"
+    )
+    assert done.stdout == (
+        "clarabel: is not installed; expected pip install 'gridpush-drake[reference]'\n"
+    ), done.stderr
+
+
+def test_a_command_that_needs_an_extra_says_so_in_one_line(tmp_path):
+    wanted = {
+        "baselines": ["bench", "paper", "--method", "cma_es", "--objects", "pliers"],
+        "gym": ["bench", "gym", "--quick"],
+        "bench": ["bench", "truth", "--quick"],
+    }
+    code = (
+        "import sys\n"
+        "from gridpush_drake.cli.main import main\n"
+        f"for args in {list(wanted.values())}:\n"
+        "    try:\n"
+        "        main(args)\n"
+        "    except SystemExit as ended:\n"
+        "        print('ended with', ended.code, file=sys.stderr)\n"
+    )
+    done = run_without_extras(code, cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    lines = done.stderr.splitlines()
+    ends = [i for i, line in enumerate(lines) if line.startswith("ended with")]
+    assert [lines[i] for i in ends] == ["ended with 2"] * len(wanted)
+    for end, extra in zip(ends, wanted, strict=True):
+        assert lines[end - 1].startswith("gridpush: error: ")
+        assert f"expected pip install 'gridpush-drake[{extra}]'" in lines[end - 1]
+
+
+def test_identify_names_the_extra_of_a_method(tmp_path):
+    obj = make_block()
+    obj.write_yaml(tmp_path / "block.yaml")
+    pushes = make_pushes(obj, sample_ground_truth(obj, 3), 2, seed=3)
+    pushes.write_csv(tmp_path / "pushes.csv")
+    files = ["block.yaml", "pushes.csv", "--out", "model.yaml"]
+    args = ["identify", *files, "--method", "cma_es"]
+    done = run_without_extras(
+        f"from gridpush_drake.cli.main import main\nmain({args})\n", cwd=tmp_path
+    )
+    assert done.returncode == 2
+    assert "cma: is not installed" in done.stderr.splitlines()[-1]
+    assert "gridpush-drake[baselines]" in done.stderr.splitlines()[-1]
+    assert not (tmp_path / "model.yaml").exists()
+
+
+def test_another_error_within_a_package_is_not_hidden(tmp_path, monkeypatch):
+    (tmp_path / "needs_another.py").write_text("import nothing_of_this_name\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ModuleNotFoundError, match="nothing_of_this_name"):
+        import_extra("needs_another", "bench")
+    with pytest.raises(MissingExtraError, match=r"gridpush-drake\[bench\]"):
+        import_extra("nothing_of_this_name", "bench")
+    assert issubclass(MissingExtraError, GridPushError)
