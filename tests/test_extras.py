@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from gridpush_drake.cli.bench.group import BENCHES
 from gridpush_drake.cli.main import COMMANDS
 from gridpush_drake.errors import GridPushError, MissingExtraError
 from gridpush_drake.extras import import_extra
@@ -61,7 +62,8 @@ def test_whoever_works_on_the_project_gets_what_its_tests_need():
 
 
 def test_every_command_and_the_demo_work_without_extras():
-    modules = sorted({command.target.partition(":")[0] for command in COMMANDS.values()})
+    commands = [*COMMANDS.values(), *(BENCHES[name] for name in BENCHES if name != "gym")]
+    modules = sorted(command.target.partition(":")[0] for command in commands)
     code = f"import importlib\nfor name in {modules}:\n    importlib.import_module(name)\n"
     done = run_without_extras(code)
     assert done.returncode == 0, done.stderr

@@ -112,7 +112,7 @@ COMMANDS: dict[str, LazyCommand] = {
         "Convert a public data set or a ROS bag to a push log and an object file.",
     ),
     "bench": LazyCommand(
-        "gridpush_drake.cli.bench:app",
+        "gridpush_drake.cli.bench.group:app",
         "Measure speed and accuracy, on the objects that ship with the package.",
     ),
 }

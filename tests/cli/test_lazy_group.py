@@ -4,6 +4,7 @@ import sys
 import pytest
 import typer
 
+from gridpush_drake.cli.bench.group import BENCHES
 from gridpush_drake.cli.main import COMMANDS, app
 
 LISTED_ONLY = """
@@ -54,6 +55,32 @@ def test_the_list_is_the_same_once_all_are_imported():
     for name in COMMANDS:
         group.get_command(None, name)
     assert group.get_help(group.make_context("gridpush", [], resilient_parsing=True)) == before
+
+
+def test_the_list_of_benches_imports_none():
+    script = (
+        "import sys\n"
+        "from gridpush_drake.cli.main import main\n"
+        "try:\n"
+        "    main(['bench', '--help'])\n"
+        "except SystemExit:\n"
+        "    pass\n"
+        "print('imported:', *[name for name in sys.modules if name.startswith('gridpush_drake.cli.bench.')])\n"
+    )
+    printed = subprocess.run(
+        [sys.executable, "-c", script], check=True, capture_output=True, text=True
+    ).stdout
+    shown, _, imported = printed.rpartition("imported:")
+    assert "perception" in shown
+    assert imported.split() == ["gridpush_drake.cli.bench.group"]
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_the_list_says_what_the_bench_itself_says_first(name):
+    group = typer.main.get_command(app).get_command(None, "bench")
+    command = group.get_command(None, name)
+    assert command.name == name
+    assert BENCHES[name].help == (command.short_help or command.help).partition("\n\n")[0]
 
 
 def test_completion_in_the_shell_imports_no_command_to_list_them():
