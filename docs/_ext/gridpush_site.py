@@ -47,6 +47,9 @@ FUNCTION = re.compile(r"(<m[io]>(?:log|exp|det|cov|diag|tr|asinh|clip|Huber)</m[
 LITERAL = re.compile(
     r"(^ *::\n\n(?:(?: {4,}.*)?\n)+|^ *\.\. \w+::\n(?:(?: {3,}.*)?\n)+)", re.MULTILINE
 )
+BARE_REPR = re.compile(r"&lt;Figure size [^&]*&gt;|&lt;[\w.]+(?: object)? at 0x[0-9a-f]+&gt;")
+"""How a page shows a figure, or another object, that nobody has told it how to draw."""
+
 INDENT = 4
 """Columns by which an equation stands to the right of the text about it."""
 
@@ -298,6 +301,25 @@ def check_links(app: Sphinx, error: Exception | None) -> None:
             LOGGER.warning("%s: %s leads nowhere", path.relative_to(root), link)
 
 
+def find_bare_reprs(page: str) -> list[str]:
+    """What a page shows as a line of text such as <Figure size 690x430>, where a picture should be."""
+    return [html.unescape(found) for found in BARE_REPR.findall(page)]
+
+
+def check_pictures(app: Sphinx, error: Exception | None) -> None:
+    """Warns of every page that shows the name of a figure, or of another object, instead of a picture."""
+    if error is not None or app.builder.format != "html":
+        return
+    root = Path(app.outdir)
+    for path in sorted(root.rglob("*.html")):
+        for found in find_bare_reprs(path.read_text(encoding="utf-8")):
+            LOGGER.warning(
+                "%s: shows the text %s; expected a picture, or a sentence",
+                path.relative_to(root),
+                found,
+            )
+
+
 def write_pages(app: Sphinx) -> None:
     """Writes the pages of the command line and of every package; files that are as they should be stay untouched."""
     folder = Path(app.srcdir) / GENERATED
@@ -369,6 +391,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("autodoc-skip-member", skip_settings)
     app.connect("doctree-read", drop_symbols)
     app.connect("build-finished", check_links)
+    app.connect("build-finished", check_pictures)
     app.connect("autodoc-process-signature", shorten_types, priority=900)
     app.connect("missing-reference", link_public_name)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

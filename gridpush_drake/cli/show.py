@@ -8,6 +8,7 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found
 from gridpush_drake.files import write_whole
+from gridpush_drake.report.draw import to_png
 from gridpush_drake.report.figures import draw_model, draw_object
 
 
@@ -27,7 +28,8 @@ def show(
     options.check_outputs(force, out)
     loaded = options.load_target(target, largest_piece)
     obj = loaded.obj
-    write_whole(out, draw_object(obj) if loaded.model is None else draw_model(loaded.model), force)
+    figure = draw_object(obj) if loaded.model is None else draw_model(loaded.model)
+    write_whole(out, to_png(figure), force)
     parts = sorted(set(obj.labels.tolist()))
     found = {
         "object": obj.name,

@@ -15,6 +15,7 @@ from gridpush_drake.dynamics.simulation import simulate as simulate_push
 from gridpush_drake.files import write_whole
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.report.draw import to_png
 from gridpush_drake.report.figures import draw_motion
 
 PUSH_NAME = "push_1"
@@ -79,7 +80,7 @@ def simulate(
         )
         PushLog((seen,)).write_csv(out, force)
     if picture is not None:
-        write_whole(picture, draw_motion(loaded.obj, push, motion.poses), force)
+        write_whole(picture, to_png(draw_motion(loaded.obj, push, motion.poses)), force)
     first, last = motion.poses[0], motion.final_pose
     found = {
         "object": loaded.obj.name,

@@ -1,12 +1,13 @@
 """A film of a recording: its moments as a browser draws them, in a GIF or an animated WebP.
 
 Chromium opens the page without a window, holds the animation still at each moment in turn, and
-gives back what the page's own renderer drew. What is being done then, which stands beside the
-scene, is written below it.
+gives back what the page's own renderer drew, with the close-up in its corner. What is being done
+then and the legend, which stand beside the scene in the page, are drawn below it.
 """
 
 import base64
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -18,7 +19,7 @@ from string import Template
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.files import check_writable, read_text, write_whole
@@ -40,34 +41,82 @@ FLAGS = (
 )
 """Of a browser without window, display or graphics card."""
 
-PAGE_TIME, PATIENCE = (
-    10_000,
-    600.0,
-)  # what the page may take by its own clock, ms, and the browser by ours, s
-SIZE = (640, 400)  # of the scene, pixels; the caption is below it
-SECONDS, FRAMES_PER_SECOND = (
-    12.0,
-    8,
-)  # of the film; it plays as much faster than the recording as it is shorter
-REST = 1.5  # s that the last picture stays
+PAGE_TIME = 10_000
+"""What the page may take by its own clock, ms."""
 
-CAPTION, FONT_SIZE, TEXT, PAPER = 30, 17, (35, 39, 46), (255, 255, 255)
-"""Height of the caption and of its letters, pixels; colors of letters and ground, RGB."""
+PATIENCE = 600.0
+"""What the browser may take by ours, s."""
 
-COLORS, PALETTE_BITS, SOME = 192, 5, 8
-"""Of a GIF, the same for all of its pictures: how many, the bits by which colors are told apart
-that they stand for, and the pictures that these are taken from."""
+SIZE = (720, 440)
+"""Width and height of the scene, pixels; caption and legend are below it."""
 
-ZOOM = 1.25  # by which the recording's view is drawn nearer
+SECONDS = 12.0
+"""Length of a film, s; it plays as much faster than the recording as it is shorter."""
+
+FRAMES_PER_SECOND = 8
+"""Of a film."""
+
+REST = 1.5
+"""Time that the last picture stays, s."""
+
+GROUND = (0.925, 0.933, 0.945)
+"""Color behind the scene, sRGB: one color, as a gradient would show in bands."""
+
+ZOOM = 1.25
+"""By which the recording's view is drawn nearer."""
+
+PAPER, TEXT, FRAME = (255, 255, 255), (35, 39, 46), (255, 255, 255)
+"""Colors below the scene, of letters, and about the close-up, RGB."""
+
+EDGE = 14
+"""Room at the left and the right of caption and legend, pixels."""
+
+CAPTION_HEIGHT, CAPTION_FONT = 34, 18
+"""Height of the caption and of its letters, pixels."""
+
+LEGEND_FONT, LINE = 13, 18
+"""Height of the legend's letters, and from one line of it to the next, pixels."""
+
+SCALE_WIDTH, BAR_HEIGHT = 250, 12
+"""Of the color scale, and of its bar, pixels."""
+
+SYMBOL = (16, 10)
+"""Width and height of what stands before a line of the legend, pixels."""
+
+PALETTE_BITS = 6
+"""Bits of red, green and blue by which colors are told apart when a GIF's palette is chosen."""
+
+PALETTE_SOURCES = 12
+"""Pictures that a GIF's palette is chosen from."""
+
+PALETTE_ROUNDS = 3
+"""Rounds by which the palette's colors move to the middle of what they stand for."""
+
+MOST_OF_ONE = 24
+"""How often at most a color counts when the palette is chosen, however much of the film it fills."""
+
+DITHER = 5.0
+"""Greatest change of a GIF's pixel, of 255, that lets two colors of the palette blend into one
+another. The pattern is the same in every picture, so what stands still does not flicker."""
+
+FLAT_SHARE = 0.05
+"""Share of a picture that a color must fill for nothing to be blended into it, as the ground."""
+
+BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 15 / 32
+"""The pattern: B. E. Bayer's, 4 by 4, about zero."""
 
 WEBP_QUALITY = 70
 
-MAX_PAGE = 64_000_000  # bytes of a recording
+MAX_PAGE = 64_000_000
+"""Greatest size of a recording, bytes."""
 
 ENDINGS = (".gif", ".webp")
 
 PHASES = re.compile(r"const phases = (\[.*\]);")
 """In the page, see `display.overlay`: what is done from when on."""
+
+LEGEND = re.compile(r"const legend_data = (\{.*\});")
+"""In the page: the color scale and what is drawn."""
 
 FILM = re.compile(r'<pre id="film">(.*?)</pre>', re.DOTALL)
 
@@ -82,6 +131,10 @@ SCRIPT = Template("""<script>
     viewer.set_3d_pane_size($width, $height);
     viewer.camera.zoom *= $zoom;
     viewer.camera.updateProjectionMatrix();
+    for (const end of ["top_color", "bottom_color"]) {
+      viewer.set_property(["Background", "<object>"], end, $ground);
+    }
+    const inset = viewer.place_close_up ? viewer.place_close_up() : null;
     for (let i = 0; i < $count; i++) {
       viewer.animator.seek(duration * i / ($count - 1));
       viewer.render();
@@ -89,7 +142,7 @@ SCRIPT = Template("""<script>
     }
     const film = document.createElement("pre");
     film.id = "film";
-    film.textContent = JSON.stringify({duration, pictures});
+    film.textContent = JSON.stringify({duration, pictures, inset});
     document.body.replaceChildren(film);
   }, 500);
 })();
@@ -132,10 +185,11 @@ def write_film(
     check_film(path, force)
     page = read_text(recording, "a recording", StationError, MAX_PAGE)
     duration, pictures = draw_frames(page, max(2, round(seconds * FRAMES_PER_SECOND)))
-    phases = read_phases(page)
-    times = [duration * i / (len(pictures) - 1) for i in range(len(pictures))]
+    phases, legend = read_phases(page), draw_legend(read_legend(page), SIZE[0])
+    times = [duration * i / (len(pictures) - 1) for i in range(len(pictures) - 1)]
+    times.append(math.inf)  # the last picture shows what was done last
     frames = [
-        add_caption(picture, find_phase(phases, time))
+        add_strip(picture, find_phase(phases, time), legend)
         for picture, time in zip(pictures, times, strict=True)
     ]
     write_whole(path, _pack(frames, Path(path).suffix.lower()), force)
@@ -147,7 +201,9 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
     Raises StationError: there is no browser, or it drew nothing.
     """
     head, body, tail = page.rpartition("</body>")
-    script = SCRIPT.substitute(width=SIZE[0], height=SIZE[1], zoom=ZOOM, count=count)
+    script = SCRIPT.substitute(
+        width=SIZE[0], height=SIZE[1], zoom=ZOOM, count=count, ground=list(GROUND)
+    )
     with tempfile.TemporaryDirectory(prefix="gridpush-film-", ignore_cleanup_errors=True) as folder:
         held = Path(folder) / "page.html"
         held.write_text(f"{head}{script}{body}{tail}", encoding="utf-8")
@@ -169,6 +225,9 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
     film = json.loads(found[1])
     data = (BytesIO(base64.b64decode(address.partition(",")[2])) for address in film["pictures"])
     pictures = [Image.open(picture).convert("RGB") for picture in data]
+    if film["inset"] is not None:
+        for picture in pictures:
+            _frame_inset(picture, film["inset"])
     return float(film["duration"]), pictures
 
 
@@ -184,13 +243,81 @@ def find_phase(phases: Sequence[tuple[float, str]], time: float) -> str:
     return begun[-1] if begun else (phases[0][1] if phases else "")
 
 
-def add_caption(picture: Image.Image, words: str) -> Image.Image:
-    """Writes words below a picture."""
-    framed = Image.new("RGB", (picture.width, picture.height + CAPTION), PAPER)
+def read_legend(page: str) -> dict[str, Any]:
+    """What the legend says: "scale" (title, colors and ticks, or None) and "marks"; empty where the page has none."""
+    found = LEGEND.search(page)
+    return dict(json.loads(found[1])) if found else {"scale": None, "marks": []}
+
+
+def add_strip(picture: Image.Image, words: str, legend: Image.Image | None = None) -> Image.Image:
+    """Writes words below a picture, and draws a legend below them."""
+    height = picture.height + CAPTION_HEIGHT + (legend.height if legend else 0)
+    framed = Image.new("RGB", (picture.width, height), PAPER)
     framed.paste(picture)
-    place = (CAPTION // 2, picture.height + CAPTION // 2)
-    ImageDraw.Draw(framed).text(place, words, TEXT, ImageFont.load_default(FONT_SIZE), anchor="lm")
+    place = (EDGE, picture.height + CAPTION_HEIGHT // 2)
+    font = ImageFont.load_default(CAPTION_FONT)
+    ImageDraw.Draw(framed).text(place, words, TEXT, font, anchor="lm")
+    if legend is not None:
+        framed.paste(legend, (0, picture.height + CAPTION_HEIGHT))
     return framed
+
+
+def draw_legend(legend: dict[str, Any], width: int) -> Image.Image | None:
+    """Draws a legend, `width` pixels wide, the color scale at the left; None where it says nothing."""
+    scale, marks = legend["scale"], legend["marks"]
+    if scale is None and not marks:
+        return None
+    lines = max(len(marks), 3)  # the scale takes three
+    picture = Image.new("RGB", (width, LINE * lines + EDGE // 2), PAPER)
+    drawing, font = ImageDraw.Draw(picture), ImageFont.load_default(LEGEND_FONT)
+    left = EDGE
+    if scale is not None:
+        _draw_scale(drawing, font, scale)
+        left += SCALE_WIDTH + 3 * EDGE
+    for i, mark in enumerate(marks):
+        place = (left, LINE // 2 + LINE * i)
+        _draw_symbol(drawing, place, mark)
+        words = (place[0] + SYMBOL[0] + 6, place[1])
+        drawing.text(words, mark["text"], TEXT, font, anchor="lm")
+    return picture
+
+
+def _draw_scale(drawing: ImageDraw.ImageDraw, font: Any, scale: dict[str, Any]) -> None:
+    """The title, the bar of colors, and the values below it."""
+    drawing.text((EDGE, LINE // 2), scale["title"], TEXT, font, anchor="lm")
+    colors = np.array([ImageColor.getrgb(color) for color in scale["colors"]])
+    for x in range(SCALE_WIDTH):
+        at = x / (SCALE_WIDTH - 1) * (len(colors) - 1)
+        color = [np.interp(at, range(len(colors)), channel) for channel in colors.T]
+        drawing.line([EDGE + x, LINE, EDGE + x, LINE + BAR_HEIGHT], tuple(map(round, color)))
+    for place, words in scale["ticks"]:
+        spot = (EDGE + place * (SCALE_WIDTH - 1), LINE + BAR_HEIGHT + 4)
+        drawing.text(spot, words, TEXT, font, anchor="la" if place == 0 else "ma")
+
+
+def _draw_symbol(
+    drawing: ImageDraw.ImageDraw, place: tuple[int, int], mark: dict[str, Any]
+) -> None:
+    """A dot, a line or an area in a mark's color; `place` is the middle of its left side."""
+    x, y = place
+    width, height = SYMBOL
+    color = ImageColor.getrgb(mark["color"])
+    if mark["kind"] == "dot":
+        radius = height // 2
+        middle = x + width // 2
+        drawing.ellipse([middle - radius, y - radius, middle + radius, y + radius], color)
+    elif mark["kind"] == "line":
+        drawing.rectangle([x, y - 1, x + width, y + 1], color)
+    else:
+        pale = tuple(round(0.3 * part + 0.7 * 255) for part in color)
+        drawing.rectangle([x, y - height // 2, x + width, y + height // 2], pale, color, 2)
+
+
+def _frame_inset(picture: Image.Image, inset: dict[str, float]) -> None:
+    """A line about the close-up, which the page has as a box of its own."""
+    left, top = round(inset["left"]), round(inset["height"] - inset["bottom"] - inset["high"])
+    right, bottom = left + round(inset["wide"]), top + round(inset["high"])
+    ImageDraw.Draw(picture).rectangle([left - 2, top - 2, right + 1, bottom + 1], None, FRAME, 2)
 
 
 def _pack(frames: Sequence[Image.Image], kind: str) -> bytes:
@@ -204,19 +331,40 @@ def _pack(frames: Sequence[Image.Image], kind: str) -> bytes:
         )
         return buffer.getvalue()
     palette = _find_palette(frames)
-    few = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    few = [_blend(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     few[0].save(buffer, "GIF", append_images=few[1:], optimize=False, disposal=1, **options)
     return buffer.getvalue()
 
 
 def _find_palette(frames: Sequence[Image.Image]) -> Image.Image:
-    """Colors for all frames, so that what does not move keeps its own.
+    """Finds 256 colors for all frames, so that what does not move keeps its own.
 
-    They stand for all that occur, each as much as the other: by their areas the background would
-    take most.
+    A color counts by the root of the area that it fills, at most MOST_OF_ONE times: else the ground
+    and the table would take nearly all of the palette, and the arm's shades would show in bands.
     """
-    some = [np.asarray(frame).reshape(-1, 3) for frame in frames[:: max(1, len(frames) // SOME)]]
+    some = frames[:: max(1, len(frames) // PALETTE_SOURCES)]
+    pixels = np.concatenate([np.asarray(frame).reshape(-1, 3) for frame in some])
     width = 2 ** (8 - PALETTE_BITS)
-    known = np.unique(np.concatenate(some) // width, axis=0) * width + width // 2
-    every = Image.fromarray(known[None].astype(np.uint8))
-    return every.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    known, counts = np.unique(pixels // width, axis=0, return_counts=True)
+    weights = np.clip(np.sqrt(counts).astype(int), 1, MOST_OF_ONE)
+    every = np.repeat(known * width + width // 2, weights, axis=0).astype(np.uint8)
+    return Image.fromarray(every[None]).quantize(
+        256,
+        method=Image.Quantize.MEDIANCUT,
+        kmeans=PALETTE_ROUNDS,
+        dither=Image.Dither.NONE,
+    )
+
+
+def _blend(frame: Image.Image) -> Image.Image:
+    """Adds the dither's pattern to a picture, but not to what one color fills, as ground and paper."""
+    pixels = np.asarray(frame).astype(np.float64)
+    height, width, _ = pixels.shape
+    tiles = (height // len(BAYER) + 1, width // len(BAYER) + 1)
+    pattern = np.tile(BAYER, tiles)[:height, :width, None]
+    known, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
+    flat = np.zeros((height, width, 1), dtype=bool)
+    for color in known[counts > FLAT_SHARE * height * width]:
+        flat |= (pixels == color).all(axis=-1, keepdims=True)
+    blended = pixels + np.where(flat, 0.0, DITHER * pattern)
+    return Image.fromarray(np.clip(np.round(blended), 0, 255).astype(np.uint8))

@@ -76,6 +76,17 @@ LEGEND_PAD = 4.5
 """Between the axes and a legend below them, in its font's size: room for ticks and a label."""
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows as a picture, whether or not pyplot was ever imported.
+
+    A notebook shows what has `_repr_png_`. Of matplotlib's own figures it shows a line of text
+    unless pyplot was told before how to draw.
+    """
+
+    def _repr_png_(self) -> bytes:
+        return to_png(self)
+
+
 def to_png(figure: Figure) -> bytes:
     """Renders a figure as the bytes of a PNG file."""
     buffer = BytesIO()
@@ -262,7 +273,7 @@ def make_panels(
 
 def make_grid(rows: int, columns: int, width: float, height: float) -> tuple[Figure, np.ndarray]:
     """Makes a figure of `rows` by `columns` axes, `width` inches in all and `height` inches a row."""
-    figure = Figure(figsize=(width, height * rows), dpi=150, layout="constrained")
+    figure = ShownFigure(figsize=(width, height * rows), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False)
 

@@ -39,7 +39,6 @@ from gridpush_drake.report.draw import (
     make_grid,
     make_panels,
     tidy,
-    to_png,
 )
 
 LEGEND_COLUMNS = 3
@@ -70,7 +69,7 @@ MAX_DUMBBELLS, LINE_HEIGHT = 32, 0.22
 inches."""
 
 
-def draw_object_parts(obj: GridObject) -> Figure:
+def draw_object(obj: GridObject) -> Figure:
     """Draws the object with its parts."""
     figure, axes = make_panels(obj, 1, 1, width=HALF_WIDTH, max_height=HALF_WIDTH)
     ax = axes[0, 0]
@@ -173,7 +172,7 @@ def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
     ax.plot(*path[0], marker="o", markersize=3, color=color)
 
 
-def draw_learned_maps(result: Identification, truth: CellParameters | None = None) -> Figure:
+def draw_model(result: Identification, truth: CellParameters | None = None) -> Figure:
     """Draws the load and the mass that would go with it beside their standard deviations, and the truth if known.
 
     The load is a cell's share of the support's friction in units of the even share, so 1 everywhere
@@ -386,18 +385,8 @@ def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
     return figure
 
 
-def draw_object(obj: GridObject) -> bytes:
-    """The object with its parts, as PNG."""
-    return to_png(draw_object_parts(obj))
-
-
-def draw_model(result: Identification) -> bytes:
-    """Relative friction and mass of a learned model beside their standard deviations, as PNG."""
-    return to_png(draw_learned_maps(result))
-
-
-def draw_motion(obj: GridObject, push: Push, poses: Array) -> bytes:
-    """A simulated motion (T+1, 3), as PNG: the object from its beginning to its end, and the pusher's path."""
+def draw_motion(obj: GridObject, push: Push, poses: Array) -> Figure:
+    """Draws a simulated motion (T+1, 3): the object from its beginning to its end, and the pusher's path."""
     figure, ax = make_chart(MOTION_WIDTH, 0.75 * MOTION_WIDTH)
     for pose in poses[np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]]:
         draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
@@ -405,4 +394,4 @@ def draw_motion(obj: GridObject, push: Push, poses: Array) -> bytes:
     draw_cells(ax, obj, pose=poses[-1])
     draw_tips(ax, push, LEARNED)
     ax.autoscale_view()
-    return to_png(figure)
+    return figure

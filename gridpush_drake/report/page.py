@@ -33,10 +33,10 @@ from gridpush_drake.report.figures import (
     MAX_OVERLAYS,
     Outcome,
     draw_errors,
-    draw_learned_maps,
     draw_learning,
     draw_loss,
-    draw_object_parts,
+    draw_model,
+    draw_object,
     draw_overlays,
     draw_pushes,
     draw_unknown_maps,
@@ -284,9 +284,9 @@ def _draw_figures(
 ) -> dict[str, str | None]:
     """All figures as data URIs; None where there is nothing to draw."""
     figures = {
-        "object": draw_object_parts(result.obj),
+        "object": draw_object(result.obj),
         "pushes": draw_pushes(result, log, held_out),
-        "maps": draw_learned_maps(result, truth),
+        "maps": draw_model(result, truth),
         "unknown": draw_unknown_maps(result),
         "loss": draw_loss(result.history, before) if result.history else None,
         "overlays": draw_overlays(result.obj, outcomes) if outcomes else None,

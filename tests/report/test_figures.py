@@ -139,8 +139,8 @@ def motion():
 @pytest.mark.parametrize(
     "draw", [lambda: draw_object(make_block()), lambda: draw_model(make_identification()), motion]
 )
-def test_is_a_png_with_something_on_it(draw):
-    with Image.open(BytesIO(draw())) as image:
+def test_a_notebook_shows_it_as_a_png_with_something_on_it(draw):
+    with Image.open(BytesIO(draw()._repr_png_())) as image:
         assert image.format == "PNG"
         assert len(image.convert("RGB").getcolors(1 << 24)) > 10
 
@@ -150,7 +150,7 @@ def test_draws_objects_of_any_size_and_shape(sides):
     x, y = sides
     obj = GridObject.from_outline([[0, 0], [x, 0], [x, y], [0, y]], max_cells=12)
     for picture in (draw_object(obj), draw_model(make_identification(obj))):
-        with Image.open(BytesIO(picture)) as image:
+        with Image.open(BytesIO(to_png(picture))) as image:
             assert 200 < image.width < 2000
             assert 100 < image.height < 2000
 
