@@ -107,6 +107,10 @@ COMMANDS: dict[str, LazyCommand] = {
         "gridpush_drake.cli.robot:robot",
         "Carry out a task of `gridpush demo` with a real arm over LCM; nothing moves before --go.",
     ),
+    "warm-up": LazyCommand(
+        "gridpush_drake.cli.warm_up:warm_up",
+        "Compile the kernels now, so that no later command has to; once a machine and version.",
+    ),
     "import": LazyCommand(
         "gridpush_drake.cli.import_logs:app",
         "Convert a public data set or a ROS bag to a push log and an object file.",

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Timer
 from typing import Annotated, Literal
 
 import typer
@@ -12,10 +11,8 @@ import typer
 from gridpush_drake.bench.cluster import open_cluster
 from gridpush_drake.bench.jobs import Execution, Results
 from gridpush_drake.cli.console import count_noun, print_notice, work_progress
+from gridpush_drake.cli.kernels import compile_all
 from gridpush_drake.dynamics.physics import Physics
-from gridpush_drake.dynamics.physics import Regime as SimulatedRegime
-from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import MAX_NUMBER, GridPushError, PlanningError
 from gridpush_drake.files import check_writable, exists, is_file, is_same
 from gridpush_drake.identification.model_file import looks_like_model, read_model
@@ -302,27 +299,6 @@ def describe_overhanging(names: Sequence[str]) -> str:
     return f"left out {count_noun(len(names), 'push')}, as the object hung over the table's edge: {', '.join(names)}"
 
 
-NOTICE = "compiling kernels (once a machine) ..."
-
-NOTICE_AFTER = 1.5
-"""s of waiting, after which the notice is printed; loading kernels that are compiled already takes
-less."""
-
-SIDE, RADIUS, SPEED, DURATION = 0.02, 0.005, 0.1, 0.02
-"""A small square and a short push of it: m, m, m/s, s."""
-
-
 def compile_kernels() -> None:
-    """Runs one tiny simulation of each kind, and says so on standard error where that takes long."""
-    timer = Timer(NOTICE_AFTER, print_notice, [NOTICE])
-    timer.daemon = True
-    timer.start()
-    try:
-        obj = GridObject.from_outline([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]], max_cells=1)
-        params = CellParameters.uniform(obj)
-        push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)
-        regimes: tuple[SimulatedRegime, ...] = ("inertial", "quasi_static")
-        for regime in regimes:
-            simulate(obj, params, push, gradients=True, regime=regime)
-    finally:
-        timer.cancel()
+    """Loads the kernels, or compiles them, which is said on standard error, before anything has to be in time."""
+    compile_all()

@@ -7,24 +7,35 @@ this package and of the function's own file:
 
     $NUMBA_CACHE_DIR, else $XDG_CACHE_HOME/gridpush_drake, else ~/.cache/gridpush_drake
 
-or, where that cannot be written, beside the bytecode or in the folder for temporary files. A folder
-that is already there is read where it cannot be written. Whoever makes a new one removes those that
-nobody has used for a month.
+or, where that cannot be written, beside the bytecode. A folder that is already there is read where
+it cannot be written. Whoever makes a new one removes those that nobody has used for a month. Where
+there is no such folder, what was compiled lasts as long as the process.
+
+Reading a compiled function means unpickling it, which can run any code. So a folder is used only
+where nobody but this user and root can change it or any folder above it, and a file only where it
+belongs to one of the two. A file holds one compiled function behind a hash of its content; one
+that is damaged is removed, and the function compiled anew.
 """
 
+import grp
 import hashlib
 import os
+import pickle
+import pwd
 import shutil
+import stat
+import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.caching import CompileResultCacheImpl, NullCache, _CacheLocator
+from numba.core.serialize import dumps
 
 FAST_SUMS = frozenset({"reassoc", "contract", "nsz", "arcp"})
 """What lets a sum over cells be vectorized; infinities and NaN keep their meaning."""
@@ -32,10 +43,25 @@ FAST_SUMS = frozenset({"reassoc", "contract", "nsz", "arcp"})
 DIGEST_LENGTH = 16
 """Hexadecimal digits of the sources' hash in the folder's name."""
 
+KEY_LENGTH = 24
+"""Hexadecimal digits of the hash of a function's argument types, in its file's name."""
+
 UNUSED = 30 * 86400.0
 """s since a folder was last used, after which it is removed."""
 
+FOLDER_MODE = 0o755
+"""Of a new cache folder: everybody may read it, only its owner may write in it."""
+
+FILE_MODE = 0o644
+"""Likewise of a file in it."""
+
+ROOT = 0
+"""Number of the user who may change everything anyway."""
+
 KERNELS = Path(__file__).parent
+
+NOTICE = "gridpush: compiling kernels (once a machine, takes up to a minute) ..."
+"""Said on standard error by the first call that compiles."""
 
 
 def kernel(
@@ -65,10 +91,23 @@ def kernel(
             "no_cpython_wrapper": function.__name__.startswith("_"),
         }
         dispatcher: Any = numba.njit(**options)(function)
-        dispatcher._cache = _KernelCache(function)
+        dispatcher._cache = KernelCache(function)
         return dispatcher
 
     return compile_function
+
+
+def get_cache(function: Callable[..., Any]) -> "KernelCache":
+    """The cache of a kernel."""
+    dispatcher: Any = function
+    found: KernelCache = dispatcher._cache
+    return found
+
+
+def compile_for(function: Callable[..., Any], types: Sequence[Any]) -> None:
+    """Compiles a kernel for some types of arguments, or finds it in the cache."""
+    dispatcher: Any = function
+    dispatcher.compile(tuple(types))
 
 
 @cache
@@ -91,17 +130,23 @@ def calc_digest(source: Path) -> str:
 
 
 @cache
-def find_cache_folder(source: Path) -> Path:
-    """The folder for the compiled kernels of one file: one that is filled, else one that can be."""
+def find_cache_folder(source: Path) -> Path | None:
+    """Finds the folder for the compiled kernels of one file: one that is filled, else one that can be.
+
+    A place that others can change is left out, and that is said on standard error.
+
+    Returns:
+        The folder, without symbolic links in its path; None where there is none.
+    """
     name = f"kernels-{calc_digest(source)}"
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    folders = [
-        place / name
-        for place in (
-            [Path(given)] if given else [home / "gridpush_drake", KERNELS / "__pycache__"]
-        )
-    ]
+    folders = []
+    for place in _list_places():
+        folder = Path(os.path.realpath(place / name))
+        doubt = find_doubt(folder)
+        if doubt is None:
+            folders.append(folder)
+        else:
+            _say_once(f"gridpush: {place} is not used for compiled kernels: {doubt}")
     for folder in folders:
         with suppress(OSError):
             if any(folder.iterdir()):
@@ -110,11 +155,75 @@ def find_cache_folder(source: Path) -> Path:
                 return folder
     for folder in folders:
         with suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
+            _make_folder(folder)
             with tempfile.TemporaryFile(dir=folder):
                 _remove_unused(folder.parent)
                 return folder
-    return Path(tempfile.gettempdir()) / f"gridpush_drake-{name}"
+    return None
+
+
+def _list_places() -> list[Path]:
+    """The folders in which a cache folder may lie, the first one preferred."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given:
+        return [Path(given)]
+    places = []
+    home = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if home.is_absolute():
+        places.append(home / "gridpush_drake")
+    else:
+        # a user whom the system does not know by name has no home
+        with suppress(RuntimeError):
+            places.append(Path.home() / ".cache" / "gridpush_drake")
+    return [*places, KERNELS / "__pycache__"]
+
+
+def find_doubt(folder: Path) -> str | None:
+    """Says why what is in a folder may be another user's.
+
+    Args:
+        folder: without symbolic links in its path; it need not be there.
+
+    Returns:
+        The reason; None where only this user and root can change the folder, what is above it, and
+        so what it holds. The folder itself may not even be of a shared group.
+    """
+    for part in (folder, *folder.parents):
+        try:
+            found = part.lstat()
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except OSError as error:
+            return f"{part} cannot be looked at ({error.strerror})"
+        if not stat.S_ISDIR(found.st_mode):
+            return f"{part} is not a folder"
+        if found.st_uid not in (os.getuid(), ROOT):
+            return f"{part} belongs to another user"
+        # in a folder with the sticky bit, such as /tmp, others cannot rename what is mine
+        sticky = part != folder and found.st_mode & stat.S_ISVTX
+        if found.st_mode & stat.S_IWOTH and not sticky:
+            return f"{part} can be written by every user"
+        private = part != folder and _is_private_group(found.st_gid)
+        if found.st_mode & stat.S_IWGRP and not (sticky or private):
+            return f"{part} can be written by a group of users"
+    return None
+
+
+def _is_private_group(group: int) -> bool:
+    """Whether a group is this user's alone: many systems make one for each user, of the same name."""
+    try:
+        user, entry = pwd.getpwuid(os.getuid()), grp.getgrgid(group)
+    except KeyError:
+        return False
+    own = user.pw_gid == group and entry.gr_name == user.pw_name
+    return own and set(entry.gr_mem) <= {user.pw_name}
+
+
+def _make_folder(folder: Path) -> None:
+    """Makes a folder, and those above it that are missing, which only this user can write in."""
+    for part in (*reversed(folder.parents), folder):
+        with suppress(FileExistsError):
+            part.mkdir(FOLDER_MODE)
 
 
 def _remove_unused(place: Path) -> None:
@@ -125,8 +234,15 @@ def _remove_unused(place: Path) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
 
 
+@cache
+def _say_once(text: str) -> None:
+    """Prints a line on standard error, where there is one, once a process."""
+    with suppress(OSError, ValueError, AttributeError):
+        print(text, file=sys.stderr, flush=True)
+
+
 class _Locator(_CacheLocator):
-    """Where Numba finds what it compiled of one function."""
+    """Numba wants to know where it finds what it compiled; `KernelCache` reads and writes it itself."""
 
     def __init__(self, function: Callable[..., Any], source: str) -> None:
         self._source, self._line = Path(source), function.__code__.co_firstlineno
@@ -136,7 +252,7 @@ class _Locator(_CacheLocator):
         return cls(function, source)
 
     def get_cache_path(self) -> str:
-        return str(find_cache_folder(self._source))
+        return ""
 
     def get_source_stamp(self) -> str:
         return calc_digest(self._source)
@@ -149,11 +265,114 @@ class _KernelCacheImpl(CompileResultCacheImpl):
     _locator_classes = [_Locator]  # noqa: RUF012
 
 
-class _KernelCache(FunctionCache):
-    """Numba's cache in our folder; where that cannot be written, what was compiled lasts as long as the process."""
+class KernelCache(NullCache):
+    """The compiled forms of one function, each in a file of its own that is named by the types of its arguments.
 
-    _impl_class = _KernelCacheImpl
+    Several processes can so write at once. (Numba's own cache numbers the files in an index, where
+    one process could find its number given to another one's file.)
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Looks for no folder yet, but hashes the sources now, as they are read."""
+        self._function = function
+        self._source = Path(function.__code__.co_filename)
+        calc_digest(self._source)
+        self._parts = _KernelCacheImpl(function)
+
+    @property
+    def cache_path(self) -> str:
+        """The folder; empty where there is none."""
+        return str(find_cache_folder(self._source) or "")
+
+    def list_files(self) -> list[Path]:
+        """The files of this function that are there, whatever their arguments' types."""
+        folder = find_cache_folder(self._source)
+        return [] if folder is None else sorted(folder.glob(f"{self._parts.filename_base}.*.nbc"))
+
+    def find_file(self, signature: Any, codegen: Any) -> Path | None:
+        """The file of the function for some types of arguments; None where there is no folder for it."""
+        folder = find_cache_folder(self._source)
+        if folder is None:
+            return None
+        key = hashlib.sha256(repr(self._make_key(signature, codegen)).encode())
+        return folder / f"{self._parts.filename_base}.{key.hexdigest()[:KEY_LENGTH]}.nbc"
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """What was compiled for some types of arguments; None where it has to be compiled."""
+        target_context.refresh()
+        codegen = target_context.codegen()
+        file = self.find_file(signature, codegen)
+        compiled = None
+        if file is not None:
+            try:
+                data = _read(file)
+                if data is not None:
+                    key, types, reduced = pickle.loads(data)
+                    if key == self._make_key(signature, codegen) and types == signature:
+                        compiled = self._parts.rebuild(target_context, reduced)
+            except Exception:
+                # whatever was written there, it is not what this program would have written
+                _say_once(f"gridpush: a damaged file in {file.parent} is compiled anew")
+                with suppress(OSError):
+                    file.unlink()
+        if compiled is None:
+            _say_once(NOTICE)
+        return compiled
 
     def save_overload(self, signature: Any, data: Any) -> None:
+        """Keeps what was compiled, where that can be."""
+        file = self.find_file(signature, data.codegen)
+        if file is None or not self._parts.check_cachable(data):
+            return
+        key = self._make_key(signature, data.codegen)
         with suppress(OSError):
-            super().save_overload(signature, data)
+            _write(file, dumps((key, signature, self._parts.reduce(data))))
+
+    def _make_key(self, signature: Any, codegen: Any) -> tuple[str, ...]:
+        """What else the machine code depends on, besides the sources."""
+        machine = codegen.magic_tuple()
+        # a function that is made within another one may hold values of that
+        held = dumps([cell.cell_contents for cell in self._function.__closure__ or ()])
+        code = hashlib.sha256(self._function.__code__.co_code + held).hexdigest()
+        return (numba.__version__, sys.version, code, str(signature), *map(str, machine))
+
+
+def _read(file: Path) -> bytes | None:
+    """Reads the content of a file behind its hash.
+
+    Returns:
+        The content; None where there is no such file, or it is not this user's or root's alone.
+
+    Raises:
+        ValueError: the content is not that which was written.
+    """
+    try:
+        descriptor = os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return None
+    with os.fdopen(descriptor, "rb") as opened:
+        found = os.fstat(descriptor)
+        mine = stat.S_ISREG(found.st_mode) and found.st_uid in (os.getuid(), ROOT)
+        if not mine or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            return None
+        content = opened.read()
+    size = hashlib.sha256().digest_size
+    if hashlib.sha256(content[size:]).digest() != content[:size]:
+        raise ValueError
+    return content[size:]
+
+
+def _write(file: Path, content: bytes) -> None:
+    """Writes content behind its hash, whole or not at all."""
+    descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=".writing-")
+    temporary = Path(name)
+    try:
+        with os.fdopen(descriptor, "wb") as opened:
+            opened.write(hashlib.sha256(content).digest())
+            opened.write(content)
+        temporary.chmod(FILE_MODE)
+        temporary.replace(file)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink()
+        raise

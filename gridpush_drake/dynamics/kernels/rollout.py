@@ -110,8 +110,10 @@ def rollout(
         np.zeros((3, 6)),
     )
     state = make_state(pose, velocity, body.com_x, body.com_y)
-    record.poses[0, :] = pose
-    record.velocities[0, :] = velocity
+    # entry by entry: an array assigned to a slice would add a seventh to the time of compilation
+    for i in range(3):
+        record.poses[0, i] = pose[i]
+        record.velocities[0, i] = velocity[i]
     if differentiate:
         start_columns(columns.Q, n, state)
         record_columns(J, row_of_step[0], columns.Q, state.c, state.s)
@@ -194,7 +196,8 @@ def rollout(
             state.x + scheme.ahead * forward_x,
             state.y + scheme.ahead * forward_y,
         )
-        record.twists[t, :] = xi
+        for i in range(3):
+            record.twists[t, i] = xi[i]
         state = advance_state(
             state, forward_x, forward_y, dt, new_x, new_y, xi[2], body.com_x, body.com_y
         )

@@ -1,0 +1,78 @@
+"""Compiling the kernels before they are needed, by tiny calls of them.
+
+The rollout takes nearly all of the time, and Numba compiles it function by function. A second
+process can compile one of the largest of them, the derivative's columns, at the same time, and
+leave it in the cache: the first one finds it there when it gets so far.
+"""
+
+import numba
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.compiled import compile_for, get_cache
+from gridpush_drake.dynamics.kernels.forward_sensitivity import Columns, step_columns
+from gridpush_drake.dynamics.kernels.inputs import Body
+from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps
+from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
+from gridpush_drake.dynamics.kernels.step_derivative import StepDerivative
+from gridpush_drake.dynamics.kernels.step_start import StepStart
+from gridpush_drake.dynamics.physics import Physics, Regime
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+SIDE, RADIUS, SPEED, DURATION = 0.02, 0.005, 0.1, 0.02
+"""A small square and a short push of it: m, m, m/s, s."""
+
+REGIMES: tuple[Regime, ...] = ("inertial", "quasi_static")
+
+
+def is_compiled() -> bool:
+    """Whether the rollouts are in the cache, as it seems by the names of its files."""
+    return all(get_cache(each).list_files() for each in (rollout, rollout_pushes))
+
+
+def make_square() -> GridObject:
+    """Makes the smallest object, of one cell."""
+    corners = [[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]]
+    return GridObject.from_outline(corners, max_cells=1)
+
+
+def compile_rollouts() -> None:
+    """Simulates one push in each regime, by itself and in a batch: loads the kernels, or compiles them."""
+    obj = make_square()
+    params = CellParameters.uniform(obj)
+    push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)
+    times, rows = np.array([0.0, DURATION]), np.array([1])
+    for regime in REGIMES:
+        simulate(obj, params, push, gradients=True, regime=regime)
+        batch = PushBatch(
+            obj, [BatchPush(push, np.zeros(3), times, rows, None)], Physics(regime=regime)
+        )
+        batch.differentiate(params)
+
+
+def find_columns_signature() -> tuple[numba.types.Type, ...]:
+    """The types of the arguments with which the rollout calls `step_columns`."""
+    matrix, vector, number = np.zeros((1, 1)), np.zeros(1), 0.0
+    records = {
+        "columns": Columns(*[matrix] * len(Columns._fields)),
+        "body": Body(matrix, vector, *[number] * (len(Body._fields) - 2)),
+        "inertial": True,
+        "maps": PoseMaps(*[matrix] * len(PoseMaps._fields)),
+        "derivative": StepDerivative(*[matrix] * len(StepDerivative._fields)),
+        "xi": vector,
+        "start": StepStart(*[number] * len(StepStart._fields)),
+        "path_length": number,
+        "point": vector,
+        "new_x": number,
+        "new_y": number,
+        "H2": matrix,
+    }
+    return tuple(numba.typeof(value) for value in records.values())
+
+
+def compile_columns() -> None:
+    """Compiles the columns of the derivative, for a rollout that another process compiles."""
+    compile_for(step_columns, find_columns_signature())
