@@ -1,12 +1,15 @@
 """YAML read strictly and within bounds, and checked against a schema, with errors that name the line or the field.
 
-No key stands twice, and 1e-3 is a number.
+No key stands twice. What is a number is decided as in YAML 1.2: 1e-3 is one, 010 is ten, and 1:30 and
+1_000 are texts, as are yes, no, on and off. libyaml reads the text where PyYAML has it, which is
+many times as fast.
 
 An alias or a merge key of a few bytes can stand for billions of values. So a document is composed
 first, which costs no more than its text, and measured with its aliases written out, before anything
 is made of it.
 """
 
+import gc
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -26,6 +29,12 @@ MAX_YAML_SIZE = 64 * MEGABYTE
 MAX_NODES = 500_000
 """Keys and values in a document, its aliases written out: thrice what a mask's longest outline
 needs."""
+
+MAX_LINES = 2_000_000
+"""Lines of a document, blank ones, too."""
+
+MAX_DEPTH = 200
+"""Lists and mappings within each other."""
 
 MAX_NUMBER_LENGTH = 400
 """Characters of a number."""
@@ -49,6 +58,8 @@ NOT_YAML = (ValueError, LookupError, TypeError, AttributeError, OverflowError)
 """What PyYAML raises, besides its own errors, on values that are not of the tag they have."""
 
 
+_TOO_DEEP = "maximum nesting depth"  # libyaml's word for it
+
 _TOO_MANY = f"the document holds more than {MAX_NODES} keys and values"
 
 
@@ -64,23 +75,117 @@ class StrictSchema(BaseModel):
 Schema = TypeVar("Schema", bound=StrictSchema)
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """Safe, and reads 1e-3 as YAML 1.2 does; stops at a document of too many keys and values."""
-
-    nodes = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        self.nodes += 1
-        if self.nodes > MAX_NODES:
-            raise yaml.composer.ComposerError(None, None, _TOO_MANY, self.peek_event().start_mark)
-        return super().compose_node(parent, index)
+class _CoreResolver(yaml.resolver.BaseResolver):
+    """Knows null, truth values, numbers and merge keys as YAML 1.2's core schema has them."""
 
 
-_StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
+_FORMS = (
+    ("merge", r"<<", "<"),
+    ("null", r"~|null|Null|NULL|", "~nN"),
+    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("int", r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", "-+0123456789"),
+    (
+        "float",
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"
+        r"|[-+]?(\.inf|\.Inf|\.INF)|\.nan|\.NaN|\.NAN",
+        "-+.0123456789",
+    ),
 )
+"""The end of each tag's name, what a plain scalar of it looks like, and how that begins."""
+
+_BASES = {"0o": 8, "0x": 16}
+"""Of whole numbers, by how they begin."""
+
+
+def add_core_forms(resolver: type[yaml.resolver.BaseResolver]) -> None:
+    """Lets a resolver know the core schema; a dumper then puts texts in quotes that look like its numbers."""
+    for tag, form, beginnings in _FORMS:
+        pattern, first = re.compile(f"(?:{form})$"), list(beginnings)
+        if tag == "null":
+            first.append("")
+        resolver.add_implicit_resolver(f"tag:yaml.org,2002:{tag}", pattern, first)
+
+
+add_core_forms(_CoreResolver)
+
+
+def _find_parser() -> Any:
+    """The class that makes nodes of a text: libyaml's, else PyYAML's own."""
+    if yaml.__with_libyaml__:
+        return yaml.cyaml.CParser
+
+    class Parser(
+        yaml.reader.Reader, yaml.scanner.Scanner, yaml.parser.Parser, yaml.composer.Composer
+    ):
+        def __init__(self, text: str) -> None:
+            yaml.reader.Reader.__init__(self, text)
+            yaml.scanner.Scanner.__init__(self)
+            yaml.parser.Parser.__init__(self)
+            yaml.composer.Composer.__init__(self)
+
+    return Parser
+
+
+_Parser: Any = _find_parser()
+
+
+class _StrictLoader(_Parser, yaml.constructor.SafeConstructor, _CoreResolver):
+    """Safe; stops at a document of too many keys and values, or of too deep a one."""
+
+    def __init__(self, text: str) -> None:
+        _Parser.__init__(self, text)
+        yaml.constructor.SafeConstructor.__init__(self)
+        _CoreResolver.__init__(self)
+        self.nodes = self.depth = 0
+
+    def descend_resolver(self, parent: yaml.Node | None, index: Any) -> None:
+        """Counts a node that begins; both parsers call it for each."""
+        self.nodes += 1
+        self.depth += 1
+        if self.nodes > MAX_NODES:
+            mark = parent.start_mark if parent else None
+            raise yaml.composer.ComposerError(None, None, _TOO_MANY, mark)
+        if self.depth > MAX_DEPTH:
+            raise RecursionError
+
+    def ascend_resolver(self) -> None:
+        """Counts a node that ends."""
+        self.depth -= 1
+
+    def construct_whole(self, node: yaml.ScalarNode) -> int:
+        """A whole number, decimal but for 0o17 and 0x1F."""
+        text: str = self.construct_scalar(node)
+        return int(text, _BASES.get(text[:2], 10))
+
+    def construct_number(self, node: yaml.ScalarNode) -> float:
+        """A number, infinite or none, too."""
+        text: str = self.construct_scalar(node).lower()
+        return float(text.replace(".inf", "inf").replace(".nan", "nan"))
+
+
+_StrictLoader.add_constructor("tag:yaml.org,2002:int", _StrictLoader.construct_whole)
+_StrictLoader.add_constructor("tag:yaml.org,2002:float", _StrictLoader.construct_number)
+
+
+class _StrictDumper(yaml.SafeDumper):
+    """Puts in quotes what either version of YAML would take for something else than text."""
+
+
+add_core_forms(_StrictDumper)
+
+
+def dump_yaml(data: Any, **options: Any) -> str:
+    """Writes plain values as YAML that `parse_yaml` and programs that know YAML 1.1 read alike.
+
+    Args:
+        data: dictionaries, lists, texts, numbers.
+        options: PyYAML's, such as `default_flow_style`.
+
+    Returns:
+        The text, with keys in their order.
+    """
+    text: str = yaml.dump(data, Dumper=_StrictDumper, sort_keys=False, **options)
+    return text
 
 
 def read_mapping(path: Path, what: str, error: type[GridPushError] = ObjectError) -> dict[str, Any]:
@@ -148,8 +253,8 @@ def parse_yaml(
         GridPushError: `error`: the text is not YAML, is nested too deeply, has a key twice, or
             holds too much.
     """
-    with _explained(path, what, error):
-        loader = _TaggedLoader(text) if tagged else _StrictLoader(text)
+    with _explained(path, what, error), _collecting_later():
+        loader = _open(text, _TaggedLoader if tagged else _StrictLoader)
         try:
             root = _compose(loader)
             return None if root is None else loader.construct_document(root)
@@ -159,8 +264,12 @@ def parse_yaml(
 
 def check_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> None:
     """Checks a document that somebody else will make values of; the arguments and errors are those of `parse_yaml`."""
-    with _explained(path, what, error):
-        _compose(_StrictLoader(text))
+    with _explained(path, what, error), _collecting_later():
+        loader = _open(text, _StrictLoader)
+        try:
+            _compose(loader)
+        finally:
+            loader.dispose()
 
 
 def check_mapping(
@@ -267,6 +376,8 @@ def _explained(path: Path, what: str, error: type[GridPushError]) -> Iterator[No
     try:
         yield
     except yaml.MarkedYAMLError as cause:
+        if _TOO_DEEP in str(cause.problem):
+            raise error(f"{path}: is nested too deeply; expected {what}") from cause
         mark = cause.problem_mark or cause.context_mark
         where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         raise error(
@@ -276,6 +387,25 @@ def _explained(path: Path, what: str, error: type[GridPushError]) -> Iterator[No
         raise error(f"{path}: is not valid YAML: {_shorten(cause)}") from cause
     except RecursionError as cause:
         raise error(f"{path}: is nested too deeply; expected {what}") from cause
+
+
+@contextmanager
+def _collecting_later() -> Iterator[None]:
+    """Keeps Python from looking for garbage meanwhile, over and over as nodes pile up; there is none."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
+
+
+def _open(text: str, kind: type[_StrictLoader]) -> _StrictLoader:
+    """Makes a loader, unless the text has too many lines, which even blank take their time."""
+    if text.count("\n") > MAX_LINES:
+        raise yaml.YAMLError(f"the document has more than {MAX_LINES} lines")
+    return kind(text)
 
 
 def _compose(loader: _StrictLoader) -> yaml.Node | None:

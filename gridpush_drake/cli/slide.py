@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import yaml
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found, to_json
@@ -36,6 +35,7 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, Uncer
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import to_png
 from gridpush_drake.report.plan_figures import draw_slide
+from gridpush_drake.yaml_file import dump_yaml
 
 USUAL_HEIGHT = 0.03
 """Of an object whose file does not say how thick it is, m."""
@@ -206,7 +206,7 @@ def _to_text(found: dict[str, Any], out: Path) -> str:
     if out.suffix == ".json":
         return document
 
-    return str(yaml.safe_dump(json.loads(document), sort_keys=False, allow_unicode=True))
+    return dump_yaml(json.loads(document), allow_unicode=True)
 
 
 def _explain(found: dict[str, Any]) -> list[str]:

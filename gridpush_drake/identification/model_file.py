@@ -28,7 +28,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import RENAMED as OBJECT_RENAMED
 from gridpush_drake.objects.object_file import ObjectSchema, describe_object, make_cells
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
+from gridpush_drake.yaml_file import StrictSchema, add_core_forms, check_mapping, read_mapping
 
 FORMAT_VERSION: Literal[2] = 2
 
@@ -445,6 +445,7 @@ def _represent_text(dumper: Any, value: str) -> Any:
     )
 
 
+add_core_forms(_Dumper)
 _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)
 _Dumper.add_representer(str, _represent_text)

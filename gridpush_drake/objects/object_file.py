@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import shapely
-import yaml
 from pydantic import Field, Strict, model_validator
 from shapely import LinearRing, Polygon
 
@@ -23,7 +22,7 @@ from gridpush_drake.objects.cells import (
     make_polygon,
 )
 from gridpush_drake.objects.mask import coarsen_mask
-from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
+from gridpush_drake.yaml_file import StrictSchema, check_mapping, dump_yaml, read_mapping
 
 
 @dataclass(frozen=True)
@@ -348,8 +347,7 @@ def dump_object(
 ) -> str:
     """An object file's text; the arguments are those of `describe_object`."""
     data = describe_object(name, grid, prior, height, seen)
-    text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    return text
+    return dump_yaml(data, default_flow_style=None, allow_unicode=True)
 
 
 def list_shipped_objects() -> list[str]:

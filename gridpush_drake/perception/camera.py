@@ -16,7 +16,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
@@ -24,7 +23,7 @@ from gridpush_drake.errors import CameraError, ImageError
 from gridpush_drake.files import read_text, write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.yaml_file import TAG, parse_yaml, shorten
+from gridpush_drake.yaml_file import TAG, dump_yaml, parse_yaml, shorten
 
 DISTORTION_COUNTS = (0, 4, 5, 8, 12, 14)
 """Coefficients that OpenCV knows: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]]."""
@@ -318,7 +317,7 @@ class Camera(Frozen):
         }  # fmt: skip
         if self.X_WC is not None:
             data["X_WC"] = self.X_WC.tolist()
-        write_whole(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None), force)
+        write_whole(path, dump_yaml(data, default_flow_style=None), force)
 
 
 def _read_ros(data: dict[str, Any]) -> dict[str, Any]:

@@ -68,7 +68,7 @@ REFUSALS = (RuntimeError, TypeError, ValueError, AssertionError, AttributeError,
 
 
 def _read_number(value: Any) -> Any:
-    """YAML 1.1 takes 1e-3 for a text."""
+    """A number may stand in quotes."""
     try:
         return float(value) if isinstance(value, str) else value
     except ValueError:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_data
+from pydrake.common.yaml import yaml_dump_typed
 from pydrake.multibody.parsing import ModelDirectives
 
 from gridpush_drake.errors import ScenarioError
@@ -17,7 +17,7 @@ from gridpush_drake.files import is_file, read_text, shorten_path, write_whole
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import CURRENT_VERSION, OtherConfig, PushScenario
-from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml, shorten
+from gridpush_drake.yaml_file import MAX_YAML_SIZE, TAG, add_core_forms, parse_yaml, shorten
 
 ROBOT = "robot"
 """Key of a scenario file that names a robot. It stands in place of `directives`, and means the
@@ -155,14 +155,11 @@ def _represent_mapping(dumper: yaml.SafeDumper, data: dict[str, Any]) -> yaml.No
 
 
 _TaggedDumper.add_representer(dict, _represent_mapping)
+add_core_forms(_TaggedDumper)
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:
-    check_yaml(path, text, WHAT, ScenarioError)
-    try:
-        data = yaml_load_data(text, private=True)
-    except (yaml.YAMLError, *NOT_YAML) as error:
-        raise ScenarioError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
+    data = _mark_tags(parse_yaml(path, text, WHAT, ScenarioError, tagged=True))
     if data is None:
         raise ScenarioError(f"{path}: is empty; expected {WHAT}")
     if not isinstance(data, dict):
@@ -173,6 +170,16 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
         if not isinstance(key, str):
             raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")
     return {key: value for key, value in data.items() if not key.startswith("_")}
+
+
+def _mark_tags(data: Any) -> Any:
+    """Puts a mapping's tag where Drake has it: under _tag, with its exclamation mark."""
+    if isinstance(data, list):
+        return [_mark_tags(each) for each in data]
+    if not isinstance(data, dict):
+        return data
+    marked = {key: _mark_tags(value) for key, value in data.items() if key != TAG}
+    return marked | {"_tag": f"!{data[TAG]}"} if TAG in data else marked
 
 
 def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from pydrake.geometry import Meshcat
 
 from gridpush_drake.display.cell_colors import CellColors
@@ -57,6 +56,7 @@ from gridpush_drake.systems.messages import (
     PreGraspStatus,
     PushStatus,
 )
+from gridpush_drake.yaml_file import dump_yaml
 
 FRAMES_PER_SECOND = 20.0
 """Of the recording."""
@@ -274,7 +274,7 @@ def write_files(
         written.add("recording.html")
     obj.write_yaml(folder / "object.yaml", force=force)
     if record.truth is not None:
-        truth = yaml.safe_dump(describe_truth(obj, record.truth), sort_keys=False)
+        truth = dump_yaml(describe_truth(obj, record.truth))
         write_whole(folder / "truth.yaml", truth, force)
         written.add("truth.yaml")
     write_scenario(folder / "scenario.yaml", scenario, force)

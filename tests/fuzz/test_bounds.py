@@ -65,17 +65,14 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(
         (MERGES, "more than 500000 keys and values, its aliases written out"),
         ("a: &a [*a]\n", "alias stands within what it names"),
         ("a: &a {b: *a}\n", "alias stands within what it names"),
-        (
-            "a: " + ":1" * 5 + "1:1" * 2000 + "\n",
-            "a number has .* characters; expected at most 400",
-        ),
+        ("a: 0x" + "1" * 5000 + "\n", "a number has 5002 characters; expected at most 400"),
         ("a: " + "9" * 5000 + "\n", "a number has 5000 characters; expected at most 400"),
     ],
-    ids=["aliases", "merges", "list in itself", "mapping in itself", "base 60", "digits"],
+    ids=["aliases", "merges", "list in itself", "mapping in itself", "base 16", "digits"],
 )
 def test_yaml_bombs(tmp_path, reader, text, message):
     path = tmp_path / "bomb.yaml"
-    path.write_text(text.replace("a: :1:1:1:1:1", "a: 1"))
+    path.write_text(text)
     with pytest.raises(GridPushError, match=message):
         reader(path)
 

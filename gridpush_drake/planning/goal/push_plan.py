@@ -10,7 +10,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike
 from shapely import Point
 
@@ -32,6 +31,7 @@ from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import find_supported
+from gridpush_drake.yaml_file import dump_yaml
 
 
 class PushPlanStatus(StrEnum):
@@ -246,5 +246,5 @@ def write_plan(
 ) -> None:
     """Writes a plan. Raises OutputError where the file exists and `force` is not set, or it cannot be written."""
     document = describe_plan(plan, name, radius)
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=LINE_WIDTH)
+    text = dump_yaml(document, default_flow_style=None, width=LINE_WIDTH)
     write_whole(path, HEADER + text, force)
