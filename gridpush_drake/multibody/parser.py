@@ -11,12 +11,17 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from pydrake.geometry import GeometryInstance, IllustrationProperties, Mesh, Role, SceneGraph
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.parsing import ModelDirective, PackageMap, Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
+
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.files import MAX_TEXT_SIZE, open_file, read_text
+from gridpush_drake.yaml_file import MAX_YAML_SIZE, parse_yaml
 
 PACKAGE = "gridpush_drake"
 
@@ -37,6 +42,103 @@ def MakeParser(plant: MultibodyPlant) -> Parser:
     parser = Parser(plant)
     AddModelsPackage(parser.package_map())
     return parser
+
+
+MAX_DIRECTIVES = 10_000
+"""Directives of a scene, those of all included files counted each time that a file is included."""
+
+DIRECTIVES = "a file of Drake's model directives"
+MODEL_FILE = "a model: an SDFormat, URDF or MuJoCo file"
+
+
+def check_directives(directives: Sequence[ModelDirective], package_map: PackageMap) -> None:
+    """Checks the files that directives name, before Drake reads them.
+
+    Drake opens whatever it finds there, a pipe too, reads it without bounds, and follows a file
+    that includes itself until its memory ends.
+
+    Args:
+        directives: the scene's.
+        package_map: in which packages are looked up.
+
+    Raises:
+        ScenarioError: a file cannot be read, is too large, is no YAML, or includes itself; or there
+            are too many directives. What else may be wrong is left to Drake to say.
+    """
+    _DirectivesCheck(package_map).check(
+        [
+            (
+                d.add_directives.file if d.add_directives else None,
+                d.add_model.file if d.add_model else None,
+            )
+            for d in directives
+        ]
+    )
+
+
+class _DirectivesCheck:
+    """A walk through included files.
+
+    Attributes:
+        open: the files that the walk is within, each included by the one before.
+        counts: how many directives each finished file stands for.
+    """
+
+    def __init__(self, package_map: PackageMap) -> None:
+        self._package_map = package_map
+        self.open: list[Path] = []
+        self.counts: dict[Path, int] = {}
+
+    def check(self, named: Sequence[tuple[str | None, str | None]]) -> int:
+        """Checks what each directive names, a file of directives or a model; returns how many there are in all."""
+        total = 0
+        for included, model in named:
+            total += 1
+            path = self._resolve(included)
+            if path is not None:
+                total += self._check_file(path)
+            path = self._resolve(model)
+            if path is not None:
+                open_file(path, MODEL_FILE, ScenarioError, MAX_TEXT_SIZE).close()
+            if total > MAX_DIRECTIVES:
+                raise ScenarioError(
+                    f"directives: there are more than {MAX_DIRECTIVES}, with those of included files"
+                )
+        return total
+
+    def _resolve(self, url: str | None) -> Path | None:
+        if url is None:
+            return None
+        try:
+            return Path(self._package_map.ResolveUrl(url)).resolve()
+        except (RuntimeError, ValueError, OSError):
+            return None  # Drake says it better
+
+    def _check_file(self, path: Path) -> int:
+        if path in self.open:
+            chain = " includes ".join(map(str, [*self.open[self.open.index(path) :], path]))
+            raise ScenarioError(f"directives: {chain}; expected no file that includes itself")
+        if path not in self.counts:
+            text = read_text(path, DIRECTIVES, ScenarioError, MAX_YAML_SIZE)
+            data = parse_yaml(path, text, DIRECTIVES, ScenarioError, tagged=True)
+            self.open.append(path)
+            self.counts[path] = self.check(_list_named(data))
+            self.open.pop()
+        return self.counts[path]
+
+
+def _list_named(data: Any) -> list[tuple[str | None, str | None]]:
+    """The files of directives and the models that a document of directives names."""
+    directives = data.get("directives") if isinstance(data, dict) else None
+    if not isinstance(directives, list):
+        return []
+
+    def find(directive: Any, key: str) -> str | None:
+        named = directive.get(key) if isinstance(directive, dict) else None
+        file = named.get("file") if isinstance(named, dict) else None
+        return file if isinstance(file, str) else None
+
+    return [(find(each, "add_directives"), find(each, "add_model")) for each in directives]
 
 
 NETWORK_VARIABLE = "DRAKE_ALLOW_NETWORK"

@@ -40,7 +40,12 @@ from pydrake.multibody.tree import FixedOffsetFrame, Joint, ModelInstanceIndex
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file
-from gridpush_drake.multibody.parser import AddModelsPackage, MakeParser, find_models
+from gridpush_drake.multibody.parser import (
+    AddModelsPackage,
+    MakeParser,
+    check_directives,
+    find_models,
+)
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping, suggest
 
@@ -291,6 +296,7 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
     """
     package_map = PackageMap()
     AddModelsPackage(package_map)
+    check_directives(directives, package_map)
     try:
         flat = FlattenModelDirectives(
             ModelDirectives(directives=list(directives)), package_map

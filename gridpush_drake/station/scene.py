@@ -21,6 +21,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from gridpush_drake.errors import ObjectError, ScenarioError
 from gridpush_drake.files import is_file
 from gridpush_drake.multibody.ground_truth import calc_support, sample_ground_truth
+from gridpush_drake.multibody.parser import check_directives
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -102,6 +103,7 @@ def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
     Raises:
         ScenarioError: a directive cannot be carried out.
     """
+    check_directives(scenario.directives, parser.package_map())
     directives = ModelDirectives(directives=scenario.directives)
     try:
         return ProcessModelDirectives(directives, parser)

@@ -1,0 +1,115 @@
+"""What a scene's directives include is read within bounds, before Drake reads it."""
+
+import os
+
+import pytest
+from pydrake.multibody.parsing import (
+    AddDirectives,
+    AddModel,
+    ModelDirective,
+    PackageMap,
+)
+
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.multibody.parser import MAX_DIRECTIVES, AddModelsPackage, check_directives
+from gridpush_drake.station.robot import find_robot, list_robots, make_robot_directives
+
+
+def include(path):
+    return ModelDirective(add_directives=AddDirectives(file=path.as_uri()))
+
+
+def write(path, *included, rest=""):
+    lines = [f"- add_directives: {{file: {other.as_uri()}}}\n" for other in included]
+    path.write_text("directives:\n" + "".join(lines) + rest)
+    return path
+
+
+def check(*directives):
+    package_map = PackageMap()
+    AddModelsPackage(package_map)
+    check_directives(directives, package_map)
+
+
+def refuse(*directives):
+    """What is said of directives, by the check and by whatever reads a scene."""
+    with pytest.raises(ScenarioError) as said:
+        check(*directives)
+    with pytest.raises(ScenarioError) as read:
+        find_robot(directives)
+    assert str(read.value) == str(said.value)
+    assert "\n" not in str(said.value)
+    return str(said.value)
+
+
+@pytest.mark.parametrize("robot", list_robots())
+def test_the_scenes_that_ship_pass(robot):
+    check(*make_robot_directives(robot, grasping=None))
+
+
+def test_a_file_that_includes_itself_is_named(tmp_path):
+    own = tmp_path / "own.dmd.yaml"
+    write(own, own)
+    assert f"{own} includes {own}; expected no file that includes itself" in refuse(include(own))
+
+
+def test_a_circle_of_files_is_named_in_its_order(tmp_path):
+    a, b, c = (tmp_path / f"{name}.dmd.yaml" for name in "abc")
+    write(a, b)
+    write(b, c)
+    (tmp_path / "link.dmd.yaml").symlink_to(b)
+    write(c, tmp_path / "link.dmd.yaml")
+    assert f"{b} includes {c} includes {b}" in refuse(include(a))
+
+
+def test_a_file_that_is_included_twice_is_no_circle(tmp_path):
+    leaf = write(
+        tmp_path / "leaf.dmd.yaml", rest="- add_frame: {name: f, X_PF: {base_frame: world}}\n"
+    )
+    check(include(write(tmp_path / "root.dmd.yaml", leaf, leaf)), include(leaf))
+
+
+def test_files_that_multiply_are_refused(tmp_path):
+    last = write(tmp_path / "0.dmd.yaml", rest="- add_weld: {parent: a, child: b}\n" * 4)
+    for level in range(1, 40):
+        last = write(tmp_path / f"{level}.dmd.yaml", last, last)
+    assert f"more than {MAX_DIRECTIVES}" in refuse(include(last))
+
+
+BOMB = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
+    f"{new}: &{new} [{','.join([f'*{old}'] * 10)}]\n"
+    for old, new in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (BOMB + "directives: []\n", "more than 500000 keys and values, its aliases written out"),
+        ("directives: [", "is not valid YAML"),
+        ("[" * 5000, "is nested too deeply"),
+    ],
+)
+def test_an_included_file_is_read_within_the_bounds_of_any_other(tmp_path, text, said):
+    inner = tmp_path / "inner.dmd.yaml"
+    inner.write_text(text)
+    assert said in refuse(include(write(tmp_path / "outer.dmd.yaml", inner)))
+
+
+@pytest.mark.parametrize("kind", ["directives", "model"])
+def test_a_pipe_or_a_device_is_not_waited_for(tmp_path, kind):
+    pipe = tmp_path / "pipe.dmd.yaml"
+    os.mkfifo(pipe)
+    directive = include(pipe)
+    if kind == "model":
+        directive = ModelDirective(add_model=AddModel(file=pipe.as_uri(), name="m"))
+    assert "is a pipe or a device" in refuse(directive)
+    inner = write(tmp_path / "outer.dmd.yaml", pipe)
+    assert "is a pipe or a device" in refuse(include(inner))
+
+
+def test_what_is_wrong_otherwise_is_drakes_to_say(tmp_path):
+    missing = ModelDirective(add_directives=AddDirectives(file="package://no_such/file.yaml"))
+    check(missing)
+    with pytest.raises(ScenarioError, match="no_such"):
+        find_robot([missing])
