@@ -49,16 +49,27 @@ def open_file(path: Path | str, what: str, error: type[GridPushError], max_size:
         raise error(
             f"{shorten_path(path)}: cannot be read: {_describe(cause)}; expected {what}"
         ) from cause
-    found = os.fstat(descriptor)
-    if stat.S_ISREG(found.st_mode) and found.st_size <= max_size:
+    problem = _find_problem(descriptor, max_size)
+    if problem is None:
         return os.fdopen(descriptor, "rb")
     os.close(descriptor)
-    problem = "cannot be read: is a pipe or a device, not a file"
-    if stat.S_ISDIR(found.st_mode):
-        problem = "cannot be read: is a folder"
-    elif stat.S_ISREG(found.st_mode):
-        problem = f"has {found.st_size / MEGABYTE:.0f} MB, more than {max_size // MEGABYTE} MB"
     raise error(f"{path}: {problem}; expected {what}")
+
+
+def _find_problem(descriptor: int, max_size: int) -> str | None:
+    """Says why an open file is none to be read; None where it is."""
+    found = os.fstat(descriptor)
+    if stat.S_ISDIR(found.st_mode):
+        return "cannot be read: is a folder"
+    if not stat.S_ISREG(found.st_mode):
+        return "cannot be read: is a pipe or a device, not a file"
+    if found.st_size > max_size:
+        return f"has {found.st_size / MEGABYTE:.0f} MB, more than {max_size // MEGABYTE} MB"
+    try:
+        os.pread(descriptor, 1, 0)  # a process's memory can be opened like a file, but not read
+    except OSError as error:
+        return f"cannot be read: {_describe(error)}"
+    return None
 
 
 def read_bytes(

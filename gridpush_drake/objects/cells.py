@@ -27,6 +27,10 @@ MIN_SIZE, MAX_SIZE = 1e-6, 1e4
 is pushed."""
 
 
+MAX_POINTS = 50_000
+"""Of an outline, its holes included; masks give fewer."""
+
+
 class CellGrid(NamedTuple):
     """The geometry of a grid object, body frame; see `GridObject`."""
 
@@ -111,6 +115,38 @@ class Cells:
     def centers(self) -> NDArray[np.float64]:
         """(n, 2)."""
         return self.corners + self.size / 2
+
+
+NEAREST = 0.99
+"""Cells whose centers are closer than this many sides lie on top of each other."""
+
+
+def check_cells(grid: CellGrid) -> None:
+    """Refuses cells, given one by one, that lie outside the outline or on top of each other.
+
+    Raises:
+        ObjectError: a center is further than a cell's side from the outline's inside, or nearer than
+            that to another one.
+    """
+    size, centers = grid.cell_size, grid.p_BC
+    away = shapely.distance(grid.outline, shapely.points(centers))
+    farthest = int(np.argmax(away))
+    if away[farthest] > size:
+        x, y = centers[farthest]
+        raise ObjectError(
+            f"cells.centers[{farthest}] is [{x:g}, {y:g}] m, {away[farthest]:g} m outside the outline; "
+            "expected cells that the object has"
+        )
+    if len(centers) == 1:
+        return
+    distances, neighbors = cKDTree(centers).query(centers, k=2)
+    nearest = int(np.argmin(distances[:, 1]))
+    if distances[nearest, 1] < NEAREST * size:
+        pair = sorted({nearest, int(neighbors[nearest, 1]), int(neighbors[nearest, 0])})[:2]
+        raise ObjectError(
+            f"cells.centers[{pair[0]}] and [{pair[1]}] are {distances[nearest, 1]:g} m apart; "
+            f"expected squares of {size:g} m that do not overlap"
+        )
 
 
 def check_max_cells(name: str, max_cells: int) -> None:
@@ -362,6 +398,9 @@ def make_polygon(
         polygon = Polygon(_ring(points, what), rings)
     if polygon.is_empty:
         raise ObjectError(f"{what} is empty; expected at least three vertices")
+    count = shapely.get_num_coordinates(polygon)
+    if count > MAX_POINTS:
+        raise ObjectError(f"{what} has {count} points; expected at most {MAX_POINTS}")
     width, height = np.subtract(polygon.bounds[2:], polygon.bounds[:2])
     if not (
         np.isfinite(polygon.area) and polygon.convex_hull.area > THINNEST * (width**2 + height**2)

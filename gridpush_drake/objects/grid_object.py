@@ -30,11 +30,14 @@ from gridpush_drake.objects.cells import (
 )
 from gridpush_drake.objects.mask import coarsen_mask
 from gridpush_drake.objects.object_file import (
+    NAME,
     PhysicalPrior,
     dump_object,
+    is_name,
     make_cells,
     read_object_file,
 )
+from gridpush_drake.yaml_file import shorten
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +66,8 @@ class GridObject(Frozen):
     height: float | None = None
 
     def __post_init__(self) -> None:
+        if not is_name(self.name):
+            raise ObjectError(f"name is {shorten(self.name)}; expected {NAME}")
         p_BC = np.array(self.p_BC, dtype=np.float64)
         try:
             labels = np.array(self.labels, dtype=np.int64)

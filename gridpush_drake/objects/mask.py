@@ -27,7 +27,9 @@ from gridpush_drake.objects.cells import (
     choose_cells,
 )
 
-MAX_PIXELS = 400_000_000  # larger images are refused before they are decoded
+MAX_PIXELS = 100_000_000
+"""Larger images are refused before they are decoded; this many take a gigabyte and some seconds."""
+
 MAX_FILE_SIZE = 1024 * MEGABYTE  # of an image file, bytes: more than the most pixels take at 16 bit
 STRIP_PIXELS = 4_000_000  # pixels looked at in one go
 

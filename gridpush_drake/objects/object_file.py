@@ -1,5 +1,6 @@
 """Object files: an object's outline or mask and what is known of it, as YAML; and those that are shipped."""
 
+import unicodedata
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.resources import files
@@ -8,7 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import shapely
-from pydantic import Field, Strict, model_validator
+from pydantic import Field, Strict, field_validator, model_validator
 from shapely import LinearRing, Polygon
 
 from gridpush_drake.errors import ObjectError, ParameterError
@@ -17,12 +18,38 @@ from gridpush_drake.objects.cells import (
     DEFAULT_MAX_CELLS,
     MAX_CELLS,
     MAX_LABEL,
+    MAX_SIZE,
+    MIN_SIZE,
     CellGrid,
+    check_cells,
     fill_outline,
     make_polygon,
 )
 from gridpush_drake.objects.mask import coarsen_mask
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, dump_yaml, read_mapping
+
+LEAST_FRICTION, GREATEST_FRICTION = 1e-6, 100.0
+"""Of any coefficient that is not zero, and of its standard deviation; nothing that is pushed rubs less
+or more."""
+
+LEAST_SPREAD = 1e-12
+"""Least standard deviation of what is known as good as exactly, m and, of a coefficient, 1."""
+
+LEAST_MASS, GREATEST_MASS = 1e-9, 1e6
+"""Of an object, kg."""
+
+_RANGES = {
+    "total_mass": (LEAST_MASS, GREATEST_MASS),
+    "center_of_mass_std": (LEAST_SPREAD, MAX_SIZE),
+    "friction": (LEAST_FRICTION, GREATEST_FRICTION),
+    "friction_min": (LEAST_FRICTION, GREATEST_FRICTION),
+    "friction_max": (LEAST_FRICTION, GREATEST_FRICTION),
+    "contact_friction": (0.0, GREATEST_FRICTION),
+    "contact_friction_std": (LEAST_SPREAD, GREATEST_FRICTION),
+    "pusher_radius": (MIN_SIZE, MAX_SIZE),
+    "push_height": (MIN_SIZE, MAX_SIZE),
+}
+"""Least and greatest value of each field of a prior; beyond them calculations overflow."""
 
 
 @dataclass(frozen=True)
@@ -59,20 +86,14 @@ class PhysicalPrior:
     push_height: float | None = None
 
     def __post_init__(self) -> None:
-        positive = (
-            "total_mass", "center_of_mass_std", "friction", "friction_min", "friction_max",
-            "contact_friction_std", "pusher_radius", "push_height",
-        )  # fmt: skip
-        for name in positive:
+        for name, (least, greatest) in _RANGES.items():
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ParameterError(f"{name} is {value!r}; expected a positive number")
+            if value is not None and not least <= value <= greatest:
+                raise ParameterError(
+                    f"{name} is {value!r}; expected a number from {least:g} to {greatest:g}"
+                )
         if self.push_height is not None and self.pusher_radius is None:
             raise ParameterError("push_height is given without pusher_radius; expected both")
-        if not (np.isfinite(self.contact_friction) and self.contact_friction >= 0):
-            raise ParameterError(
-                f"contact_friction is {self.contact_friction!r}; expected a number >= 0"
-            )
         if not self.friction_min <= self.friction <= self.friction_max:
             raise ParameterError(
                 f"friction.prior is {self.friction!r}; expected min <= prior <= max, "
@@ -88,6 +109,22 @@ class PhysicalPrior:
 MAX_RADIUS = 1.0
 """Of a pusher, m; a greater one is given in millimeters."""
 
+MAX_NAME = 200
+"""Characters of an object's name."""
+
+NAME = f"some text, at most {MAX_NAME} characters, without control characters"
+
+
+def is_name(text: str) -> bool:
+    """Whether an object can have this name: one that any file, in XML or YAML, can hold on one line."""
+    unfit = ("Cc", "Cs", "Zl", "Zp")  # control characters, half characters, ends of lines
+    printable = all(
+        unicodedata.category(letter) not in unfit and letter not in "\ufffe\uffff"
+        for letter in text
+    )
+    return 0 < len(text) <= MAX_NAME and printable
+
+
 MODEL = "gridpush_model"
 """The first key of a learned model's file."""
 
@@ -96,9 +133,18 @@ LABEL = f"a whole number, 1 or more, at most {MAX_LABEL}"
 
 Point = Annotated[tuple[float, float], Strict(False)]
 Points = Annotated[list[Point], Field(min_length=3, description=POINTS)]
-Positive = Annotated[float, Field(gt=0, description="a positive number")]
-NotNegative = Annotated[float, Field(ge=0, description="a number, 0 or more")]
-Length = Annotated[float, Field(gt=0, description="a positive number, in meters")]
+FRICTION = f"a positive number, at most {GREATEST_FRICTION:g}"
+Friction = Annotated[float, Field(ge=LEAST_FRICTION, le=GREATEST_FRICTION, description=FRICTION)]
+ContactFriction = Annotated[
+    float,
+    Field(
+        ge=0,
+        le=GREATEST_FRICTION,
+        description=f"a number, 0 or more, at most {GREATEST_FRICTION:g}",
+    ),
+]
+LENGTH = f"a positive number, in meters, at most {MAX_SIZE:g}"
+Length = Annotated[float, Field(ge=MIN_SIZE, le=MAX_SIZE, description=LENGTH)]
 Label = Annotated[int, Field(ge=1, le=MAX_LABEL)]
 
 
@@ -137,22 +183,26 @@ class CenterOfMassSchema(StrictSchema):
     """Prior of the center of mass, body frame, m."""
 
     at: Point = Field(description="a point [x, y], in meters")
-    std: Length = PhysicalPrior.center_of_mass_std
+    std: Annotated[float, Field(ge=LEAST_SPREAD, le=MAX_SIZE, description=LENGTH)] = (
+        PhysicalPrior.center_of_mass_std
+    )
 
 
 class FrictionSchema(StrictSchema):
     """Prior of the friction of a cell against the support."""
 
-    prior: Positive = PhysicalPrior.friction
-    min: Positive = PhysicalPrior.friction_min
-    max: Positive = PhysicalPrior.friction_max
+    prior: Friction = PhysicalPrior.friction
+    min: Friction = PhysicalPrior.friction_min
+    max: Friction = PhysicalPrior.friction_max
 
 
 class ContactFrictionSchema(StrictSchema):
     """Prior of the friction of the pusher against the object."""
 
-    prior: NotNegative = PhysicalPrior.contact_friction
-    std: Positive = PhysicalPrior.contact_friction_std
+    prior: ContactFriction = PhysicalPrior.contact_friction
+    std: Annotated[float, Field(ge=LEAST_SPREAD, le=GREATEST_FRICTION, description=FRICTION)] = (
+        PhysicalPrior.contact_friction_std
+    )
 
 
 class PusherSchema(StrictSchema):
@@ -161,7 +211,7 @@ class PusherSchema(StrictSchema):
     radius: float = Field(
         gt=0, le=MAX_RADIUS, description=f"a positive number, in meters, at most {MAX_RADIUS:g}"
     )
-    height: float | None = Field(None, gt=0, description="a positive number, in meters")
+    height: Length | None = Field(None, description=LENGTH)
 
 
 class TagSchema(StrictSchema):
@@ -187,7 +237,7 @@ class SeenSchema(StrictSchema):
 class ObjectSchema(StrictSchema):
     """An object: a whole object file, and the object of a model file."""
 
-    name: str | None = Field(None, min_length=1, description="some text")
+    name: str | None = Field(None, min_length=1, description=NAME)
     outline: Points | None = Field(None, description=POINTS)
     holes: list[Points] = Field([], description=f"a list of holes, each {POINTS}")
     parts: list[PartSchema] = Field(
@@ -203,9 +253,14 @@ class ObjectSchema(StrictSchema):
         le=MAX_CELLS,
         description=f"a whole number, 1 or more, at most {MAX_CELLS}",
     )
-    height: float | None = Field(None, gt=0, description="a positive number, in meters")
+    height: Length | None = Field(None, description=LENGTH)
     seen: SeenSchema | None = Field(None, description="pixel, pose and, where there is one, tag")
-    total_mass: float | None = Field(None, gt=0, description="a positive number, in kg")
+    total_mass: float | None = Field(
+        None,
+        ge=LEAST_MASS,
+        le=GREATEST_MASS,
+        description=f"a positive number, in kg, at most {GREATEST_MASS:g}",
+    )
     center_of_mass: CenterOfMassSchema | None = Field(
         None, description="at: [x, y] and std, in meters"
     )
@@ -216,6 +271,13 @@ class ObjectSchema(StrictSchema):
     pusher: PusherSchema | None = Field(
         None, description="radius and, where it is known, height, in meters"
     )
+
+    @field_validator("name")
+    @classmethod
+    def _check_name(cls, name: str | None) -> str | None:
+        if name is not None and not is_name(name):
+            raise ValueError("no name")
+        return name
 
     @model_validator(mode="after")
     def _check_whole(self) -> "ObjectSchema":
@@ -292,9 +354,11 @@ def make_cells(
     outline = make_polygon(schema.outline, "outline", tuple(schema.holes))
     if schema.cells is not None:
         labels = schema.cells.labels or [1] * len(schema.cells.centers)
-        return CellGrid(
+        grid = CellGrid(
             np.array(schema.cells.centers), schema.cells.size, np.array(labels), outline
         )
+        check_cells(grid)
+        return grid
     by_label: dict[int, list[Polygon]] = {}
     for i, part in enumerate(schema.parts):
         by_label.setdefault(part.label, []).append(

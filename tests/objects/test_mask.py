@@ -318,7 +318,7 @@ def test_bomb_is_refused_before_it_is_decoded(tmp_path):
     (tmp_path / "bomb.png").write_bytes(png(side, side, 1, 0, zlib.compress(b"\x00" * 1000)))
     (tmp_path / "bomb.pgm").write_bytes(f"P5 {side} {side} 255\n".encode())
     for name in ("bomb.png", "bomb.pgm"):
-        with pytest.raises(ObjectError, match="at most 400 million"):
+        with pytest.raises(ObjectError, match="at most 100 million"):
             GridObject.from_mask(tmp_path / name, meters_per_pixel=1)
 
 

@@ -6,6 +6,7 @@ import yaml
 from PIL import Image
 
 from gridpush_drake.errors import ObjectError, OutputError
+from gridpush_drake.objects.cells import MAX_POINTS
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import (
     SeenSchema,
@@ -301,3 +302,79 @@ def test_a_pusher_in_millimeters_is_refused(tmp_path):
         ObjectError, match=r"pusher.radius is 5; expected a positive number, in meters, at most 1"
     ):
         GridObject.from_yaml(path)
+
+
+SQUARE = "outline: [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            SQUARE + "center_of_mass: {at: [0, 0], std: 1e300}\n",
+            "center_of_mass.std is 1e.300; expected a positive number, in meters, at most 10000",
+        ),
+        (
+            SQUARE + "center_of_mass: {at: [0, 0], std: 1e-300}\n",
+            "center_of_mass.std is 1e-300; expected a positive number",
+        ),
+        (
+            SQUARE + "contact_friction: {prior: 0.5, std: 1e12}\n",
+            "contact_friction.std is 1000000000000.0; expected a positive number, at most 100",
+        ),
+        (SQUARE + "contact_friction: {prior: 1e12}\n", "contact_friction.prior is 1000000000000.0"),
+        (SQUARE + "friction: {max: 1e300}\n", "friction.max is 1e.300; expected"),
+        (SQUARE + "total_mass: 1e300\n", "total_mass is 1e.300; expected a positive number, in kg"),
+        (SQUARE + "height: 1e300\n", "height is 1e.300; expected a positive number, in meters"),
+        (SQUARE + "max_cells: 0x7fffffff\n", "max_cells is 2147483647; expected a whole number"),
+        (SQUARE + 'name: "a\\x1b[31mb"\n', "name is 'a.x1b.*b'; expected some text, at most 200"),
+        (SQUARE + 'name: "a\\nb"\n', "without control characters"),
+        (SQUARE + 'name: "a\\u2028b"\n', "without control characters"),
+        (SQUARE + f"name: {'a' * 201}\n", "at most 200 characters"),
+        (
+            SQUARE + "cells: {size: 0.05, centers: [[0.05, 0.05], [0.3, 0.05]]}\n",
+            r"cells.centers\[1\] is \[0.3, 0.05\] m, 0.2 m outside the outline",
+        ),
+        (
+            SQUARE + "cells: {size: 0.05, centers: [[0.02, 0.02], [0.07, 0.02], [0.02, 0.02]]}\n",
+            r"cells.centers\[0\] and \[2\] are 0 m apart; expected squares of 0.05 m",
+        ),
+        (
+            SQUARE + "cells: {size: 0.05, centers: [[0.02, 0.02], [0.04, 0.02], [0.02, 0.08]]}\n",
+            r"cells.centers\[0\] and \[1\] are 0.02 m apart",
+        ),
+    ],
+)
+def test_what_no_object_can_be_is_refused_in_one_line(tmp_path, text, message):
+    path = written(tmp_path, text)
+    with pytest.raises(ObjectError, match=message) as caught:
+        GridObject.from_yaml(path)
+    assert str(caught.value).startswith(str(path))
+    assert str(caught.value).isprintable()
+
+
+def test_an_outline_of_too_many_points_is_refused(tmp_path):
+    angle = np.linspace(0, 2 * np.pi, MAX_POINTS + 1, endpoint=False)
+    points = ", ".join(
+        f"[{x:.9f}, {y:.9f}]" for x, y in zip(np.cos(angle), np.sin(angle), strict=True)
+    )
+    path = written(tmp_path, f"outline: [{points}]\n")
+    with pytest.raises(ObjectError, match=f"outline has .* points; expected at most {MAX_POINTS}"):
+        GridObject.from_yaml(path)
+
+
+def test_a_mask_that_can_be_opened_but_not_read_is_refused(tmp_path):
+    path = written(tmp_path, "mask: {image: /proc/self/mem, meters_per_pixel: 0.001}\n")
+    with pytest.raises(ObjectError, match="/proc/self/mem: cannot be read: Input/output error"):
+        GridObject.from_yaml(path)
+
+
+@pytest.mark.parametrize("name", ["a\0b", "a\tb", "a\ud800b", "\ufffe", "", "a" * 201])
+def test_no_object_has_a_name_that_xml_cannot_hold(name):
+    with pytest.raises(ObjectError, match=r"name is .*; expected some text"):
+        GridObject.from_outline([[0, 0], [1, 0], [1, 1]], name=name)
+
+
+@pytest.mark.parametrize("name", ["Hammer № 3", "トンカチ", "x & <y>", "été\u00a0!"])
+def test_any_other_text_is_a_name(name):
+    assert GridObject.from_outline([[0, 0], [1, 0], [1, 1]], name=name).name == name
