@@ -258,6 +258,21 @@ def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array)
     )
 
 
+def _describe_patterns(obj: GridObject, patterns: int, cells: int) -> str:
+    """How many independent combinations of the cells the pushes determined, and how many cells profit from it."""
+    if patterns < 1:
+        return (
+            f"The pushes determined nothing of how the friction is spread over the {obj.n} cells."
+        )
+    many = "1 pattern" if patterns == 1 else f"{patterns} independent patterns"
+    return (
+        f"The pushes determined {many} of how the friction is spread over the {obj.n} cells, such as "
+        "more at one end and less at the other. Since neighboring cells are supposed to be alike, "
+        f"this takes at least half of the variance from {cells} of the cells; what sets a cell apart "
+        "from its neighbors stays as it was supposed beforehand."
+    )
+
+
 def _describe(
     obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array
 ) -> tuple[str, ...]:
@@ -275,8 +290,7 @@ def _describe(
         "Not identifiable from these data: mass and friction of a cell apart. Only their product, relative to the "
         "other cells', acts on a slow push; the masses shown suppose that all cells have the same friction "
         f"coefficient, and {total}.",
-        f"The pushes determined {learned} of {obj.n} independent combinations of the cells' log-friction, and "
-        f"{known_cells} of {obj.n} cells by themselves; the rest is the smoothness prior's.",
+        _describe_patterns(obj, learned, known_cells),
         f"The center of friction is known to {MM * center_std[0]:.1f} mm in x and {MM * center_std[1]:.1f} mm in y "
         "(one standard deviation).",
         f"Were the friction of each cell exactly as estimated, friction coefficients anywhere from {low:g} to {high:g} "

@@ -72,6 +72,9 @@ CENTIMETER = 0.01
 ROUND, SCALE_SHARE = (5, 2, 1), 0.4
 """What a scale bar's length begins with, and the share of the object's width that it is at most."""
 
+PADDING = 0.05
+"""Room about what is drawn in an SVG file, inches."""
+
 LEGEND_PAD = 4.5
 """Between the axes and a legend below them, in its font's size: room for ticks and a label."""
 
@@ -248,7 +251,7 @@ def frame_points(ax: Axes, points: Sequence[ArrayLike], room: float) -> None:
     """Sets the axes' limits to all points (k, 2), m, with `room` about them, m."""
     together = np.concatenate([np.asarray(part) for part in points])
     low, high = together.min(axis=0) - room, together.max(axis=0) + room
-    ax.set_aspect("equal", adjustable="box")
+    ax.set_aspect("equal", adjustable="box", anchor="N")  # side by side, panels begin at one height
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
 
@@ -338,5 +341,7 @@ def to_svg(figure: Figure) -> bytes:
     """Renders a figure as an SVG file, the same bytes every time."""
     buffer = BytesIO()
     with rc_context({"svg.hashsalt": "gridpush"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
+        figure.savefig(
+            buffer, format="svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=PADDING
+        )
     return buffer.getvalue()

@@ -41,6 +41,7 @@ from gridpush_drake.report.figures import (
     draw_pushes,
     draw_unknown_maps,
 )
+from gridpush_drake.report.progress import Expectation, Progress, draw_progress
 
 Row = tuple[str, str, str]
 """What, its learned value and, where it is known, the true one."""
@@ -213,6 +214,9 @@ def make_report(
     learning: Sequence[float] | None = None,
     summary: ReportSummary | None = None,
     sight: Sight | None = None,
+    progress: Progress | None = None,
+    expectations: Sequence[Expectation] = (),
+    recording: str | None = None,
 ) -> str:
     """Makes the report.
 
@@ -225,6 +229,9 @@ def make_report(
             None where nobody followed it.
         summary: what a robot did with the object; None where it only looked.
         sight: what its camera saw; None where it was told the object and its poses.
+        progress: what was known after each push; None where nobody followed it.
+        expectations: of pokes, for the figure of the progress.
+        recording: the file with the recording of the run, as seen from the report; None without.
 
     Returns:
         An HTML page that needs nothing else.
@@ -259,7 +266,11 @@ def make_report(
             "learning": _embed(draw_learning(learning, floor)) if learning else None,
             "summary": None if summary is None else _embed(summary.figure),
             "sight": None if sight is None else _embed(draw_sight(sight)),
+            "progress": None if progress is None else _embed(draw_progress(progress, expectations)),
         },
+        foretold="" if progress is None else progress.describe(),
+        expected=bool(expectations),
+        recording=recording,
         known_truth=truth is not None,
         has_held_out=fresh is not None,
         overlays_shown=min(len(outcomes), MAX_OVERLAYS),

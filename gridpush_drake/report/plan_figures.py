@@ -248,7 +248,7 @@ def _draw_goal(
     frame_points(
         ax, [transform(goal.pose, np.asarray(planner.obj.outline.exterior.coords)[:, :2])], CLOSE_UP
     )
-    ax.legend(handles=handles, fontsize=FONT - 1, frameon=False, loc="upper left")
+    add_legend_below(ax, handles, 2)
     flat = isinstance(goal.part, FlatPart)
     how = "taken by the rim" if flat else f"{goal.part.width * MM:.0f} mm between the jaws"
     room = f"{abs(goal.margin) * MM:.0f} mm {'to spare' if goal.margin >= 0 else 'too little'}"

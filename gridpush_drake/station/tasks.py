@@ -40,6 +40,7 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.stream import write_stream_csv
 from gridpush_drake.report.page import ReportSummary, make_report
 from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
+from gridpush_drake.report.progress import Expectation, calc_progress
 from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.identify_task import IdentifyTask, IdentifyTaskRecord
 from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
@@ -79,6 +80,9 @@ FILES = (
 """That a task leaves in its folder, the report first."""
 
 HELD_OUT = "held_out.csv"
+
+RECORDING = "recording.html"
+"""Name of the recording's file, beside the report."""
 
 GRASP_SCENARIO = "grasp"
 """Name of the shipped scenario of the pre-grasp task."""
@@ -223,14 +227,28 @@ class TaskKind:
         """What the report shows of the run."""
         raise NotImplementedError
 
-    def make_report(self, record: Any) -> str:
-        """The report, as HTML, of the pushes that the last estimate was learned from; the record has one."""
+    def list_expectations(self, record: Any) -> list[Expectation]:
+        """What pokes were expected to tell of the center of mass: nothing."""
+        return []
+
+    def make_report(self, record: Any, recording: str | None = None) -> str:
+        """The report, as HTML, of the pushes that the last estimate was learned from; the record has one.
+
+        `recording` is the recording's file as seen from the report; None without.
+        """
         found = record.estimates[-1]
         used = record.log.subset(
             [i for i, seen in enumerate(record.log) if seen.name in found.push_names]
         )
         return make_report(
-            found, used, truth=record.truth, summary=self.make_summary(record), sight=record.sight
+            found,
+            used,
+            truth=record.truth,
+            summary=self.make_summary(record),
+            sight=record.sight,
+            progress=calc_progress(record.estimates, record.log, record.truth),
+            expectations=self.list_expectations(record),
+            recording=recording,
         )
 
     def summarize(self, record: Any) -> dict[str, Any]:
@@ -270,8 +288,8 @@ def write_files(
     overlay = task.make_overlay(obj, task.list_phases(record))
     written = {"object.yaml", "stream.csv", "scenario.yaml"}
     if meshcat is not None:
-        write_recording(meshcat, folder / "recording.html", force, overlay)
-        written.add("recording.html")
+        write_recording(meshcat, folder / RECORDING, force, overlay)
+        written.add(RECORDING)
     obj.write_yaml(folder / "object.yaml", force=force)
     if record.truth is not None:
         truth = dump_yaml(describe_truth(obj, record.truth))
@@ -283,7 +301,8 @@ def write_files(
     if record.estimates:
         training.write_csv(folder / "pushes.csv", force)
         write_model(folder / "model.yaml", record.estimates[-1], force)
-        write_whole(folder / "report.html", task.make_report(record), force)
+        recording = RECORDING if meshcat is not None else None
+        write_whole(folder / "report.html", task.make_report(record, recording), force)
         written |= {"pushes.csv", "model.yaml", "report.html"}
     if len(held_out):
         held_out.write_csv(folder / HELD_OUT, force)
@@ -334,17 +353,34 @@ class IdentifyKind(TaskKind):
         """By the scenario's counts."""
         return record.training_log, record.held_out_log
 
-    def make_report(self, record: IdentifyTaskRecord) -> str:
+    def make_report(self, record: IdentifyTaskRecord, recording: str | None = None) -> str:
         """How the error of the held-out pushes fell, push by push."""
         training, held_out = self.split_log(record)
         result = record.estimates[-1]
+        progress = calc_progress(record.estimates, training, record.truth)
         if not len(held_out):
-            return make_report(result, training, truth=record.truth, sight=record.sight)
+            return make_report(
+                result,
+                training,
+                truth=record.truth,
+                sight=record.sight,
+                progress=progress,
+                recording=recording,
+            )
         learning = [
             calc_mean_cell_error(record.obj, found.params, held_out, result.physics)
             for found in (describe_prior(record.obj), *record.estimates)
         ]
-        return make_report(result, training, held_out, record.truth, learning, sight=record.sight)
+        return make_report(
+            result,
+            training,
+            held_out,
+            record.truth,
+            learning,
+            sight=record.sight,
+            progress=progress,
+            recording=recording,
+        )
 
     def summarize(self, record: IdentifyTaskRecord) -> dict[str, Any]:
         """Errors before and after learning, and how the robot behaved."""
@@ -495,6 +531,17 @@ class PreGraspKind(TaskKind):
         if "after" in summary:
             lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))
         return lines
+
+    def list_expectations(self, record: PreGraspRecord) -> list[Expectation]:
+        """What each poke was expected to leave, where that was about the center of mass itself."""
+        found = []
+        for step in record.steps:
+            status, forecast = step.status, step.status.forecast
+            if step.push is None or status.mode != PreGraspMode.EXPLORING or forecast is None:
+                continue
+            if not forecast.across_edge:
+                found.append(Expectation(status.pokes + status.slides, forecast.expected_std))
+        return found
 
     def make_summary(self, record: PreGraspRecord) -> ReportSummary:
         """The object's trajectory to the edge, and how safely it lies there."""

@@ -6,7 +6,7 @@ from gridpush_drake.identification.identifiability import (
     calc_center_of_mass_box,
     calc_identifiability,
 )
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.posterior import LEARNED_SHARE, Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -86,4 +86,14 @@ def test_statements_say_what_cannot_be_known() -> None:
     obj = make_object()
     report = calc_identifiability(obj, CellParameters.uniform(obj), make_posterior(obj, 3))
     assert sum("Not identifiable from these data" in text for text in report.statements) == 2
+    # Of patterns and of cells it is said in one sentence how they go together.
+    (told,) = [text for text in report.statements if "pattern" in text]
+    cells = int((report.learned_share >= LEARNED_SHARE).sum())
+    assert f"determined {report.learned_directions} independent patterns" in told
+    assert f"half of the variance from {cells} of the cells" in told
+    assert "neighboring cells are supposed to be alike" in told
+    nothing = calc_identifiability(obj, CellParameters.uniform(obj), make_posterior(obj, 0))
+    assert any(
+        "determined nothing of how the friction is spread" in text for text in nothing.statements
+    )
     assert report.center_of_friction == pytest.approx([0.0, 0.0], abs=1e-9)

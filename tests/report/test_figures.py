@@ -6,6 +6,7 @@ from dataclasses import replace
 from io import BytesIO
 from time import perf_counter
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -29,8 +30,10 @@ from gridpush_drake.report.draw import (
     draw_cells,
     draw_outline,
     draw_parts,
+    make_chart,
     make_grid,
     to_png,
+    to_svg,
 )
 from gridpush_drake.report.figures import draw_model, draw_motion, draw_object, draw_pushes
 from gridpush_drake.report.plan_figures import (
@@ -254,3 +257,24 @@ def test_pushes_that_were_left_out_are_told_apart():
     result = replace(make_identification(obj), outliers=(refused,), unused_pushes=())
     legend = draw_pushes(result, log).axes[0].get_legend()
     assert [text.get_text() for text in legend.get_texts()] == ["learned from", "left out"]
+
+
+def test_panels_side_by_side_begin_at_one_height_and_no_legend_covers_them():
+    obj = make_block()
+    figure = draw(obj, [np.zeros(3), np.array([0.1, -0.2, 1.2])])
+    figure.canvas.draw()
+    tops = [ax.get_window_extent().y1 for ax in figure.axes]
+    assert tops[0] == pytest.approx(tops[1], abs=1.0)
+    for ax in figure.axes:
+        assert not ax.get_legend().get_window_extent().overlaps(ax.get_window_extent())
+
+
+def test_an_svg_has_no_empty_bands():
+    """A wide drawing in a tall figure is cut to what is drawn."""
+    figure, ax = make_chart(4.0, 4.0)
+    ax.plot([0, 1], [0, 0])
+    ax.set_aspect("equal", adjustable="box")
+    ax.set_ylim(-0.05, 0.05)
+    root = ElementTree.fromstring(to_svg(figure))
+    width, height = (float(root.get(side).removesuffix("pt")) for side in ("width", "height"))
+    assert height < 0.4 * width

@@ -113,6 +113,42 @@ class PreGraspOptions:
     pads: PadLimit | None = None
 
 
+@dataclass(frozen=True)
+class PokeForecast:
+    """What a poke is expected to bring, told before it is made.
+
+    Attributes:
+        across_edge: whether it is about how far the center of mass can be across the table's edge;
+            else about the center of mass in the direction in which it is known least.
+        std: standard deviation of that before the poke, m.
+        expected_std: the same after it, to first order about the present estimate, m.
+    """
+
+    across_edge: bool
+    std: float
+    expected_std: float
+
+    def describe(self) -> str:
+        """The forecast in words."""
+        what = "how far the center can be across the edge" if self.across_edge else "the center"
+        return (
+            f"this poke is expected to bring the standard deviation of {what} "
+            f"from {self.std * MM:.1f} mm to {self.expected_std * MM:.1f} mm"
+        )
+
+    def describe_outcome(self, after: "PokeForecast") -> str:
+        """What came of it, by the next poke's forecast; empty where that is about something else, or as expected."""
+        if after.across_edge != self.across_edge:
+            return ""
+        expected, came = (f"{std * MM:.1f} mm" for std in (self.expected_std, after.std))
+        if came == expected:
+            return ""
+        return (
+            f" The poke before was expected to leave {expected} and left {came}: what to expect is "
+            "computed from the estimate before the poke, and that has changed."
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class PreGraspDecision:
     """What to do next.
@@ -124,6 +160,7 @@ class PreGraspDecision:
             is none.
         push: to make; None at the end.
         expected_pose: (3,) of the object after a slide; None otherwise.
+        forecast: of a poke; None otherwise.
     """
 
     action: Action
@@ -131,6 +168,7 @@ class PreGraspDecision:
     goal: PreGraspGoal | None = None
     push: Push | None = None
     expected_pose: Array | None = None
+    forecast: PokeForecast | None = None
 
     @property
     def margin(self) -> float:
@@ -303,7 +341,7 @@ class PreGraspPlanner:
         arm = self._calc_max_arm(model)
         near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
         why = f"no pose lets a graspable part{near} hang over the edge where the arm can take it"
-        reachable = self._find_parts_near(model, arm + REACHABLE_SIGMAS * _calc_center_std(model))
+        reachable = self._find_parts_near(model, arm + REACHABLE_SIGMAS * calc_center_std(model))
         if len(reachable) == len(parts) or not self._find_goals(pose, model, reachable):
             return PreGraspDecision("fail", why)
         return self._poke(pose, model, None, pokes, why)
@@ -333,12 +371,9 @@ class PreGraspPlanner:
                 f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help",
                 best,
             )
-        what = "the center" if direction is None else "how far the center can be across the edge"
-        reason = (
-            f"{why}; this poke is expected to bring the standard deviation of {what} "
-            f"from {choice.std * MM:.1f} mm to {choice.expected_std * MM:.1f} mm"
-        )
-        return PreGraspDecision("poke", reason, best, choice.push)
+        forecast = PokeForecast(direction is not None, choice.std, choice.expected_std)
+        reason = f"{why}; {forecast.describe()}"
+        return PreGraspDecision("poke", reason, best, choice.push, forecast=forecast)
 
 
 def suggest_poke(
@@ -394,7 +429,7 @@ def suggest_poke(
     return None
 
 
-def _calc_center_std(model: UncertainModel) -> float:
+def calc_center_std(model: UncertainModel) -> float:
     """Of the center of mass in the direction least known, m."""
     if model.posterior is None:
         return 0.0

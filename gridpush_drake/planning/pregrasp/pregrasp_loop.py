@@ -37,7 +37,11 @@ from gridpush_drake.planning.closed_loop import (
 )
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
-from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.planner import (
+    PokeForecast,
+    PreGraspDecision,
+    PreGraspPlanner,
+)
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import PushMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
@@ -84,6 +88,7 @@ class PreGraspStatus:
         expected_pose: (x, y, theta) where the push under way is expected to leave the object, m and
             rad; None without.
         margin: stability margin of the goal at the worst, m; NaN without one.
+        forecast: of the last poke asked for; None before the first.
     """
 
     mode: PreGraspMode = PreGraspMode.WAITING
@@ -94,6 +99,7 @@ class PreGraspStatus:
     goal: PreGraspGoal | None = None
     expected_pose: Pose | None = None
     margin: float = nan
+    forecast: PokeForecast | None = None
 
     @property
     def over(self) -> bool:
@@ -258,14 +264,18 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             planner.obstacles,
         )
         poke = decision.action == "poke"
+        reason, last, forecast = _sentence(decision.reason), now.status.forecast, decision.forecast
+        if last is not None and forecast is not None:
+            reason += last.describe_outcome(forecast)
         return replace(now, monitor=monitor).ask(
             push,
             PreGraspMode.EXPLORING if poke else PreGraspMode.SLIDING,
-            _sentence(decision.reason),
+            reason,
             pokes=now.status.pokes + poke,
             slides=now.status.slides + (not poke),
             goal=decision.goal,
             margin=decision.margin,
+            forecast=forecast or last,
             expected_pose=None
             if decision.expected_pose is None
             else tuple(decision.expected_pose.tolist()),

@@ -20,9 +20,11 @@ from gridpush_drake.planning.pregrasp.goals import (
 )
 from gridpush_drake.planning.pregrasp.grasp_parts import Gripper, find_grasp_parts
 from gridpush_drake.planning.pregrasp.planner import (
+    PokeForecast,
     PreGraspOptions,
     PreGraspPlanner,
     PreGraspPlanStatus,
+    calc_center_std,
     plan_pregrasp,
     suggest_poke,
 )
@@ -290,6 +292,10 @@ def test_nothing_known_asks_for_a_poke_and_says_what_it_is_worth(pan, parts):
     assert decision.action == "poke"
     assert decision.push is not None
     assert "standard deviation" in decision.reason
+    forecast = decision.forecast
+    assert not forecast.across_edge
+    assert forecast.std == pytest.approx(calc_center_std(UncertainModel.of_prior(pan)))
+    assert forecast.expected_std < forecast.std
     careful = PreGraspPlanner(
         pan, TABLE, PreGraspOptions(goal=GoalOptions(margin=0.06), max_pokes=5), parts
     )
@@ -300,6 +306,14 @@ def test_nothing_known_asks_for_a_poke_and_says_what_it_is_worth(pan, parts):
     ends = careful.decide((0.0, 0.0, 0.0), prior, pokes=5)
     assert (ends.action, ends.push) == ("fail", None)
     assert "after 5 pokes" in ends.reason
+
+
+def test_the_next_poke_says_what_the_one_before_was_worth():
+    first, second = PokeForecast(False, 0.0304, 0.0082), PokeForecast(False, 0.0378, 0.02)
+    said = first.describe_outcome(second)
+    assert "expected to leave 8.2 mm and left 37.8 mm" in said
+    assert first.describe_outcome(PokeForecast(False, 0.00822, 0.002)) == ""
+    assert first.describe_outcome(PokeForecast(True, 0.0378, 0.02)) == ""
 
 
 def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):

@@ -1,0 +1,181 @@
+"""How knowledge grew: what was known after each push, and how well each push was foretold before it.
+
+A push is predicted here by the estimate that was made of the pushes before it alone. So every error
+is that of a prediction, and none of a fit; no push has to be held out for it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.planner import calc_center_std
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.draw import (
+    BEFORE,
+    FONT,
+    INK,
+    LEARNED,
+    MM,
+    PAGE_WIDTH,
+    add_legend_below,
+    make_grid,
+    tidy,
+)
+
+PANEL_HEIGHT = 3.3
+"""Height of the figure, inches."""
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What a push was expected to leave unknown.
+
+    Attributes:
+        pushes: how many pushes there were with it.
+        center_std: expected standard deviation of the center of mass after it, m.
+    """
+
+    pushes: int
+    center_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """How knowledge grew over K pushes.
+
+    Attributes:
+        pushes: (K + 1,) numbers of pushes learned from, the first one 0.
+        center_std: (K + 1,) standard deviation of the center of mass in the direction in which it is
+            known least, m.
+        center_error: (K + 1,) distance of the estimated center of mass from the true one, m; empty
+            where that is not known.
+        names: of the pushes that were foretold.
+        foretold: mean cell error of each, m, as predicted from the pushes before it.
+        even: the same, assuming an even object, m.
+    """
+
+    pushes: Array
+    center_std: Array
+    center_error: Array
+    names: tuple[str, ...]
+    foretold: Array
+    even: Array
+
+    def describe(self) -> str:
+        """The errors in a sentence; empty where no push was foretold."""
+        if not len(self.foretold):
+            return ""
+        told, even = self.foretold.mean() * MM, self.even.mean() * MM
+        return (
+            f"On average each push was foretold to {told:.1f} mm from the pushes before it; an even "
+            f"object would have given {even:.1f} mm."
+        )
+
+
+def calc_progress(
+    estimates: Sequence[Identification], log: PushLog, truth: CellParameters | None = None
+) -> Progress:
+    """Follows what was learned.
+
+    Args:
+        estimates: made while the pushes came in, in order; at least one.
+        log: all pushes, in order; those that the estimates do not use are foretold, too. Pushes in
+            which a part hung over the table's edge are not.
+        truth: what the object's cells really are, where that is known.
+
+    Returns:
+        What was known after each estimate, and how well each push was foretold.
+    """
+    last = estimates[-1]
+    obj = last.obj
+    stages = [describe_prior(obj, physics=last.physics), *estimates]
+    known = [UncertainModel.of_prior(obj), *(_make_uncertain(found, log) for found in estimates)]
+    errors = []
+    if truth is not None:
+        center = truth.center_of_mass(obj)
+        errors = [np.linalg.norm(one.params.center_of_mass(obj) - center) for one in stages]
+    names, foretold, even = [], [], []
+    supported = {seen.name for seen in log.supported}
+    for i, seen in enumerate(log):
+        if seen.name not in supported or not len(seen.poses_observed):
+            continue
+        before = {earlier.name for earlier in log[:i]}
+        # The latest estimate that knows nothing of this push, nor of later ones.
+        found = [one for one in stages if before.issuperset(one.push_names)][-1]
+        names.append(seen.name)
+        foretold.append(_calc_error(obj, found.params, log.subset([i]), last))
+        even.append(_calc_error(obj, CellParameters.uniform(obj), log.subset([i]), last))
+    return Progress(
+        pushes=np.array([len(found.push_names) for found in stages]),
+        center_std=np.array([calc_center_std(model) for model in known]),
+        center_error=np.array(errors),
+        names=tuple(names),
+        foretold=np.array(foretold),
+        even=np.array(even),
+    )
+
+
+def draw_progress(progress: Progress, expectations: Sequence[Expectation] = ()) -> Figure:
+    """Draws on the left how well the center of mass was known, on the right how well each push was foretold."""
+    figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
+    _draw_center(axes[0, 0], progress, expectations)
+    _draw_foretold(axes[0, 1], progress)
+    return figure
+
+
+def _draw_center(ax: Axes, progress: Progress, expectations: Sequence[Expectation]) -> None:
+    ax.plot(progress.pushes, progress.center_std * MM, "o-", color=LEARNED, markersize=5)
+    handles = [Line2D([], [], color=LEARNED, marker="o", label="standard deviation")]
+    if expectations:
+        marks = {"color": BEFORE, "marker": "D", "markerfacecolor": "white", "linestyle": "none"}
+        at = [one.pushes for one in expectations]
+        ax.plot(at, [one.center_std * MM for one in expectations], **marks)  # type: ignore[arg-type]
+        handles.append(Line2D([], [], label="expected before the poke", **marks))  # type: ignore[arg-type]
+    if len(progress.center_error):
+        ax.plot(progress.pushes, progress.center_error * MM, "x--", color=INK, markersize=5)
+        handles.append(
+            Line2D([], [], color=INK, marker="x", linestyle="dashed", label="true error")
+        )
+    ax.set_ylim(bottom=0)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    tidy(ax, "pushes learned from", "mm")
+    ax.set_title("How well the center of mass is known", fontsize=FONT, color=INK)
+    add_legend_below(ax, handles, 2)
+
+
+def _draw_foretold(ax: Axes, progress: Progress) -> None:
+    at = np.arange(1, len(progress.names) + 1)
+    ax.plot(at, progress.even * MM, "o--", color=BEFORE, markersize=5)
+    ax.plot(at, progress.foretold * MM, "o-", color=LEARNED, markersize=5)
+    handles = [
+        Line2D([], [], color=BEFORE, marker="o", linestyle="dashed", label="even object"),
+        Line2D([], [], color=LEARNED, marker="o", label="from the pushes before"),
+    ]
+    ax.set_ylim(bottom=0)
+    ax.set_xticks(at, [name.replace("_", " ") for name in progress.names], rotation=90)
+    tidy(ax, "", "mean cell error of the final pose, mm")
+    ax.set_title("Each push, predicted before it was learned from", fontsize=FONT, color=INK)
+    add_legend_below(ax, handles, 1)
+
+
+def _make_uncertain(found: Identification, log: PushLog) -> UncertainModel:
+    used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
+    return UncertainModel.of_identification(found, log=used)
+
+
+def _calc_error(
+    obj: GridObject, params: CellParameters, push: PushLog, last: Identification
+) -> float:
+    return calc_mean_cell_error(obj, params, push, last.physics)
