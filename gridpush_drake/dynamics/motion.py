@@ -170,7 +170,8 @@ class RawJacobian:
 
     def calc_mass(self) -> Array:
         """(R, 3, n) by the cells' masses, 1/kg."""
-        n, other = len(self.mass), self.other
+        n = len(self.mass)
+        other = self.other
         load = self.J[..., :n]
         mass = load if self.shifted else load * (self.friction * self.gravity)
         if self.inertial:
@@ -189,8 +190,10 @@ class RawJacobian:
 
     def expand(self) -> Jacobian:
         """Applies the chain rule."""
-        n, other = len(self.mass), self.other
-        load, more = self.J[..., :n], self.J[..., n + columns.OTHER :]
+        n = len(self.mass)
+        other = self.other
+        load = self.J[..., :n]
+        more = self.J[..., n + columns.OTHER :]
         start = other[..., columns.START_X : columns.START_Y + 1]
         return Jacobian(
             steps=self.steps,

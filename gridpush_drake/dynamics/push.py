@@ -98,7 +98,8 @@ class Push(Frozen):
         Raises:
             PushError: shapes disagree, a value is not finite, or time does not increase.
         """
-        times, path = np.array(t, dtype=np.float64), np.array(xy, dtype=np.float64)
+        times = np.array(t, dtype=np.float64)
+        path = np.array(xy, dtype=np.float64)
         _check_samples(times, path)
         times -= times[0]
         return cls(
@@ -347,8 +348,10 @@ def make_times_with(push: Push, wanted: Array, regime: str) -> Array:
         if regime == "inertial"
         else (push.distance_at(path), push.distance_at(wanted))
     )
-    before, after = np.append(-np.inf, near), np.append(near, np.inf)
-    at, shortest = np.searchsorted(near, place), SHORT_STEP * float(place[-1]) / (len(path) - 1)
+    before = np.append(-np.inf, near)
+    after = np.append(near, np.inf)
+    at = np.searchsorted(near, place)
+    shortest = SHORT_STEP * float(place[-1]) / (len(path) - 1)
     repeated = np.minimum(place - before[at], after[at] - place) < shortest
     repeated[0] = False
     times = np.union1d(path[~repeated], wanted)

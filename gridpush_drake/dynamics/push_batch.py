@@ -95,7 +95,8 @@ class PushBatch:
 
         That is true also where a step was not solved or the object tips.
         """
-        poses, touched = np.empty((self.offsets[-1], 3)), np.empty(len(self), dtype=np.bool_)
+        poses = np.empty((self.offsets[-1], 3))
+        touched = np.empty(len(self), dtype=np.bool_)
         for group in self._groups:
             poses[group.rows], touched[group.chosen] = self._run(group, params, np.empty((0, 3, 0)))
         return poses, touched
@@ -107,7 +108,8 @@ class PushBatch:
         push begins, 1/m.
         """
         n = self.obj.n
-        poses, derivatives = np.empty((self.offsets[-1], 3)), np.empty((self.offsets[-1], 3, n + 3))
+        poses = np.empty((self.offsets[-1], 3))
+        derivatives = np.empty((self.offsets[-1], 3, n + 3))
         for group in self._groups:
             shifted = shifts_loads(params, group.table)
             width = count_columns(n, shifted, with_friction=False)

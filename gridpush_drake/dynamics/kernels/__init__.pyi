@@ -7,6 +7,7 @@ from .friction_law import SPIN_MODELS as SPIN_MODELS
 from .friction_law import FrictionLaw as FrictionLaw
 from .inputs import Load as Load
 from .inputs import Steps as Steps
+from .isotropic_friction import add_symmetric as add_symmetric
 from .step import CONVERGED as CONVERGED
 from .step_memory import MEMORY_SIZE as MEMORY_SIZE
 from .step_memory import make_memory as make_memory

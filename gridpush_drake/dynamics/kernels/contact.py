@@ -20,11 +20,20 @@ import numpy as np
 from gridpush_drake.dynamics.kernels.compiled import kernel
 
 MAX_CONTACTS = 2
-COLUMNS = 9
-NX, NY, CX, CY, GAP, BEND, FEATURE, GX, GY = range(COLUMNS)
+"""Contacts that a step can have."""
 
-_CONVEX_VERTEX, _REFLEX_VERTEX = -1, -2
-_STRAIGHT = 1e-9  # sine of the turn below which a vertex counts as straight: convex from outside, reflex from inside
+COLUMNS = 9
+"""Numbers in a row that describes a contact."""
+
+NX, NY, CX, CY, GAP, BEND, FEATURE, GX, GY = range(COLUMNS)
+"""Places in such a row, see above."""
+
+_CONVEX_VERTEX = -1
+_REFLEX_VERTEX = -2
+"""What the feature nearest to the disc may be other than an edge, whose index says which it is."""
+
+_STRAIGHT = 1e-9
+"""Sine of the turn below which a vertex counts as straight: convex from outside, reflex from inside."""
 
 
 class Edges(NamedTuple):
@@ -57,8 +66,15 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
     Returns:
         The number of contacts.
     """
-    ax, ay, bx, by, previous = edges.ax, edges.ay, edges.bx, edges.by, edges.previous
-    nearest, nearest2 = _CONVEX_VERTEX, np.inf
+    ax = edges.ax
+    ay = edges.ay
+    bx = edges.bx
+    by = edges.by
+    previous = edges.previous
+    # The nearest feature of all says whether the disc's center is inside the object: it is where that
+    # is an edge seen from its inner side, or a reflex vertex.
+    nearest = _CONVEX_VERTEX
+    nearest2 = np.inf
     best = second = np.inf
     inside_distance2 = np.inf
     inside_edge = -1
@@ -66,20 +82,25 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
     limit = radius + reach
     limit2 = limit * limit
     for i in range(ax.shape[0]):
-        ex, ey = bx[i] - ax[i], by[i] - ay[i]
-        rx, ry = tx - ax[i], ty - ay[i]
+        ex = bx[i] - ax[i]
+        ey = by[i] - ay[i]
+        rx = tx - ax[i]
+        ry = ty - ay[i]
         length2 = ex * ex + ey * ey
         along = rx * ex + ry * ey
         if along < 0.0:
+            # Before the edge's beginning: its first vertex is nearest.
             distance2 = rx * rx + ry * ry
             j = previous[i]
-            qx, qy = ax[i] - ax[j], ay[i] - ay[j]
+            qx = ax[i] - ax[j]
+            qy = ay[i] - ay[j]
             turn = qx * ey - qy * ex
             convex = turn > _STRAIGHT * length2 or (
                 turn > -_STRAIGHT * length2 and rx * ey > ry * ex
             )
             if distance2 < nearest2:
-                nearest2, nearest = distance2, (_CONVEX_VERTEX if convex else _REFLEX_VERTEX)
+                nearest2 = distance2
+                nearest = _CONVEX_VERTEX if convex else _REFLEX_VERTEX
             # word for word the test of edge j below: where it ends, the vertex begins
             if (
                 distance2 > limit2
@@ -90,16 +111,22 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
             distance = sqrt(distance2)
             if distance == 0.0:
                 continue
-            nx, ny = -rx / distance, -ry / distance
-            cx, cy, bend = ax[i], ay[i], 1.0 / distance
+            nx = -rx / distance
+            ny = -ry / distance
+            cx = ax[i]
+            cy = ay[i]
+            bend = 1.0 / distance
         elif along < length2:
+            # Beside the edge: positive `across` is outside.
             across = rx * ey - ry * ex
             distance2 = across * across / length2
             if distance2 < nearest2:
-                nearest2, nearest = distance2, i
+                nearest2 = distance2
+                nearest = i
             if across < 0.0:
                 if distance2 < inside_distance2:
-                    inside_distance2, inside_edge = distance2, i
+                    inside_distance2 = distance2
+                    inside_edge = i
                 continue
             if distance2 > limit2 or (
                 along < _STRAIGHT * length2 and _is_on_straight(ax, ay, previous, i, ex, ey, tx, ty)
@@ -107,23 +134,29 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
                 continue
             length = sqrt(length2)
             distance = across / length
-            nx, ny = -ey / length, ex / length
-            cx, cy, bend = ax[i] + along / length2 * ex, ay[i] + along / length2 * ey, 0.0
+            nx = -ey / length
+            ny = ex / length
+            cx = ax[i] + along / length2 * ex
+            cy = ay[i] + along / length2 * ey
+            bend = 0.0
         else:
-            continue
+            continue  # beyond the edge's end, which is the next edge's business
+
+        # Keep the two nearest, nearest first.
         gap = distance - radius
         if gap < best:
             second = best
             for column in range(COLUMNS):
                 contacts[1, column] = contacts[0, column]
             best = gap
-            _put(contacts, 0, nx, ny, cx, cy, gap, bend, i)
+            _write_contact(contacts, 0, nx, ny, cx, cy, gap, bend, i)
         elif gap < second:
             second = gap
-            _put(contacts, 1, nx, ny, cx, cy, gap, bend, i)
+            _write_contact(contacts, 1, nx, ny, cx, cy, gap, bend, i)
         else:
             continue
         count = min(count + 1, MAX_CONTACTS)
+
     if inside_edge >= 0 and nearest in (inside_edge, _REFLEX_VERTEX):
         count = _contact_from_inside(ax, ay, bx, by, inside_edge, tx, ty, radius, contacts)
     return count
@@ -133,7 +166,8 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
 def _is_on_straight(ax, ay, previous, i, ex, ey, tx, ty):
     """Whether edge i goes straight on from the one before, on which the disc is by round-off too."""
     j = previous[i]
-    qx, qy = ax[i] - ax[j], ay[i] - ay[j]
+    qx = ax[i] - ax[j]
+    qy = ay[i] - ay[j]
     straight = abs(qx * ey - qy * ex) <= _STRAIGHT * (ex * ex + ey * ey)
     return straight and (tx - ax[j]) * qx + (ty - ay[j]) * qy < qx * qx + qy * qy
 
@@ -155,8 +189,14 @@ def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
     Returns:
         The number of contacts.
     """
-    ax, ay, bx, by, previous = edges.ax, edges.ay, edges.bx, edges.by, edges.previous
-    nx, ny = contacts[0, NX], contacts[0, NY]
+    ax = edges.ax
+    ay = edges.ay
+    bx = edges.bx
+    by = edges.by
+    previous = edges.previous
+    nx = contacts[0, NX]
+    ny = contacts[0, NY]
+    # T·(dx, dy), and the contacts at t + T (T·(dx, dy)).
     slide = nx * dy - ny * dx
     count = find_contacts(edges, tx - slide * ny, ty + slide * nx, radius, reach, ahead)
     for c in range(count):
@@ -168,6 +208,7 @@ def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
             _measure_gap(ax, ay, bx, by, previous[i], tx, ty, radius, ahead, c)
             _measure_gap(ax, ay, bx, by, i, tx, ty, radius, ahead, c)
         else:
+            # N·(c - t) - radius, with t where the disc is now.
             ahead[c, GAP] = (
                 ahead[c, NX] * (ahead[c, CX] - tx) + ahead[c, NY] * (ahead[c, CY] - ty) - radius
             )
@@ -177,8 +218,11 @@ def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
 @kernel(allocates=False)
 def _measure_gap(ax, ay, bx, by, i, tx, ty, radius, contacts, row):
     """Sets the row's gap, and its direction, to the gap between the disc and edge i where that is the smaller."""
-    ex, ey = bx[i] - ax[i], by[i] - ay[i]
-    rx, ry = ax[i] - tx, ay[i] - ty
+    ex = bx[i] - ax[i]
+    ey = by[i] - ay[i]
+    rx = ax[i] - tx
+    ry = ay[i] - ty
+    # from the disc's center to the nearest point of the edge
     length2 = ex * ex + ey * ey
     along = min(max(-(rx * ex + ry * ey) / length2, 0.0), 1.0)
     rx += along * ex
@@ -186,25 +230,33 @@ def _measure_gap(ax, ay, bx, by, i, tx, ty, radius, contacts, row):
     distance = sqrt(rx * rx + ry * ry)
     if 0.0 < distance < contacts[row, GAP] + radius:
         contacts[row, GAP] = distance - radius
-        contacts[row, GX], contacts[row, GY] = rx / distance, ry / distance
+        contacts[row, GX] = rx / distance
+        contacts[row, GY] = ry / distance
 
 
 @kernel(allocates=False)
 def _contact_from_inside(ax, ay, bx, by, i, tx, ty, radius, contacts):
-    """The disc's center is inside the object: it leaves through the nearest edge."""
-    ex, ey = bx[i] - ax[i], by[i] - ay[i]
+    """Writes the contact of a disc whose center is inside the object: it leaves through edge i, the nearest."""
+    ex = bx[i] - ax[i]
+    ey = by[i] - ay[i]
     length = sqrt(ex * ex + ey * ey)
     along = ((tx - ax[i]) * ex + (ty - ay[i]) * ey) / length
     distance = ((tx - ax[i]) * ey - (ty - ay[i]) * ex) / length
-    cx, cy = ax[i] + along * ex / length, ay[i] + along * ey / length
-    _put(contacts, 0, -ey / length, ex / length, cx, cy, distance - radius, 0.0, i)
+    cx = ax[i] + along * ex / length
+    cy = ay[i] + along * ey / length
+    _write_contact(contacts, 0, -ey / length, ex / length, cx, cy, distance - radius, 0.0, i)
     return 1
 
 
 @kernel(allocates=False)
-def _put(contacts, row, nx, ny, cx, cy, gap, bend, feature):
-    contacts[row, NX], contacts[row, NY] = nx, ny
-    contacts[row, CX], contacts[row, CY] = cx, cy
-    contacts[row, GAP], contacts[row, BEND] = gap, bend
+def _write_contact(contacts, row, nx, ny, cx, cy, gap, bend, feature):
+    """Fills in a row; the gap's direction is the normal."""
+    contacts[row, NX] = nx
+    contacts[row, NY] = ny
+    contacts[row, CX] = cx
+    contacts[row, CY] = cy
+    contacts[row, GAP] = gap
+    contacts[row, BEND] = bend
     contacts[row, FEATURE] = feature
-    contacts[row, GX], contacts[row, GY] = nx, ny
+    contacts[row, GX] = nx
+    contacts[row, GY] = ny

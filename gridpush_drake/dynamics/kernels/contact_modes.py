@@ -16,15 +16,20 @@ import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact import CX, CY, GAP, NX, NY
+from gridpush_drake.dynamics.kernels.small_matrix import solve_dense
 
 SEPARATE, STICK, SLIDE_PLUS, SLIDE_MINUS = range(4)
 """Contact modes; `SLIDE_PLUS` has lam_t = + mu_c lam_n."""
 
 COMPLIANCE = 1e-9
-"""Of two contacts at once, in speed/load: makes redundant sticking contacts well posed."""
+"""Compliance of two contacts at once, as a share of speed/load. It makes two sticking contacts, which
+are one more than the body needs, well posed."""
 
-_MODE_TOLERANCE = 1e-9  # of load and speed
-_NORMAL_SHARE = 1e-4  # of a jam's inconsistency, left to the normal rows
+_MODE_TOLERANCE = 1e-9
+"""Violation of the contact conditions, as a share of load and speed, that counts as none."""
+
+_NORMAL_SHARE = 1e-4
+"""Weight of the normal rows where a jam's inconsistency is shared out, see `relax_jam`."""
 
 
 class Touch(NamedTuple):
@@ -35,7 +40,7 @@ class Touch(NamedTuple):
         n_contacts: their number, 0 to 2.
         vpx, vpy: pusher's velocity v_p, frame of the step, m/s.
         mu: contact friction.
-        dt: s.
+        dt: the step, s.
     """
 
     contacts: Any
@@ -50,9 +55,9 @@ class Scales(NamedTuple):
     """What is large in a step.
 
     Attributes:
-        arm: m.
-        load: N.
-        speed: m/s.
+        arm: length by which moments are compared with forces, m.
+        load: force that the table's friction and the drive can exert, N.
+        speed: of pusher and body, m/s.
     """
 
     arm: float
@@ -81,45 +86,14 @@ def calc_compliance(touch, scales):
 
 
 @kernel(allocates=False)
-def solve_dense(A, B, size, columns):
-    """Solves A X = B in place (X in B) by Gaussian elimination with partial pivoting; False where A is singular."""
-    for j in range(size):
-        pivot = j
-        for i in range(j + 1, size):
-            if abs(A[i, j]) > abs(A[pivot, j]):
-                pivot = i
-        if A[pivot, j] == 0.0:
-            return False
-        if pivot != j:
-            for c in range(j, size):
-                A[j, c], A[pivot, c] = A[pivot, c], A[j, c]
-            for c in range(columns):
-                B[j, c], B[pivot, c] = B[pivot, c], B[j, c]
-        inverse = 1.0 / A[j, j]
-        for i in range(j + 1, size):
-            factor = A[i, j] * inverse
-            if factor != 0.0:
-                for c in range(j + 1, size):
-                    A[i, c] -= factor * A[j, c]
-                for c in range(columns):
-                    B[i, c] -= factor * B[j, c]
-    for c in range(columns):
-        for i in range(size - 1, -1, -1):
-            total = B[i, c]
-            for j in range(i + 1, size):
-                total -= A[i, j] * B[j, c]
-            B[i, c] = total / A[i, i]
-    return True
-
-
-@kernel(allocates=False)
 def build_contact_system(H, touch, modes, compliance, K):
     """Fills K with [[H, -E], [C, -compliance]] for the contacts that are not separate; returns its size.
 
     C holds J_n of every touching contact and J_t of every sticking one; E holds J_n (and J_t) of a
     sticking contact, J_n ± mu J_t of a sliding one.
     """
-    contacts, mu = touch.contacts, touch.mu
+    contacts = touch.contacts
+    mu = touch.mu
     for i in range(3):
         for j in range(3):
             K[i, j] = H[i, j]
@@ -128,7 +102,11 @@ def build_contact_system(H, touch, modes, compliance, K):
         mode = modes[c]
         if mode == SEPARATE:
             continue
-        nx, ny, cx, cy = contacts[c, NX], contacts[c, NY], contacts[c, CX], contacts[c, CY]
+        nx = contacts[c, NX]
+        ny = contacts[c, NY]
+        cx = contacts[c, CX]
+        cy = contacts[c, CY]
+        # c × N and c × T
         n2 = cx * ny - cy * nx
         t2 = cx * nx + cy * ny
         slide = 0.0
@@ -136,16 +114,22 @@ def build_contact_system(H, touch, modes, compliance, K):
             slide = mu
         elif mode == SLIDE_MINUS:
             slide = -mu
-        K[size, 0], K[size, 1], K[size, 2] = nx, ny, n2
-        K[0, size], K[1, size], K[2, size] = (
-            -(nx - slide * ny),
-            -(ny + slide * nx),
-            -(n2 + slide * t2),
-        )
+        # The row of C, and the column of E, of the normal force with the friction that follows it.
+        K[size, 0] = nx
+        K[size, 1] = ny
+        K[size, 2] = n2
+        K[0, size] = -(nx - slide * ny)
+        K[1, size] = -(ny + slide * nx)
+        K[2, size] = -(n2 + slide * t2)
         size += 1
         if mode == STICK:
-            K[size, 0], K[size, 1], K[size, 2] = -ny, nx, t2
-            K[0, size], K[1, size], K[2, size] = ny, -nx, -t2
+            # Where it sticks the tangential force is an unknown of its own.
+            K[size, 0] = -ny
+            K[size, 1] = nx
+            K[size, 2] = t2
+            K[0, size] = ny
+            K[1, size] = -nx
+            K[2, size] = -t2
             size += 1
     for i in range(3, size):
         for j in range(3, size):
@@ -164,7 +148,9 @@ def relax_jam(contacts, X, columns):
     outline: the disc slips a little to close its gaps. Else the two contacts would squeeze the body
     without bound.
     """
-    dx, dy = contacts[1, CX] - contacts[0, CX], contacts[1, CY] - contacts[0, CY]
+    dx = contacts[1, CX] - contacts[0, CX]
+    dy = contacts[1, CY] - contacts[0, CY]
+    # z: the pair of forces in the contacts' own directions N_0, T_0, N_1, T_1.
     z0 = contacts[0, NX] * dx + contacts[0, NY] * dy
     z1 = -contacts[0, NY] * dx + contacts[0, NX] * dy
     z2 = -contacts[1, NX] * dx - contacts[1, NY] * dy
@@ -184,16 +170,20 @@ def relax_jam(contacts, X, columns):
 def _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
     """Solves the linearized step for one choice of modes into xi and lam; returns its worst violation."""
     contacts, count, vpx, vpy, mu, dt = touch
-    load, speed = scales.load, scales.speed
+    load = scales.load
+    speed = scales.speed
     xi, lam, modes = unknowns
     size = build_contact_system(H, touch, modes, compliance, K)
     for i in range(3):
         X[i, 0] = rhs[i]
+
+    # What the pusher asks for: to close the gap, and no slip where it sticks.
     row = 3
     for c in range(count):
         if modes[c] == SEPARATE:
             continue
-        nx, ny = contacts[c, NX], contacts[c, NY]
+        nx = contacts[c, NX]
+        ny = contacts[c, NY]
         X[row, 0] = nx * vpx + ny * vpy - contacts[c, GAP] / dt
         row += 1
         if modes[c] == STICK:
@@ -205,19 +195,26 @@ def _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
         return np.inf
     for i in range(3):
         xi[i] = X[i, 0]
+
+    # How far the solution is from what its modes promise.
     worst = 0.0
     row = 3
     for c in range(count):
         mode = modes[c]
-        nx, ny, cx, cy = contacts[c, NX], contacts[c, NY], contacts[c, CX], contacts[c, CY]
+        nx = contacts[c, NX]
+        ny = contacts[c, NY]
+        cx = contacts[c, CX]
+        cy = contacts[c, CY]
         slip_x = xi[0] - xi[2] * cy - vpx
         slip_y = xi[1] + xi[2] * cx - vpy
         lam[c, 0] = lam[c, 1] = 0.0
         if mode == SEPARATE:
+            # The pusher must not approach.
             worst = max(worst, -(nx * slip_x + ny * slip_y + contacts[c, GAP] / dt) / speed)
             continue
         normal = X[row, 0]
         row += 1
+        # It must not pull; where it sticks, stay in the cone; where it slides, oppose the slip.
         worst = max(worst, -normal / load)
         lam[c, 0] = normal
         slip = nx * slip_y - ny * slip_x
@@ -247,12 +244,16 @@ def solve_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
     Returns:
         Their worst violation, as a share of load and speed.
     """
-    modes, count = unknowns.modes, touch.n_contacts
+    modes = unknowns.modes
+    count = touch.n_contacts
     worst = _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns)
     if worst <= _MODE_TOLERANCE or count == 0:
         return worst
-    best = worst if worst == worst else np.inf
-    best0, best1 = modes[0], modes[1]
+
+    # The last step's modes do not fit: try all, and keep the best should none fit.
+    best = worst if worst == worst else np.inf  # NaN is no bound
+    best0 = modes[0]
+    best1 = modes[1]
     for choice in range(4 if count == 1 else 16):
         modes[0] = (choice + STICK) % 4
         modes[1] = choice // 4
@@ -260,6 +261,9 @@ def solve_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
         if worst <= _MODE_TOLERANCE:
             return worst
         if worst < best:
-            best, best0, best1 = worst, modes[0], modes[1]
-    modes[0], modes[1] = best0, best1
+            best = worst
+            best0 = modes[0]
+            best1 = modes[1]
+    modes[0] = best0
+    modes[1] = best1
     return _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns)

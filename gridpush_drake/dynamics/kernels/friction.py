@@ -64,7 +64,7 @@ def renew(law):
     raise NotImplementedError
 
 
-def begin_step(law, cells, com_x, com_y, cell_size, hat, push, known):
+def begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known):
     """Lets the law look at the motion before a step, see `FrictionLaw`; compiled code only."""
     raise NotImplementedError
 
@@ -100,10 +100,12 @@ def _renew(law):
 
 
 @overload(begin_step, jit_options=_BORROWED)
-def _begin_step(law, cells, com_x, com_y, cell_size, hat, push, known):
+def _begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known):
     call = _find_law(law).begin_step
-    return lambda law, cells, com_x, com_y, cell_size, hat, push, known: call(
-        law, cells, com_x, com_y, cell_size, hat, push, known
+    return (
+        lambda law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known: (
+            call(law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known)
+        )
     )
 
 

@@ -43,10 +43,10 @@ class FrictionLaw:
         data: the class of `law`, a named tuple of arrays and numbers, no other law's.
         make: (k, arm, spin) -> law, of k (n,) in N, arm = `calc_spin_arm` in m, and a spin model.
         renew: (law): takes notice that its k changed.
-        begin_step: (law, cells, com_x, com_y, cell_size, hat, push, known): looks at the motion
-            before the step, (3,) `hat`, and at that which the applied force alone would give from
-            rest, (3,) `push`, both of the center of mass; `known` says whether either tells where
-            the body goes.
+        begin_step: (law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration,
+            known): looks at the motion before the step, (3,) m/s and rad/s, and at the acceleration
+            that the applied force alone would give the body, (3,) m/s² and rad/s², both of the
+            center of mass; `known` says whether either tells where the body goes.
         calc_dissipation: (law, cells, eps, xi) -> Psi, W.
         add_derivatives: (law, cells, eps, xi, majorize, g, H): adds g (3,) and H (3, 3). With
             `majorize` H is that of a quadratic which touches Psi at xi from above: slower, but a

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from gridpush_drake.dynamics.kernels.compiled import kernel
 
 _SMALL_ANGLE = 1e-4
+"""Turn in a step below which sin(phi)/phi and the like are taken from their series, rad."""
 
 
 class PoseMaps(NamedTuple):
@@ -45,50 +46,80 @@ def calc_displacement_maps(xi, dt, inertial, a, cx, cy, maps):
         the new one).
     """
     A, G, L = maps
-    ux, uy, w = xi[0], xi[1], xi[2]
+    ux = xi[0]
+    uy = xi[1]
+    w = xi[2]
     phi = w * dt
-    c, s = cos(phi), sin(phi)
+    c = cos(phi)
+    s = sin(phi)
     A[2, 0] = A[2, 1] = G[2, 0] = G[2, 1] = L[2, 0] = L[2, 1] = 0.0
-    A[2, 2], G[2, 2], L[2, 2] = 1.0, dt, 1.0
+    A[2, 2] = 1.0
+    G[2, 2] = dt
+    L[2, 2] = 1.0
     if inertial:
-        com_x, com_y = ux - w * cy, uy + w * cx
-        ca, sa = cos(a), sin(a)
+        # v_com in the frame of the twist; it goes straight for dt, while B turns about it.
+        com_x = ux - w * cy
+        com_y = uy + w * cx
+        ca = cos(a)
+        sa = sin(a)
         d0 = dt * (ca * com_x - sa * com_y) + cx - (c * cx - s * cy)
         d1 = dt * (sa * com_x + ca * com_y) + cy - (s * cx + c * cy)
         # from the frame of the twist to the new body frame
-        cb, sb = c * ca + s * sa, s * ca - c * sa
-        new_x, new_y = cb * com_x + sb * com_y, -sb * com_x + cb * com_y
-        turned_x, turned_y = -cb * cy + sb * cx, sb * cy + cb * cx
-        G[0, 0], G[0, 1], G[0, 2] = dt * cb, dt * sb, dt * (turned_x + cy)
-        G[1, 0], G[1, 1], G[1, 2] = -dt * sb, dt * cb, dt * (turned_y - cx)
-        L[0, 0], L[0, 1], L[0, 2] = cb, sb, turned_x + dt * new_y
-        L[1, 0], L[1, 1], L[1, 2] = -sb, cb, turned_y - dt * new_x
+        cb = c * ca + s * sa
+        sb = s * ca - c * sa
+        new_x = cb * com_x + sb * com_y
+        new_y = -sb * com_x + cb * com_y
+        turned_x = -cb * cy + sb * cx
+        turned_y = sb * cy + cb * cx
+        # G and L: by the twist, in the new body frame, where the turn itself moves what is seen.
+        G[0, 0] = dt * cb
+        G[0, 1] = dt * sb
+        G[0, 2] = dt * (turned_x + cy)
+        G[1, 0] = -dt * sb
+        G[1, 1] = dt * cb
+        G[1, 2] = dt * (turned_y - cx)
+        L[0, 0] = cb
+        L[0, 1] = sb
+        L[0, 2] = turned_x + dt * new_y
+        L[1, 0] = -sb
+        L[1, 1] = cb
+        L[1, 2] = turned_y - dt * new_x
     else:
-        new_x, new_y = ux, uy
+        # V(phi) = [[sinc, -cosc], [cosc, sinc]], and its slopes by phi
+        new_x = ux
+        new_y = uy
         if abs(phi) < _SMALL_ANGLE:
-            sinc, cosc = 1.0 - phi * phi / 6.0, phi / 2.0 - phi * phi * phi / 24.0
-            sinc_slope, cosc_slope = -phi / 3.0 + phi * phi * phi / 30.0, 0.5 - phi * phi / 8.0
+            sinc = 1.0 - phi * phi / 6.0
+            cosc = phi / 2.0 - phi * phi * phi / 24.0
+            sinc_slope = -phi / 3.0 + phi * phi * phi / 30.0
+            cosc_slope = 0.5 - phi * phi / 8.0
         else:
-            sinc, cosc = s / phi, (1.0 - c) / phi
-            sinc_slope, cosc_slope = (c - sinc) / phi, (s - cosc) / phi
+            sinc = s / phi
+            cosc = (1.0 - c) / phi
+            sinc_slope = (c - sinc) / phi
+            cosc_slope = (s - cosc) / phi
         d0 = dt * (sinc * ux - cosc * uy)
         d1 = dt * (cosc * ux + sinc * uy)
-        g02, g12 = (
-            dt * dt * (sinc_slope * ux - cosc_slope * uy),
-            dt * dt * (cosc_slope * ux + sinc_slope * uy),
-        )
-        G[0, 0], G[0, 1], G[0, 2] = (
-            dt * (c * sinc + s * cosc),
-            dt * (s * sinc - c * cosc),
-            c * g02 + s * g12,
-        )
-        G[1, 0], G[1, 1], G[1, 2] = (
-            dt * (c * cosc - s * sinc),
-            dt * (c * sinc + s * cosc),
-            c * g12 - s * g02,
-        )
-        L[0, 0], L[0, 1], L[0, 2] = 1.0, 0.0, 0.0
-        L[1, 0], L[1, 1], L[1, 2] = 0.0, 1.0, 0.0
-    A[0, 0], A[0, 1], A[0, 2] = c, s, -c * d1 + s * d0
-    A[1, 0], A[1, 1], A[1, 2] = -s, c, s * d1 + c * d0
+        g02 = dt * dt * (sinc_slope * ux - cosc_slope * uy)
+        g12 = dt * dt * (cosc_slope * ux + sinc_slope * uy)
+        G[0, 0] = dt * (c * sinc + s * cosc)
+        G[0, 1] = dt * (s * sinc - c * cosc)
+        G[0, 2] = c * g02 + s * g12
+        G[1, 0] = dt * (c * cosc - s * sinc)
+        G[1, 1] = dt * (c * sinc + s * cosc)
+        G[1, 2] = c * g12 - s * g02
+        # the velocity of B's origin is u itself
+        L[0, 0] = 1.0
+        L[0, 1] = 0.0
+        L[0, 2] = 0.0
+        L[1, 0] = 0.0
+        L[1, 1] = 1.0
+        L[1, 2] = 0.0
+    # A: the old pose's variation, seen from the new body frame
+    A[0, 0] = c
+    A[0, 1] = s
+    A[0, 2] = -c * d1 + s * d0
+    A[1, 0] = -s
+    A[1, 1] = c
+    A[1, 2] = s * d1 + c * d0
     return d0, d1, new_x, new_y

@@ -43,18 +43,13 @@ class Isotropic(NamedTuple):
 
 
 def make_isotropic(k, arm, spin):
-    """Makes the law, see `FrictionLaw`."""
-    coupled, separate = spin == "coupled", spin == "separate"
-    return Isotropic(
-        k,
-        np.array(
-            [
-                arm**2 if coupled else 0.0,
-                k.sum() * arm if separate else 0.0,
-                arm if separate else 0.0,
-            ]
-        ),
-    )
+    """Makes the law of an object; arguments as of `FrictionLaw.make`."""
+    coupled = spin == "coupled"
+    separate = spin == "separate"
+    kappa2 = arm**2 if coupled else 0.0
+    spin_load = k.sum() * arm if separate else 0.0
+    spin_arm = arm if separate else 0.0
+    return Isotropic(k=k, spin=np.array([kappa2, spin_load, spin_arm]))
 
 
 @kernel(allocates=False, fast_sums=True)
@@ -73,7 +68,9 @@ def accumulate_isotropic(px, py, k, kappa2, eps2, ux, uy, w):
     spin2 = kappa2 * w * w + eps2
     spin1 = kappa2 * w
     for i in range(px.shape[0]):
-        x, y = px[i], py[i]
+        x = px[i]
+        y = py[i]
+        # v_i = u + w z × p_i, and k_i / s_i
         vx = ux - w * y
         vy = uy + w * x
         inverse2 = 1.0 / (vx * vx + vy * vy + spin2)
@@ -83,6 +80,7 @@ def accumulate_isotropic(px, py, k, kappa2, eps2, ux, uy, w):
         Ax += load * x
         Ay += load * y
         A2 += load * (x * x + y * y + kappa2)
+        # now k_i / s_i³
         load *= inverse2
         Bxx += load * vx * vx
         Bxy += load * vx * vy
@@ -100,15 +98,19 @@ def add_isotropic(px, py, k, kappa2, spin_load, eps, xi, majorize, g, H):
     With `majorize` the Hessian is sum k_i G_i / s_i, the quadratic that touches Psi at xi from
     above: slower, but a step with it always descends.
     """
-    ux, uy, w = xi[0], xi[1], xi[2]
+    ux = xi[0]
+    uy = xi[1]
+    w = xi[2]
     A0, Ax, Ay, A2, Bxx, Bxy, Bxw, Byy, Byw, Bww = accumulate_isotropic(
         px, py, k, kappa2, eps * eps, ux, uy, w
     )
     g[0] += ux * A0 - w * Ay
     g[1] += uy * A0 + w * Ax
     g[2] += uy * Ax - ux * Ay + w * A2
+    # The touching quadratic is without the part that is subtracted.
     if majorize:
         Bxx = Bxy = Bxw = Byy = Byw = Bww = 0.0
+    # The separate spin's K_spin sqrt(w² + eps²).
     spin_bend = 0.0
     if spin_load > 0.0:
         spin_speed = sqrt(w * w + eps * eps)
@@ -131,12 +133,18 @@ def fill_cell_forces(px, py, spin, eps2, xi, f):
         f: (3, >= n) out.
     """
     kappa2 = spin[0]
-    ux, uy, w = xi[0], xi[1], xi[2]
+    ux = xi[0]
+    uy = xi[1]
+    w = xi[2]
     spin_torque = spin[2] * w / sqrt(w * w + eps2)
-    f0, f1, f2 = f[0], f[1], f[2]
+    f0 = f[0]
+    f1 = f[1]
+    f2 = f[2]
     for i in range(px.shape[0]):
-        x, y = px[i], py[i]
-        vx, vy = ux - w * y, uy + w * x
+        x = px[i]
+        y = py[i]
+        vx = ux - w * y
+        vy = uy + w * x
         inverse = 1.0 / sqrt(vx * vx + vy * vy + kappa2 * w * w + eps2)
         f0[i] = vx * inverse
         f1[i] = vy * inverse
@@ -160,18 +168,23 @@ def add_symmetric(H, scale, xx, xy, xw, yy, yw, ww):
 @kernel(allocates=False)
 def calc_isotropic_dissipation(law, cells, eps, xi):
     """Calculates Psi."""
-    ux, uy, w = xi[0], xi[1], xi[2]
-    k, kappa2, spin_load = law.k, law.spin[0], law.spin[1]
+    ux = xi[0]
+    uy = xi[1]
+    w = xi[2]
+    k = law.k
+    kappa2 = law.spin[0]
+    spin_load = law.spin[1]
     total = spin_load * sqrt(w * w + eps * eps)
     for i in range(k.shape[0]):
-        vx, vy = ux - w * cells[1, i], uy + w * cells[0, i]
+        vx = ux - w * cells[1, i]
+        vy = uy + w * cells[0, i]
         total += k[i] * sqrt(vx * vx + vy * vy + kappa2 * w * w + eps * eps)
     return total
 
 
 @kernel(allocates=False)
 def renew_spin_load(law):
-    """Calculates K_spin anew from k."""
+    """Calculates K_spin anew from k, which loads that shift have changed."""
     if law.spin[2] > 0.0:
         total = 0.0
         for i in range(law.k.shape[0]):
@@ -180,22 +193,25 @@ def renew_spin_load(law):
 
 
 @kernel(allocates=False)
-def _begin_step(law, cells, com_x, com_y, cell_size, hat, push, known):
+def _begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known):
     """Isotropic friction does not ask how the body moved."""
 
 
 @kernel(allocates=False)
 def _add_derivatives(law, cells, eps, xi, majorize, g, H):
+    """Adds gradient and Hessian, see `add_isotropic`."""
     add_isotropic(cells[0], cells[1], law.k, law.spin[0], law.spin[1], eps, xi, majorize, g, H)
 
 
 @kernel(allocates=False)
 def _can_majorize(law):
+    """Every sum of norms has a quadratic that touches it from above."""
     return True
 
 
 @kernel(allocates=False)
 def _fill_load_derivatives(law, cells, eps, xi, f):
+    """Fills in f_i, see `fill_cell_forces`."""
     fill_cell_forces(cells[0], cells[1], law.spin, eps * eps, xi, f)
 
 

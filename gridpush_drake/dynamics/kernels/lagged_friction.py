@@ -61,43 +61,63 @@ class Lagged(NamedTuple):
 
 
 def make_lagged(k, arm, spin):
-    """Makes the law, see `FrictionLaw`."""
+    """Makes the law of an object; arguments as of `FrictionLaw.make`."""
     isotropic = make_isotropic(k, arm, spin)
-    return Lagged(isotropic.k, isotropic.spin, np.zeros(len(k)), np.zeros(len(k)), np.zeros(2))
+    n = len(k)
+    return Lagged(
+        k=isotropic.k,
+        spin=isotropic.spin,
+        dx=np.zeros(n),
+        dy=np.zeros(n),
+        sense=np.zeros(2),
+    )
 
 
 @kernel(allocates=False)
-def fill_lagged_directions(px, py, cx, cy, velocity, push, cell_size, dx, dy):
+def fill_lagged_directions(px, py, cx, cy, velocity, force_acceleration, cell_size, dx, dy):
     """Fills in the unit directions of the cells' current velocities or, at rest, of the motion the force would start.
 
     Args:
         px, py: (n,) cell centers, m.
         cx, cy: center of mass, m.
         velocity: (3,) of the center of mass, m/s, and yaw rate, rad/s, body frame.
-        push: (3,) the same that the applied force alone would give from rest.
+        force_acceleration: (3,) of the center of mass, m/s², and of the yaw, rad/s², that the
+            applied force alone would give the body.
         cell_size: m.
         dx, dy: (n,) out; zero where neither exists.
 
     Returns:
         The sense of rotation: -1, 0 or 1.
     """
-    vx, vy, w = velocity[0], velocity[1], velocity[2]
-    ux, uy, r = push[0], push[1], push[2]
+    vx = velocity[0]
+    vy = velocity[1]
+    w = velocity[2]
+    ux = force_acceleration[0]
+    uy = force_acceleration[1]
+    r = force_acceleration[2]
+
+    # A cell that the force would start much more slowly than the fastest one has no direction.
     fastest = cell_size * abs(r)
     for i in range(px.shape[0]):
-        x, y = px[i] - cx, py[i] - cy
+        x = px[i] - cx
+        y = py[i] - cy
         fastest = max(fastest, sqrt((ux - r * y) ** 2 + (uy + r * x) ** 2))
     slow = IMPENDING_AT_REST * fastest
     for i in range(px.shape[0]):
-        x, y = px[i] - cx, py[i] - cy
-        cell_x, cell_y = vx - w * y, vy + w * x
+        x = px[i] - cx
+        y = py[i] - cy
+        cell_x = vx - w * y
+        cell_y = vy + w * x
         size = sqrt(cell_x * cell_x + cell_y * cell_y)
         if size <= SPEED_AT_REST:
-            cell_x, cell_y = ux - r * y, uy + r * x
+            # at rest: the motion that the force would start
+            cell_x = ux - r * y
+            cell_y = uy + r * x
             size = sqrt(cell_x * cell_x + cell_y * cell_y)
             if size <= slow:
                 size = np.inf
-        dx[i], dy[i] = cell_x / size, cell_y / size
+        dx[i] = cell_x / size
+        dy[i] = cell_y / size
     if abs(w) > YAW_RATE_AT_REST:
         return np.sign(w)
     return np.sign(r) if abs(r) > slow / cell_size else 0.0
@@ -111,15 +131,20 @@ def add_lagged(px, py, k, dx, dy, spin_load, spin_sign, eps, xi, g, H):
     directions d_i in the body frame and spin_sign the sign of the current yaw rate (zero where
     undefined).
     """
-    ux, uy, w = xi[0], xi[1], xi[2]
+    ux = xi[0]
+    uy = xi[1]
+    w = xi[2]
     for i in range(px.shape[0]):
-        row0, row1 = dx[i], dy[i]
+        row0 = dx[i]
+        row1 = dy[i]
         row2 = px[i] * dy[i] - py[i] * dx[i]
         slope, bend = _smooth_ramp(row0 * ux + row1 * uy + row2 * w, eps)
         load = k[i] * slope
+        # k_i r' row_i
         g[0] += load * row0
         g[1] += load * row1
         g[2] += load * row2
+        # k_i r'' row_i row_i^T
         load = k[i] * bend
         add_symmetric(
             H, load, row0 * row0, row0 * row1, row0 * row2, row1 * row1, row1 * row2, row2 * row2
@@ -139,27 +164,33 @@ def _smooth_ramp(z, eps):
 @kernel(allocates=False)
 def fill_lagged_cell_forces(px, py, dx, dy, spin_arm, spin_sign, eps, xi, f):
     """Fills f (3, >= n) with the derivative of the gradient by every k_i."""
-    ux, uy, w = xi[0], xi[1], xi[2]
+    ux = xi[0]
+    uy = xi[1]
+    w = xi[2]
     slope, _ = _smooth_ramp(spin_sign * w, eps)
     spin_torque = spin_arm * slope * spin_sign
     for i in range(px.shape[0]):
         row2 = px[i] * dy[i] - py[i] * dx[i]
         slope, _ = _smooth_ramp(dx[i] * ux + dy[i] * uy + row2 * w, eps)
-        f[0, i], f[1, i], f[2, i] = slope * dx[i], slope * dy[i], slope * row2 + spin_torque
+        f[0, i] = slope * dx[i]
+        f[1, i] = slope * dy[i]
+        f[2, i] = slope * row2 + spin_torque
 
 
 @kernel(allocates=False)
-def _begin_step(law, cells, com_x, com_y, cell_size, hat, push, known):
+def _begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known):
+    """Takes the cells' directions from the motion before the step, see `fill_lagged_directions`."""
     law.sense[0] = law.sense[1] = 0.0
     if known:
         law.sense[0] = 1.0
         law.sense[1] = fill_lagged_directions(
-            cells[0], cells[1], com_x, com_y, hat, push, cell_size, law.dx, law.dy
+            cells[0], cells[1], com_x, com_y, expected_velocity, force_acceleration, cell_size, law.dx, law.dy
         )  # fmt: skip
 
 
 @kernel(allocates=False)
 def _calc_dissipation(law, cells, eps, xi):
+    """Calculates Psi, which is isotropic where no direction is known."""
     if law.sense[0] == 0.0:
         return calc_isotropic_dissipation(Isotropic(law.k, law.spin), cells, eps, xi)
     z = law.sense[1] * xi[2]
@@ -172,6 +203,7 @@ def _calc_dissipation(law, cells, eps, xi):
 
 @kernel(allocates=False)
 def _add_derivatives(law, cells, eps, xi, majorize, g, H):
+    """Adds gradient and Hessian; both are isotropic where no direction is known."""
     if law.sense[0] == 0.0:
         add_isotropic(cells[0], cells[1], law.k, law.spin[0], law.spin[1], eps, xi, majorize, g, H)
     else:
@@ -182,11 +214,13 @@ def _add_derivatives(law, cells, eps, xi, majorize, g, H):
 
 @kernel(allocates=False)
 def _can_majorize(law):
+    """Only where friction is isotropic: the smooth ramp has no such quadratic."""
     return law.sense[0] == 0.0
 
 
 @kernel(allocates=False)
 def _fill_load_derivatives(law, cells, eps, xi, f):
+    """Fills in f_i; they are isotropic where no direction is known."""
     if law.sense[0] == 0.0:
         fill_cell_forces(cells[0], cells[1], law.spin, eps * eps, xi, f)
     else:

@@ -59,12 +59,17 @@ from gridpush_drake.dynamics.kernels.support_loads import (
     make_loads,
 )
 
-_TINY_SPEED = 1e-12  # m/s
-_REACH = 2.0  # contacts closer than this many steps' motion are watched
-RECOVERY_SPEED = (
-    0.02  # m/s at which an overlap is undone at most: the body keeps its speed when it is out
-)
-_AT_REST = 2.0  # a body slower than so many stiction tolerances rests
+_TINY_SPEED = 1e-12
+"""Added to the scale of speeds, m/s, so that it is never zero."""
+
+_REACH = 2.0
+"""Contacts are watched from as far away as pusher and body move in this many steps."""
+
+RECOVERY_SPEED = 0.02
+"""Greatest speed at which an overlap is undone, m/s. The body keeps its speed when it is out."""
+
+_AT_REST = 2.0
+"""A body slower than this many stiction tolerances is taken to rest."""
 
 
 @kernel()
@@ -88,27 +93,40 @@ def rollout(
             is wanted.
         memory: (MEMORY_SIZE,) of the step before, updated; see `step_memory`.
     """
-    n, steps = body.cells.shape[1], dts.shape[0]
-    inertial, differentiate = scheme.inertial, J.shape[2] > 0
-    load0 = 0.0
+    n = body.cells.shape[1]
+    steps = dts.shape[0]
+    inertial = scheme.inertial
+    differentiate = J.shape[2] > 0
+
+    # The force that the table's friction can exert sets the scale of all forces.
+    total_friction = 0.0
     for i in range(n):
-        load0 += body.k[i]
-    hat, push, last_xi = np.zeros(3), np.zeros(3), np.zeros(3)
-    unknowns = Unknowns(np.zeros(3), np.zeros((2, 2)), np.zeros(2, np.int64))
+        total_friction += body.k[i]
+
+    # Room for all that a step calculates, made once.
+    expected_velocity = np.zeros(3)
+    force_acceleration = np.zeros(3)
+    last_twist = np.zeros(3)
+    unknowns = Unknowns(xi=np.zeros(3), lam=np.zeros((2, 2)), modes=np.zeros(2, np.int64))
     xi, lam, modes = unknowns
-    found, contacts = np.zeros((2, COLUMNS)), np.zeros((2, COLUMNS))
+    found = np.zeros((2, COLUMNS))
+    contacts = np.zeros((2, COLUMNS))
     work = make_step_work()
-    maps = PoseMaps(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)))
+    maps = PoseMaps(A=np.zeros((3, 3)), G=np.zeros((3, 3)), L=np.zeros((3, 3)))
     derivative = StepDerivative(
-        np.zeros((7, 7)), np.zeros((3, 3)), np.zeros((3, 7)), np.zeros((3, 8))
+        F=np.zeros((7, 7)), Y=np.zeros((3, 3)), D=np.zeros((3, 7)), E=np.zeros((3, 8))
     )
     width = J.shape[2]
+    rows = F_ROW + 2 if support.active else F_ROW
     columns = Columns(
-        np.zeros((F_ROW + 2 if support.active else F_ROW, width)),
-        np.zeros((6, width)),
-        np.zeros((6, 9)),
-        np.zeros((3, 6)),
+        Q=np.zeros((rows, width)),
+        N=np.zeros((6, width)),
+        Z=np.zeros((6, 9)),
+        B=np.zeros((3, 6)),
     )
+    loads = make_loads(support)
+
+    # The beginning, and what the solver remembers of the step before it.
     state = make_state(pose, velocity, body.com_x, body.com_y)
     # entry by entry: an array assigned to a slice would add a seventh to the time of compilation
     for i in range(3):
@@ -117,13 +135,16 @@ def rollout(
     if differentiate:
         start_columns(columns.Q, n, state)
         record_columns(J, row_of_step[0], columns.Q, state.c, state.s)
-    loads = make_loads(support)
-    moving_steps = recall(memory, xi, last_xi, modes, loads.tilt, loads.friction)
+    moving_steps = recall(memory, xi, last_twist, modes, loads.tilt, loads.friction)
 
     for t in range(steps):
         dt = dts[t]
+
+        # What the step sees: how the body moves, where it is touched, and what drives it.
         start = make_step_start(state, load, t, dt, scheme.ahead * dt)
-        hat[0], hat[1], hat[2] = start.hat_x, start.hat_y, start.yaw_rate
+        expected_velocity[0] = start.expected_vx
+        expected_velocity[1] = start.expected_vy
+        expected_velocity[2] = start.yaw_rate
         pusher_speed = sqrt(start.vpx * start.vpx + start.vpy * start.vpy)
         body_speed = _calc_body_speed(state, body.gyration_radius) if inertial else 0.0
         reach = _REACH * (pusher_speed + body_speed) * dt
@@ -134,24 +155,39 @@ def rollout(
             _bound_recovery(contacts, count, RECOVERY_SPEED * dt)
         for j in range(count, 2):
             modes[j] = SEPARATE
-        touch = Touch(contacts, count, start.vpx, start.vpy, body.contact_friction, dt)
+        touch = Touch(
+            contacts=contacts,
+            n_contacts=count,
+            vpx=start.vpx,
+            vpy=start.vpy,
+            mu=body.contact_friction,
+            dt=dt,
+        )
         closing = _calc_closing_speed(touch)
-        push_speed, drive_size = _fill_drive(body, inertial, start, load.point, work, push)
-        speed = pusher_speed + closing + body_speed + push_speed + _TINY_SPEED
-        eps = max(scheme.stiction if inertial else 0.0, scheme.relative_stiction * speed)
-        scales = Scales(body.gyration_radius, load0 + drive_size, speed)
+        force_speed, drive_size = _fill_drive(
+            body, inertial, start, load.point, work, force_acceleration
+        )
 
-        record.load_centers[t, :] = np.nan
+        # Friction is smoothed below eps, and errors are measured on these scales.
+        speed = pusher_speed + closing + body_speed + force_speed + _TINY_SPEED
+        eps = max(scheme.stiction if inertial else 0.0, scheme.relative_stiction * speed)
+        scales = Scales(arm=body.gyration_radius, load=total_friction + drive_size, speed=speed)
+
+        # What each cell bears now (section 8 of the theory).
+        record.load_centers[t, 0] = np.nan
+        record.load_centers[t, 1] = np.nan
         record.tips[t] = False
         if support.active:
             _shift_loads(law, body, support, state, loads, record, t)
 
         slow = not inertial or body_speed < _AT_REST * scheme.stiction
-        if slow and push_speed == 0.0 and closing <= 0.0:
+        if slow and force_speed == 0.0 and closing <= 0.0:
+            # Nothing moves it: the step is solved by rest, which depends on nothing.
             xi[:] = 0.0
             lam[:] = 0.0
             modes[:] = SEPARATE
-            status, iterations = CONVERGED, 0
+            status = CONVERGED
+            iterations = 0
             moving_steps = 0
             derivative.Y[:] = 0.0
             derivative.E[:] = 0.0
@@ -159,21 +195,36 @@ def rollout(
             if support.active:
                 columns.Q[6:, :] = 0.0
         else:
-            _guess(xi, last_xi, moving_steps, start, inertial and body_speed > 0.0, body)
+            _guess_twist(xi, last_twist, moving_steps, start, inertial and body_speed > 0.0, body)
             moving_steps += 1
-            # A pusher's force is not known beforehand.
-            known = not (slow and push_speed == 0.0)
-            begin_step(law, body.cells, body.com_x, body.com_y, body.cell_size, hat, push, known)
+            # From rest only an applied force says where the body goes; a pusher's force is not
+            # known beforehand.
+            known = not (slow and force_speed == 0.0)
+            begin_step(
+                law,
+                body.cells,
+                body.com_x,
+                body.com_y,
+                body.cell_size,
+                expected_velocity,
+                force_acceleration,
+                known,
+            )
             status, iterations = solve_step(law, body.cells, touch, scales, eps, unknowns, work)
             if support.active:
                 _find_friction(touch, unknowns, work, loads)
             if differentiate:
                 _differentiate_step(touch, scales, unknowns, work, found, start, derivative)
 
-        record.statuses[t, 0], record.statuses[t, 1] = status, iterations
+        # The pose moves by the twist (section 5 of the theory).
+        record.statuses[t, 0] = status
+        record.statuses[t, 1] = iterations
         d0, d1, new_x, new_y = calc_displacement_maps(
             xi, dt, inertial, start.a, body.com_x, body.com_y, maps
         )
+
+        # The columns of the derivative go over the step before the state does: they need the old
+        # one. Rows 6 to 8 of Q are the forces f that act on the step's equations.
         if differentiate:
             if not support.active:
                 fill_load_derivatives(law, body.cells, eps, xi, columns.Q[6:])
@@ -183,10 +234,23 @@ def rollout(
                 fill_load_columns(support, body.cells, loads, law.k, columns.Q, OTHER)
                 add_load_variations(loads, columns.Q)
             step_columns(
-                columns, body, inertial, maps, derivative, xi, start, load.path_length, load.point, new_x, new_y,
+                columns,
+                body,
+                inertial,
+                maps,
+                derivative,
+                xi,
+                start,
+                load.path_length,
+                load.point,
+                new_x,
+                new_y,
                 loads.H,
-            )  # fmt: skip
-        forward_x, forward_y = state.c * d0 - state.s * d1, state.s * d0 + state.c * d1
+            )
+
+        # Displacement in W, and what is recorded of the step.
+        forward_x = state.c * d0 - state.s * d1
+        forward_y = state.s * d0 + state.c * d1
         _record_contacts(
             record,
             t,
@@ -204,7 +268,7 @@ def rollout(
         _record_state(record, t + 1, state)
         if differentiate:
             record_columns(J, row_of_step[t + 1], columns.Q, state.c, state.s)
-    remember(memory, xi, last_xi, modes, moving_steps, loads.tilt, loads.friction)
+    remember(memory, xi, last_twist, modes, moving_steps, loads.tilt, loads.friction)
     record.gaps[steps] = _measure_last_gap(edges, load, state, found)
 
 
@@ -225,28 +289,65 @@ def rollout_pushes(law, body, support, edges, scheme, pushes, row_of_step, poses
     longest = 0
     for p in range(touched.shape[0]):
         longest = max(longest, pushes.first[p + 1] - pushes.first[p])
+
+    # One record for the longest push, of which each push uses the beginning.
     whole = Steps(
-        np.empty((longest + 1, 3)), np.empty((longest, 3)), np.empty((longest + 1, 3)), np.empty((longest, 2, 2)),
-        np.empty((longest, 2, 2)), np.empty((longest, 2), np.int64), np.empty(longest + 1), np.empty((longest, 2)),
-        np.empty(longest, np.bool_), np.empty((longest, 2), np.int64),
-    )  # fmt: skip
-    wrench, point, still = np.zeros((longest, 3)), np.zeros(2), np.zeros(3)
+        poses=np.empty((longest + 1, 3)),
+        twists=np.empty((longest, 3)),
+        velocities=np.empty((longest + 1, 3)),
+        contact_forces=np.empty((longest, 2, 2)),
+        contact_points=np.empty((longest, 2, 2)),
+        modes=np.empty((longest, 2), np.int64),
+        gaps=np.empty(longest + 1),
+        load_centers=np.empty((longest, 2)),
+        tips=np.empty(longest, np.bool_),
+        statuses=np.empty((longest, 2), np.int64),
+    )
+    wrench = np.zeros((longest, 3))
+    point = np.zeros(2)
+    still = np.zeros(3)
     for p in range(touched.shape[0]):
-        first, last = pushes.first[p], pushes.first[p + 1]
-        steps, begin, end = last - first, first + p, last + p + 1
+        first = pushes.first[p]
+        last = pushes.first[p + 1]
+        steps = last - first
+        begin = first + p
+        end = last + p + 1
         load = Load(
-            pushes.tips[begin:end], pushes.path_lengths[p], pushes.radii[p], wrench[:steps], point
+            tip=pushes.tips[begin:end],
+            path_length=pushes.path_lengths[p],
+            radius=pushes.radii[p],
+            wrench=wrench[:steps],
+            point=point,
         )
         record = Steps(
-            whole.poses[: steps + 1], whole.twists[:steps], whole.velocities[: steps + 1], whole.contact_forces[:steps],
-            whole.contact_points[:steps], whole.modes[:steps], whole.gaps[: steps + 1], whole.load_centers[:steps],
-            whole.tips[:steps], whole.statuses[:steps],
-        )  # fmt: skip
+            poses=whole.poses[: steps + 1],
+            twists=whole.twists[:steps],
+            velocities=whole.velocities[: steps + 1],
+            contact_forces=whole.contact_forces[:steps],
+            contact_points=whole.contact_points[:steps],
+            modes=whole.modes[:steps],
+            gaps=whole.gaps[: steps + 1],
+            load_centers=whole.load_centers[:steps],
+            tips=whole.tips[:steps],
+            statuses=whole.statuses[:steps],
+        )
         rows = row_of_step[begin:end]
+        # Every push begins at rest, and nothing is remembered of the one before.
         rollout(
-            law, body, support, edges, scheme, load, pushes.poses[p], still, pushes.dts[first:last], rows, record, J,
+            law,
+            body,
+            support,
+            edges,
+            scheme,
+            load,
+            pushes.poses[p],
+            still,
+            pushes.dts[first:last],
+            rows,
+            record,
+            J,
             np.zeros(MEMORY_SIZE),
-        )  # fmt: skip
+        )
         for t in range(steps + 1):
             if rows[t] >= 0:
                 for i in range(3):
@@ -273,10 +374,15 @@ def _shift_loads(law, body, support, state, loads, record, t):
 def _find_friction(touch, unknowns, work, loads):
     """Fills in the friction with the table, which balances contact, drive and inertia, and its Hessian's rows."""
     xi, lam, modes = unknowns
-    contacts, H, H0, friction = touch.contacts, work.H, work.H0, loads.friction
+    contacts = touch.contacts
+    H = work.H
+    H0 = work.H0
+    friction = loads.friction
     for i in range(2):
+        # drive - H0 xi is what inertia and the applied force leave for contact and friction
         friction[i] = work.drive[i] - H0[i, 0] * xi[0] - H0[i, 1] * xi[1] - H0[i, 2] * xi[2]
         for j in range(3):
+            # the friction's part of the Hessian
             loads.H[i, j] = H[i, j] - H0[i, j]
     for j in range(touch.n_contacts):
         if modes[j] != SEPARATE:
@@ -286,7 +392,7 @@ def _find_friction(touch, unknowns, work, loads):
 
 @kernel(allocates=False)
 def _calc_body_speed(state, arm):
-    """The center of mass's speed, and that of what is an arm away from it, m/s."""
+    """Adds the center of mass's speed and the speed at which what is an arm away turns about it, m/s."""
     return sqrt(state.com_vx * state.com_vx + state.com_vy * state.com_vy) + arm * abs(
         state.yaw_rate
     )
@@ -301,7 +407,8 @@ def _find_step_contacts(edges, radius, ahead, start, reach, found, contacts):
     if count == 0:
         return 0, np.inf
     if ahead > 0.0:
-        dx, dy = start.h * start.rx, start.h * start.ry
+        dx = start.h * start.rx
+        dy = start.h * start.ry
         count = look_ahead(edges, start.tx, start.ty, dx, dy, radius, reach, found, contacts)
     else:
         for j in range(found.shape[0]):
@@ -333,66 +440,79 @@ def _calc_closing_speed(touch):
 
 
 @kernel(allocates=False)
-def _fill_drive(body, inertial, start, point, work, push):
-    """Fills in H0, the drive and `push` (3,), the acceleration that the applied force alone gives the body.
+def _fill_drive(body, inertial, start, point, work, force_acceleration):
+    """Fills in H0, the drive, and the acceleration (3,) that the applied force alone gives the body.
 
     Returns:
         The speed that it gives in a step, m/s, and the size of the drive, N.
     """
-    mass, com_x, com_y, inertia, arm = (
-        body.mass,
-        body.com_x,
-        body.com_y,
-        body.inertia,
-        body.gyration_radius,
-    )
-    fx, fy, dt, yaw_rate = start.fx, start.fy, start.dt, start.yaw_rate
-    H0, drive = work.H0, work.drive
+    mass = body.mass
+    com_x = body.com_x
+    com_y = body.com_y
+    inertia = body.inertia
+    arm = body.gyration_radius
+    fx = start.fx
+    fy = start.fy
+    dt = start.dt
+    yaw_rate = start.yaw_rate
+    H0 = work.H0
+    drive = work.drive
     moment = point[0] * fy - point[1] * fx + start.couple
     if inertial:
-        drive[0], drive[1] = mass * start.hat_x / dt + fx, mass * start.hat_y / dt + fy
+        # M_B xi_hat/dt + W, about B's origin
+        drive[0] = mass * start.expected_vx / dt + fx
+        drive[1] = mass * start.expected_vy / dt + fy
         drive[2] = (
             inertia * yaw_rate / dt
-            + mass * (com_x * start.hat_y - com_y * start.hat_x) / dt
+            + mass * (com_x * start.expected_vy - com_y * start.expected_vx) / dt
             + moment
         )
-        push[0], push[1], push[2] = (
-            fx / mass,
-            fy / mass,
-            (moment - com_x * fy + com_y * fx) / inertia,
-        )
+        # F/m and the moment about the center of mass over I
+        force_acceleration[0] = fx / mass
+        force_acceleration[1] = fy / mass
+        force_acceleration[2] = (moment - com_x * fy + com_y * fx) / inertia
+        # M_B/dt
         H0[0, 0] = H0[1, 1] = mass / dt
         H0[0, 2] = H0[2, 0] = -mass * com_y / dt
         H0[1, 2] = H0[2, 1] = mass * com_x / dt
         H0[2, 2] = (inertia + mass * (com_x * com_x + com_y * com_y)) / dt
     drive_size = sqrt(drive[0] * drive[0] + drive[1] * drive[1]) + abs(drive[2]) / arm
-    push_speed = (sqrt(push[0] * push[0] + push[1] * push[1]) + arm * abs(push[2])) * dt
-    return push_speed, drive_size
+    force_speed = (
+        sqrt(
+            force_acceleration[0] * force_acceleration[0]
+            + force_acceleration[1] * force_acceleration[1]
+        )
+        + arm * abs(force_acceleration[2])
+    ) * dt
+    return force_speed, drive_size
 
 
 @kernel(allocates=False)
-def _guess(xi, last_xi, moving_steps, start, moves, body):
+def _guess_twist(xi, last_twist, moving_steps, start, moves, body):
     """Guesses the twist: extrapolated, as it was, the body's own where it moves, or the pusher's."""
     if moving_steps >= MOVING:
+        # the last two twists, continued
         for i in range(3):
-            last_xi[i], xi[i] = xi[i], 2.0 * xi[i] - last_xi[i]
+            last_twist[i], xi[i] = xi[i], 2.0 * xi[i] - last_twist[i]
     elif moving_steps == 1:
         for i in range(3):
-            last_xi[i] = xi[i]
+            last_twist[i] = xi[i]
     elif moves:
+        # that of a body that goes on as it was, u = v_com - w z × c
         yaw_rate = start.yaw_rate
-        xi[0], xi[1], xi[2] = (
-            start.hat_x + yaw_rate * body.com_y,
-            start.hat_y - yaw_rate * body.com_x,
-            yaw_rate,
-        )
+        xi[0] = start.expected_vx + yaw_rate * body.com_y
+        xi[1] = start.expected_vy - yaw_rate * body.com_x
+        xi[2] = yaw_rate
     else:
-        xi[0], xi[1], xi[2] = start.vpx, start.vpy, 0.0
+        # from rest: as if the pusher took it along
+        xi[0] = start.vpx
+        xi[1] = start.vpy
+        xi[2] = 0.0
 
 
 @kernel(allocates=False)
 def _differentiate_step(touch, scales, unknowns, work, found, start, derivative):
-    """Fills in the derivative of a step; zeros where it has none."""
+    """Fills in the derivative of a step, with zeros if it has none."""
     compliance = calc_compliance(touch, scales)
     if calc_step_derivative(work.H, touch, compliance, unknowns, work.K, work.X, derivative):
         calc_input_derivative(found[0], start, derivative)
@@ -404,21 +524,22 @@ def _differentiate_step(touch, scales, unknowns, work, found, start, derivative)
 @kernel(allocates=False)
 def _record_contacts(record, t, touch, unknowns, start, x, y):
     """Records modes, forces and points of step t; (x, y) is where B's origin is when the step looks at the body, m."""
-    contacts, modes, lam, step_c, step_s = (
-        touch.contacts,
-        unknowns.modes,
-        unknowns.lam,
-        start.step_c,
-        start.step_s,
-    )
-    forces, points = record.contact_forces, record.contact_points
+    contacts = touch.contacts
+    modes = unknowns.modes
+    lam = unknowns.lam
+    step_c = start.step_c
+    step_s = start.step_s
+    forces = record.contact_forces
+    points = record.contact_points
     for j in range(2):
         record.modes[t, j] = modes[j]
         touching = j < touch.n_contacts and modes[j] != SEPARATE
         bx = contacts[j, NX] * lam[j, 0] - contacts[j, NY] * lam[j, 1] if touching else 0.0
         by = contacts[j, NY] * lam[j, 0] + contacts[j, NX] * lam[j, 1] if touching else 0.0
-        forces[t, j, 0], forces[t, j, 1] = step_c * bx - step_s * by, step_s * bx + step_c * by
-        cx, cy = contacts[j, CX] if touching else np.nan, contacts[j, CY] if touching else np.nan
+        forces[t, j, 0] = step_c * bx - step_s * by
+        forces[t, j, 1] = step_s * bx + step_c * by
+        cx = contacts[j, CX] if touching else np.nan
+        cy = contacts[j, CY] if touching else np.nan
         points[t, j, 0] = x + step_c * cx - step_s * cy
         points[t, j, 1] = y + step_s * cx + step_c * cy
 
@@ -426,12 +547,15 @@ def _record_contacts(record, t, touch, unknowns, start, x, y):
 @kernel(allocates=False)
 def _record_state(record, t, state):
     """Records the pose, and the velocity of B's origin in W."""
-    c, s, body_x, body_y = state.c, state.s, state.body_x, state.body_y
-    record.poses[t, 0], record.poses[t, 1], record.poses[t, 2] = state.x, state.y, state.theta
-    record.velocities[t, 0], record.velocities[t, 1] = (
-        c * body_x - s * body_y,
-        s * body_x + c * body_y,
-    )
+    c = state.c
+    s = state.s
+    body_x = state.body_x
+    body_y = state.body_y
+    record.poses[t, 0] = state.x
+    record.poses[t, 1] = state.y
+    record.poses[t, 2] = state.theta
+    record.velocities[t, 0] = c * body_x - s * body_y
+    record.velocities[t, 1] = s * body_x + c * body_y
     record.velocities[t, 2] = state.yaw_rate
 
 
@@ -440,7 +564,10 @@ def _measure_last_gap(edges, load, state, found):
     """The gap when the push ends, m; infinite where the disc is further away than its radius."""
     if load.radius <= 0.0:
         return np.inf
-    c, s, tip, last = state.c, state.s, load.tip, load.tip.shape[0] - 1
+    c = state.c
+    s = state.s
+    tip = load.tip
+    last = load.tip.shape[0] - 1
     tx = c * (tip[last, 0] - state.x) + s * (tip[last, 1] - state.y)
     ty = -s * (tip[last, 0] - state.x) + c * (tip[last, 1] - state.y)
     if find_contacts(edges, tx, ty, load.radius, load.radius, found) == 0:

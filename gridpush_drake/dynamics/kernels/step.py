@@ -24,18 +24,34 @@ from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact import CX, CY, NX, NY
 from gridpush_drake.dynamics.kernels.contact_modes import calc_compliance, solve_modes
 from gridpush_drake.dynamics.kernels.friction import add_derivatives, can_majorize
+from gridpush_drake.dynamics.kernels.small_matrix import apply_row
 
-CONVERGED, NOT_CONVERGED = 0, 1
+CONVERGED = 0
+"""Status of a step that was solved."""
+
+NOT_CONVERGED = 1
+"""Status of a step whose residual, or whose contact modes, are off by too much."""
 
 _NEWTON_LIMIT = 15
+"""Most Newton iterations from the guess. If they do not suffice, continuation begins."""
+
 _ITERATION_LIMIT = 40
-_SLOW = (
-    0.5  # a Newton step that leaves more of the residual than this is followed by a majorizing one
-)
-_FINAL_RESIDUAL = 1e-8  # of the load: one more Newton step squares it
-_MAX_RESIDUAL = 1e-6  # of the load, for a step to count as solved
-_SHARPEN = 0.1  # of the tolerance, in a step of the continuation
+"""Most Newton iterations at each tolerance of the continuation."""
+
+_SLOW = 0.5
+"""A Newton step that leaves more than this share of the residual is followed by a majorizing one."""
+
+_FINAL_RESIDUAL = 1e-8
+"""Residual, as a share of the load, at which one last Newton step is taken: it squares the rest."""
+
+_MAX_RESIDUAL = 1e-6
+"""Greatest residual of a step that counts as solved, as a share of the load."""
+
+_SHARPEN = 0.1
+"""Factor by which each step of the continuation lowers the stiction tolerance."""
+
 _MIN_SHARPENING = 0.97
+"""The continuation gives up where it fails even with a factor as near to 1 as this."""
 
 
 class StepWork(NamedTuple):
@@ -44,7 +60,7 @@ class StepWork(NamedTuple):
     Attributes:
         H0, drive: (3, 3), (3,) inertia over dt and what drives the body, N; zero in the
             quasi-static regime.
-        g, H: (3,), (3, 3) gradient and Hessian, left as last used.
+        g, H: (3,), (3, 3) gradient and Hessian of inertia and friction, left as last used.
         rhs, scratch, last, before: workspace (3,).
         K, X: workspace (7, 7).
     """
@@ -63,21 +79,40 @@ class StepWork(NamedTuple):
 
 @kernel()
 def make_step_work():
-    """Makes it, of zeros."""
-    H0, H, K, X = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((7, 7)), np.zeros((7, 7))
+    """Makes a workspace for one step, filled with zeros."""
     return StepWork(
-        H0, np.zeros(3), np.zeros(3), H, np.zeros(3), np.zeros(3), K, X, np.zeros(3), np.zeros(3)
+        H0=np.zeros((3, 3)),
+        drive=np.zeros(3),
+        g=np.zeros(3),
+        H=np.zeros((3, 3)),
+        rhs=np.zeros(3),
+        scratch=np.zeros(3),
+        K=np.zeros((7, 7)),
+        X=np.zeros((7, 7)),
+        last=np.zeros(3),
+        before=np.zeros(3),
     )
 
 
 @kernel(allocates=False)
-def _residual(g, touch, scales, lam):
-    """Norm of g - sum_c J^T lam, its moment over the arm, over the load and the contact forces."""
+def _calc_residual(g, touch, scales, lam):
+    """Calculates how far the step's balance of forces is from zero.
+
+    Returns:
+        The norm of g - sum_c J^T lam, whose moment is divided by `scales.arm`, as a share of the
+        load and the contact forces.
+    """
     contacts = touch.contacts
-    r0, r1, r2 = g[0], g[1], g[2]
+    r0 = g[0]
+    r1 = g[1]
+    r2 = g[2]
     scale = scales.load
     for c in range(touch.n_contacts):
-        nx, ny, cx, cy = contacts[c, NX], contacts[c, NY], contacts[c, CX], contacts[c, CY]
+        nx = contacts[c, NX]
+        ny = contacts[c, NY]
+        cx = contacts[c, CX]
+        cy = contacts[c, CY]
+        # N lam_n + T lam_t with T = z × N, and its moment about B's origin
         fx = nx * lam[c, 0] - ny * lam[c, 1]
         fy = ny * lam[c, 0] + nx * lam[c, 1]
         r0 -= fx
@@ -89,25 +124,41 @@ def _residual(g, touch, scales, lam):
 
 
 @kernel(allocates=False)
-def _newton(law, cells, touch, scales, eps, unknowns, work, limit):
-    """Newton's method at one stiction tolerance; returns (status, iterations)."""
-    H0, drive, g, H, rhs, scratch, K, X = (
-        work.H0, work.drive, work.g, work.H, work.rhs, work.scratch, work.K, work.X,
-    )  # fmt: skip
+def _iterate(law, cells, touch, scales, eps, unknowns, work, limit):
+    """Solves a step at one stiction tolerance by Newton's method.
+
+    Args:
+        limit: most iterations; the others are those of `solve_step`.
+
+    Returns:
+        (status, iterations).
+    """
+    H0 = work.H0
+    drive = work.drive
+    g = work.g
+    H = work.H
+    rhs = work.rhs
+    scratch = work.scratch
+    K = work.K
+    X = work.X
     xi = unknowns.xi
     compliance = calc_compliance(touch, scales)
     previous = np.inf
     majorize = False
     residual = np.inf
     for iteration in range(limit):
+        # Gradient H0 xi - drive + grad Psi, and its Hessian.
         for i in range(3):
-            g[i] = H0[i, 0] * xi[0] + H0[i, 1] * xi[1] + H0[i, 2] * xi[2] - drive[i]
+            g[i] = apply_row(H0, i, xi[0], xi[1], xi[2]) - drive[i]
             for j in range(3):
                 H[i, j] = H0[i, j]
         add_derivatives(law, cells, eps, xi, False, g, H)
+
+        # The contact forces of the last iteration say how well it solved the step. Where Newton's
+        # method hardly gets on, the next step is a majorizing one, which always descends.
         last = False
         if iteration > 0:
-            residual = _residual(g, touch, scales, unknowns.lam)
+            residual = _calc_residual(g, touch, scales, unknowns.lam)
             rounding = residual < _MAX_RESIDUAL and residual > _SLOW * previous
             last = residual < _FINAL_RESIDUAL or rounding
             majorize = not (last or majorize) and residual > _SLOW * previous and can_majorize(law)
@@ -117,8 +168,10 @@ def _newton(law, cells, touch, scales, eps, unknowns, work, limit):
                     for j in range(3):
                         H[i, j] = H0[i, j]
                 add_derivatives(law, cells, eps, xi, True, scratch, H)
+
+        # The linearized step, with the contact modes that fit it.
         for i in range(3):
-            rhs[i] = H[i, 0] * xi[0] + H[i, 1] * xi[1] + H[i, 2] * xi[2] - g[i]
+            rhs[i] = apply_row(H, i, xi[0], xi[1], xi[2]) - g[i]
         worst = solve_modes(H, rhs, touch, scales, compliance, K, X, unknowns)
         if not (worst < np.inf):
             return NOT_CONVERGED, iteration + 1
@@ -144,21 +197,24 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
     Returns:
         (status, iterations).
     """
-    status, iterations = _newton(law, cells, touch, scales, eps, unknowns, work, _NEWTON_LIMIT)
+    status, iterations = _iterate(law, cells, touch, scales, eps, unknowns, work, _NEWTON_LIMIT)
     if status == CONVERGED:
         return status, iterations
     # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by
     # smaller factors where it fails. Cells that stick at the end move in proportion to the
     # tolerance, so the secant through the last two solutions predicts the next.
-    last, before = work.last, work.before
+    last = work.last
+    before = work.before
     last[:] = 0.0
     before[:] = 0.0
-    last_tolerance, before_tolerance = np.inf, np.inf
-    tolerance, factor = scales.speed, _SHARPEN
+    last_tolerance = np.inf
+    before_tolerance = np.inf
+    tolerance = scales.speed
+    factor = _SHARPEN
     xi = unknowns.xi
     xi[:] = 0.0
     while True:
-        status, used = _newton(
+        status, used = _iterate(
             law, cells, touch, scales, tolerance, unknowns, work, _ITERATION_LIMIT
         )
         iterations += used
@@ -166,10 +222,13 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
             if tolerance == eps:
                 return status, iterations
             for i in range(3):
-                before[i], last[i] = last[i], xi[i]
-            before_tolerance, last_tolerance = last_tolerance, tolerance
+                before[i] = last[i]
+                last[i] = xi[i]
+            before_tolerance = last_tolerance
+            last_tolerance = tolerance
             factor = max(factor * factor, _SHARPEN)
         elif last_tolerance < np.inf and factor < _MIN_SHARPENING:
+            # Once more from the last solution, with a smaller stride.
             factor = sqrt(factor)
         else:
             return status, iterations

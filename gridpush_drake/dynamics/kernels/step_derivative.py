@@ -20,8 +20,8 @@ from gridpush_drake.dynamics.kernels.contact_modes import (
     STICK,
     build_contact_system,
     relax_jam,
-    solve_dense,
 )
+from gridpush_drake.dynamics.kernels.small_matrix import solve_dense
 
 T_X, T_Y, AHEAD_X, AHEAD_Y, V_X, V_Y, FRICTION = range(7)
 """What a step depends on through its contacts: t, t_m, the pusher's velocity v_p, and mu_c."""
@@ -58,7 +58,9 @@ def calc_step_derivative(H, touch, compliance, unknowns, K, X, derivative):
     """
     contacts, count, vpx, vpy, _, dt = touch
     xi, lam, modes = unknowns
-    F, Y, D = derivative.F, derivative.Y, derivative.D
+    F = derivative.F
+    Y = derivative.Y
+    D = derivative.D
     size = build_contact_system(H, touch, modes, compliance, K)
     F[:size, :] = 0.0
     row = 3
@@ -66,15 +68,28 @@ def calc_step_derivative(H, touch, compliance, unknowns, K, X, derivative):
         mode = modes[c]
         if mode == SEPARATE:
             continue
-        nx, ny, cx, cy, bend = (
-            contacts[c, NX], contacts[c, NY], contacts[c, CX], contacts[c, CY], contacts[c, BEND],
-        )  # fmt: skip
-        tx, ty = -ny, nx
-        c_cross_n, c_cross_t = cx * ny - cy * nx, cx * ty - cy * tx
-        dn0, dn1, dn2 = -bend * tx, -bend * ty, -bend * c_cross_t
+        nx = contacts[c, NX]
+        ny = contacts[c, NY]
+        cx = contacts[c, CX]
+        cy = contacts[c, CY]
+        bend = contacts[c, BEND]
+
+        # How the rows J_n = (N, c × N) and J_t = (T, c × T) vary with alpha = T·dt_m. At a vertex
+        # the normal turns by -bend alpha; on an edge the contact point moves along by alpha.
+        tx = -ny
+        ty = nx
+        c_cross_n = cx * ny - cy * nx
+        c_cross_t = cx * ty - cy * tx
+        dn0 = -bend * tx
+        dn1 = -bend * ty
+        dn2 = -bend * c_cross_t
         if bend == 0.0:
             dn2 = -1.0
-        dt0, dt1, dt2 = bend * nx, bend * ny, bend * c_cross_n
+        dt0 = bend * nx
+        dt1 = bend * ny
+        dt2 = bend * c_cross_n
+
+        # The balance of forces, rows 0 to 2: -dJ_n^T lam_n - dJ_t^T lam_t.
         f0 = -(dn0 * lam[c, 0] + dt0 * lam[c, 1])
         f1 = -(dn1 * lam[c, 0] + dt1 * lam[c, 1])
         f2 = -(dn2 * lam[c, 0] + dt2 * lam[c, 1])
@@ -84,21 +99,32 @@ def calc_step_derivative(H, touch, compliance, unknowns, K, X, derivative):
         F[1, AHEAD_Y] += f1 * ty
         F[2, AHEAD_X] += f2 * tx
         F[2, AHEAD_Y] += f2 * ty
+
+        # The normal row: J_n xi - N·v_p + gap/dt, whose gap is that at the beginning of the step.
         along = dn0 * xi[0] + dn1 * xi[1] + dn2 * xi[2] - dn0 * vpx - dn1 * vpy
-        F[row, T_X], F[row, T_Y] = -contacts[c, GX] / dt, -contacts[c, GY] / dt
-        F[row, AHEAD_X], F[row, AHEAD_Y] = along * tx, along * ty
-        F[row, V_X], F[row, V_Y] = -nx, -ny
+        F[row, T_X] = -contacts[c, GX] / dt
+        F[row, T_Y] = -contacts[c, GY] / dt
+        F[row, AHEAD_X] = along * tx
+        F[row, AHEAD_Y] = along * ty
+        F[row, V_X] = -nx
+        F[row, V_Y] = -ny
         row += 1
         if mode == STICK:
+            # The tangential row: J_t xi - T·v_p.
             along = dt0 * xi[0] + dt1 * xi[1] + dt2 * xi[2] - dt0 * vpx - dt1 * vpy
-            F[row, AHEAD_X], F[row, AHEAD_Y] = along * tx, along * ty
-            F[row, V_X], F[row, V_Y] = -tx, -ty
+            F[row, AHEAD_X] = along * tx
+            F[row, AHEAD_Y] = along * ty
+            F[row, V_X] = -tx
+            F[row, V_Y] = -ty
             row += 1
         else:
+            # Sliding: lam_t = ± mu_c lam_n, so mu_c acts on the balance of forces.
             slide = lam[c, 0] if mode == SLIDE_PLUS else -lam[c, 0]
             F[0, FRICTION] -= slide * tx
             F[1, FRICTION] -= slide * ty
             F[2, FRICTION] -= slide * c_cross_t
+
+    # Y are the first rows of K^-1, and D = -K^-1 F.
     if size == 7:
         relax_jam(contacts, F, 7)
     X[:size, :size] = 0.0
@@ -134,17 +160,33 @@ def calc_input_derivative(first, start, derivative):
         start: `StepStart`.
         derivative: its D from `calc_step_derivative`; its E is filled.
     """
-    D, E = derivative.D, derivative.E
-    n0x, n0y, bend0 = first[NX], first[NY], first[BEND]
-    h, w, tx, ty, rx, ry, vpx, vpy = (
-        start.h, start.yaw_rate, start.tx, start.ty, start.rx, start.ry, start.vpx, start.vpy,
-    )  # fmt: skip
-    t0x, t0y = -n0y, n0x
-    along, across = t0x * rx + t0y * ry, n0x * rx + n0y * ry
-    bx, by = h * bend0 * (n0x * along + t0x * across), h * bend0 * (n0y * along + t0y * across)
-    ca, sa = cos(start.a), sin(start.a)
+    D = derivative.D
+    E = derivative.E
+    n0x = first[NX]
+    n0y = first[NY]
+    bend0 = first[BEND]
+    h = start.h
+    w = start.yaw_rate
+    tx = start.tx
+    ty = start.ty
+    rx = start.rx
+    ry = start.ry
+    vpx = start.vpx
+    vpy = start.vpy
+    t0x = -n0y
+    t0y = n0x
+    along = t0x * rx + t0y * ry
+    across = n0x * rx + n0y * ry
+    # dt_m/dt, besides the identity: as t moves along T_0 the directions of the look ahead turn.
+    bx = h * bend0 * (n0x * along + t0x * across)
+    by = h * bend0 * (n0y * along + t0y * across)
+    ca = cos(start.a)
+    sa = sin(start.a)
     for i in range(3):
-        mx, my, vx, vy = D[i, AHEAD_X], D[i, AHEAD_Y], D[i, V_X], D[i, V_Y]
+        mx = D[i, AHEAD_X]
+        my = D[i, AHEAD_Y]
+        vx = D[i, V_X]
+        vy = D[i, V_Y]
         bent = mx * bx + my * by
         slid = h * (mx * t0x + my * t0y)
         # d xi / d tdot is slid T_0^T; tdot depends on t by -w z × t

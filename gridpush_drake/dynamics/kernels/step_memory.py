@@ -16,31 +16,40 @@ MOVING (1); the loads' tilt (2) and the friction with the table (2), see `suppor
 MOVING = 2
 """Steps moved in a row from which on the twist is extrapolated."""
 
-_LAST, _MODES, _MOVING_STEPS, _TILT, _FRICTION = 3, 6, 8, 9, 11
+_LAST = 3
+_MODES = 6
+_MOVING_STEPS = 8
+_TILT = 9
+_FRICTION = 11
 
 
 def make_memory() -> NDArray[np.float64]:
-    """(MEMORY_SIZE,) of a body that was at rest."""
+    """Makes the memory (MEMORY_SIZE,) of a body that was at rest."""
     return np.zeros(MEMORY_SIZE)
 
 
 @kernel(allocates=False)
-def recall(memory, xi, last_xi, modes, tilt, friction):
+def recall(memory, xi, last_twist, modes, tilt, friction):
     """Fills twists (3,), modes, tilt and friction (2,) from the memory; returns the steps moved in a row."""
     for i in range(3):
-        xi[i], last_xi[i] = memory[i], memory[_LAST + i]
+        xi[i] = memory[i]
+        last_twist[i] = memory[_LAST + i]
     for j in range(2):
         modes[j] = int(memory[_MODES + j])
-        tilt[j], friction[j] = memory[_TILT + j], memory[_FRICTION + j]
+        tilt[j] = memory[_TILT + j]
+        friction[j] = memory[_FRICTION + j]
     return int(memory[_MOVING_STEPS])
 
 
 @kernel(allocates=False)
-def remember(memory, xi, last_xi, modes, moving_steps, tilt, friction):
-    """Fills the memory (MEMORY_SIZE,)."""
+def remember(memory, xi, last_twist, modes, moving_steps, tilt, friction):
+    """Writes what `recall` reads into the memory (MEMORY_SIZE,)."""
     for i in range(3):
-        memory[i], memory[_LAST + i] = xi[i], last_xi[i]
+        memory[i] = xi[i]
+        memory[_LAST + i] = last_twist[i]
     for j in range(2):
         memory[_MODES + j] = modes[j]
-        memory[_TILT + j], memory[_FRICTION + j] = tilt[j], friction[j]
+        memory[_TILT + j] = tilt[j]
+        memory[_FRICTION + j] = friction[j]
+    # More than MOVING steps tell nothing more, and a count that grows would never be the same.
     memory[_MOVING_STEPS] = min(moving_steps, MOVING)

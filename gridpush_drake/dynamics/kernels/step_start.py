@@ -45,7 +45,8 @@ class StepStart(NamedTuple):
         c, s: cosine and sine of theta.
         step_c, step_s: of theta + a.
         yaw_rate: rad/s.
-        hat_x, hat_y: velocity of the center of mass, frame of the step, m/s.
+        expected_vx, expected_vy: velocity of the center of mass, which it is expected to keep,
+            frame of the step, m/s.
         tx, ty: the disc's center t, m.
         vx, vy: its velocity, m/s.
         vpx, vpy: the same in the frame of the step.
@@ -63,8 +64,8 @@ class StepStart(NamedTuple):
     step_c: float
     step_s: float
     yaw_rate: float
-    hat_x: float
-    hat_y: float
+    expected_vx: float
+    expected_vy: float
     tx: float
     ty: float
     vx: float
@@ -85,41 +86,93 @@ class StepStart(NamedTuple):
 @kernel(allocates=False)
 def make_state(pose, velocity, com_x, com_y):
     """Makes the state of q (3,) and nu (3,), the velocity of B's origin in W, m/s, and yaw rate, rad/s."""
-    c, s = cos(pose[2]), sin(pose[2])
+    c = cos(pose[2])
+    s = sin(pose[2])
     yaw_rate = velocity[2]
-    body_x, body_y = c * velocity[0] + s * velocity[1], -s * velocity[0] + c * velocity[1]
-    com_vx, com_vy = body_x - yaw_rate * com_y, body_y + yaw_rate * com_x
-    return State(pose[0], pose[1], pose[2], c, s, com_vx, com_vy, yaw_rate, body_x, body_y)
+    # R^T v: the velocity of B's origin in the body frame; the center of mass moves with u + w z × c.
+    body_x = c * velocity[0] + s * velocity[1]
+    body_y = -s * velocity[0] + c * velocity[1]
+    return State(
+        x=pose[0],
+        y=pose[1],
+        theta=pose[2],
+        c=c,
+        s=s,
+        com_vx=body_x - yaw_rate * com_y,
+        com_vy=body_y + yaw_rate * com_x,
+        yaw_rate=yaw_rate,
+        body_x=body_x,
+        body_y=body_y,
+    )
 
 
 @kernel(allocates=False)
 def advance_state(state, forward_x, forward_y, dt, com_vx, com_vy, yaw_rate, com_x, com_y):
     """Moves the state on by a displacement in W, m, and gives it the velocity after the step."""
     theta = state.theta + yaw_rate * dt
-    body_x, body_y = com_vx + yaw_rate * com_y, com_vy - yaw_rate * com_x
     return State(
-        state.x + forward_x, state.y + forward_y, theta, cos(theta), sin(theta), com_vx, com_vy, yaw_rate,
-        body_x, body_y,
-    )  # fmt: skip
+        x=state.x + forward_x,
+        y=state.y + forward_y,
+        theta=theta,
+        c=cos(theta),
+        s=sin(theta),
+        com_vx=com_vx,
+        com_vy=com_vy,
+        yaw_rate=yaw_rate,
+        body_x=com_vx + yaw_rate * com_y,
+        body_y=com_vy - yaw_rate * com_x,
+    )
 
 
 @kernel(allocates=False)
 def make_step_start(state, load, t, dt, h):
     """Looks at the body, the pusher and the force when step t begins."""
-    c, s, yaw_rate = state.c, state.s, state.yaw_rate
+    c = state.c
+    s = state.s
+    yaw_rate = state.yaw_rate
+
+    # The frame of the step is the body's, turned on by a = h w.
     a = h * yaw_rate
-    ca, sa = cos(a), sin(a)
-    step_c, step_s = c * ca - s * sa, s * ca + c * sa
-    tip, wrench = load.tip, load.wrench
-    world_vx, world_vy = (tip[t + 1, 0] - tip[t, 0]) / dt, (tip[t + 1, 1] - tip[t, 1]) / dt
-    vx, vy = c * world_vx + s * world_vy, -s * world_vx + c * world_vy
+    ca = cos(a)
+    sa = sin(a)
+    step_c = c * ca - s * sa
+    step_s = s * ca + c * sa
+    tip = load.tip
+    wrench = load.wrench
+
+    # The disc moves evenly through the step, seen from W and from the body.
+    world_vx = (tip[t + 1, 0] - tip[t, 0]) / dt
+    world_vy = (tip[t + 1, 1] - tip[t, 1]) / dt
+    vx = c * world_vx + s * world_vy
+    vy = -s * world_vx + c * world_vy
     tx = c * (tip[t, 0] - state.x) + s * (tip[t, 1] - state.y)
     ty = -s * (tip[t, 0] - state.x) + c * (tip[t, 1] - state.y)
+
     return StepStart(
-        dt, h, a, c, s, step_c, step_s, yaw_rate,
-        ca * state.com_vx + sa * state.com_vy, -sa * state.com_vx + ca * state.com_vy,
-        tx, ty, vx, vy, ca * vx + sa * vy, -sa * vx + ca * vy,
-        vx - state.body_x + yaw_rate * ty, vy - state.body_y - yaw_rate * tx,
-        world_vx, world_vy, tip[t, 0] - tip[0, 0], tip[t, 1] - tip[0, 1],
-        step_c * wrench[t, 0] + step_s * wrench[t, 1], -step_s * wrench[t, 0] + step_c * wrench[t, 1], wrench[t, 2],
-    )  # fmt: skip
+        dt=dt,
+        h=h,
+        a=a,
+        c=c,
+        s=s,
+        step_c=step_c,
+        step_s=step_s,
+        yaw_rate=yaw_rate,
+        expected_vx=ca * state.com_vx + sa * state.com_vy,
+        expected_vy=-sa * state.com_vx + ca * state.com_vy,
+        tx=tx,
+        ty=ty,
+        vx=vx,
+        vy=vy,
+        vpx=ca * vx + sa * vy,
+        vpy=-sa * vx + ca * vy,
+        # v_p - u - w z × t: the disc's motion seen from the body that moves as it did.
+        rx=vx - state.body_x + yaw_rate * ty,
+        ry=vy - state.body_y - yaw_rate * tx,
+        world_vx=world_vx,
+        world_vy=world_vy,
+        ray_x=tip[t, 0] - tip[0, 0],
+        ray_y=tip[t, 1] - tip[0, 1],
+        fx=step_c * wrench[t, 0] + step_s * wrench[t, 1],
+        fy=-step_s * wrench[t, 0] + step_c * wrench[t, 1],
+        couple=wrench[t, 2],
+    )

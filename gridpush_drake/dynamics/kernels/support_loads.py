@@ -39,11 +39,22 @@ import numpy as np
 from gridpush_drake.dynamics.kernels.compiled import kernel
 
 _NEWTON_LIMIT = 60
-_TOLERANCE = 1e-13  # of the cells' reach: the center of the loads against p*
-_LONGEST_STEP = 2.0  # of b times the cells' reach: exp(b·p) then stays in proportion
-_STEEPEST = 200.0  # of b times the cells' reach, beyond which no loads are looked for
-_SAME_GAP = 1e-15  # m by which gaps between lines of cells may differ and count as the same
-_SHARE = 0.01  # eps: keeps A regular where the cells are in a line
+"""Most iterations of the search for the tilt b."""
+
+_TOLERANCE = 1e-13
+"""How near the center of the loads must come to p*, as a share of the cells' reach."""
+
+_LONGEST_STEP = 2.0
+"""Longest step of b in an iteration, times the cells' reach: exp(b·p) then stays in proportion."""
+
+_STEEPEST = 200.0
+"""Steepest tilt that is tried, |b| times the cells' reach. Beyond it no loads are looked for."""
+
+_SAME_GAP = 1e-15
+"""Two gaps between lines of cells that differ by no more than this count as the same, m."""
+
+_SHARE = 0.01
+"""eps in phi. It keeps A regular where the cells stand in one line."""
 
 
 class Support(NamedTuple):
@@ -94,7 +105,7 @@ class Loads(NamedTuple):
         by_force: (3, 2) df by F.
         by_tilt: (3, 2) G1.
         total: (3,) G0.
-        H: (2, 3) of the friction's Hessian its first two rows.
+        H: (2, 3) first two rows of the friction's Hessian.
     """
 
     exp_x: Any
@@ -119,10 +130,22 @@ def make_loads(support):
     """Makes room for the loads of all cells."""
     n = support.mass.shape[0]
     return Loads(
-        np.zeros(support.xs.shape[0]), np.zeros(support.ys.shape[0]), np.zeros(n), np.zeros((n, 3)),
-        np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros((2, 2)),
-        np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 2)), np.zeros(3), np.zeros((2, 3)),
-    )  # fmt: skip
+        exp_x=np.zeros(support.xs.shape[0]),
+        exp_y=np.zeros(support.ys.shape[0]),
+        share=np.zeros(n),
+        slope=np.zeros((n, 3)),
+        tilt=np.zeros(2),
+        friction=np.zeros(2),
+        shift=np.zeros(2),
+        center=np.zeros(2),
+        mean=np.zeros(2),
+        inverse=np.zeros((2, 2)),
+        by_pose=np.zeros((3, 3)),
+        by_force=np.zeros((3, 2)),
+        by_tilt=np.zeros((3, 2)),
+        total=np.zeros(3),
+        H=np.zeros((2, 3)),
+    )
 
 
 @kernel(allocates=False)
@@ -142,20 +165,33 @@ def find_loads(support, cells, cell_size, state, loads, k):
         Whether there are such loads: False where the body tips. `k` is then that of the steepest
         tilt tried.
     """
-    n, mass, reach = cells.shape[1], support.mass, support.reach
-    share, slope, center = loads.share, loads.slope, loads.center
-    near = _cover(support.table, cells, cell_size, reach, state, share, slope)
+    n = cells.shape[1]
+    mass = support.mass
+    reach = support.reach
+    share = loads.share
+    slope = loads.slope
+    center = loads.center
+
+    # sigma_i, in `share` until the tilt is known.
+    near = _fill_covered_shares(support.table, cells, cell_size, reach, state, share, slope)
+
+    # p* = c + h F / W, and the tilt that puts the loads' center there.
     weight = support.weight
-    loads.shift[0], loads.shift[1] = loads.friction[0] / weight, loads.friction[1] / weight
+    loads.shift[0] = loads.friction[0] / weight
+    loads.shift[1] = loads.friction[1] / weight
     center_x = support.com_x + support.height * loads.shift[0]
     center_y = support.com_y + support.height * loads.shift[1]
     _predict_tilt(loads, center_x - center[0], center_y - center[1], reach)
-    center[0], center[1] = center_x, center_y
+    center[0] = center_x
+    center[1] = center_y
     found, S = _find_tilt(support, cells, cell_size, loads)
     if support.table.shape[0] > 0:
+        # smoothed as the edge is, cells just beyond it might bear: their center may not lie there
         x = state.x + state.c * center[0] - state.s * center[1]
         y = state.y + state.s * center[0] + state.c * center[1]
         found = found and measure_depth(support.table, x, y)[0] > 0.0
+
+    # w_i / m_i, and k_i = mu_i W w_i; the slope of sigma_i becomes that of log sigma_i times w_i.
     scale = 1.0 / S if S > 0.0 else 0.0
     for i in range(n):
         across = scale * loads.exp_x[support.column[i]] * loads.exp_y[support.row[i]]
@@ -168,8 +204,20 @@ def find_loads(support, cells, cell_size, state, loads, k):
 
 
 @kernel(allocates=False)
-def _cover(table, cells, cell_size, reach, state, covered, slope):
-    """Fills in sigma_i, from 0 to 1 over a cell's size across the edge, and its slope; returns whether that is near."""
+def _fill_covered_shares(table, cells, cell_size, reach, state, covered, slope):
+    """Fills in sigma_i, the share of each cell that is on the table, and its slope.
+
+    It rises from 0 to 1 as the cell's center comes inside the edge, over the cell's size.
+
+    Args:
+        table, cells, cell_size, reach, state: as in `find_loads`.
+        covered: (n,) filled with sigma_i.
+        slope: (n, 3) filled with its derivatives by the pose seen from the body, where the table
+            has an edge.
+
+    Returns:
+        Whether the edge is so near that any cell may hang over it.
+    """
     n = cells.shape[1]
     covered[:] = 1.0
     near = False
@@ -179,27 +227,47 @@ def _cover(table, cells, cell_size, reach, state, covered, slope):
         near = inside < reach + cell_size
         if near:
             for i in range(n):
-                px, py = cells[0, i], cells[1, i]
-                x, y = state.x + state.c * px - state.s * py, state.y + state.s * px + state.c * py
+                px = cells[0, i]
+                py = cells[1, i]
+                x = state.x + state.c * px - state.s * py
+                y = state.y + state.s * px + state.c * py
                 depth, nx, ny = measure_depth(table, x, y)
                 covered[i] = min(max(0.5 + depth / cell_size, 0.0), 1.0)
                 if 0.0 < covered[i] < 1.0:
-                    bx, by = state.c * nx + state.s * ny, -state.s * nx + state.c * ny
-                    slope[i, 0], slope[i, 1] = bx / cell_size, by / cell_size
+                    # the inward direction of the edge in the body frame, and its moment
+                    bx = state.c * nx + state.s * ny
+                    by = -state.s * nx + state.c * ny
+                    slope[i, 0] = bx / cell_size
+                    slope[i, 1] = by / cell_size
                     slope[i, 2] = (px * by - py * bx) / cell_size
     return near
 
 
 @kernel(allocates=False)
 def measure_depth(table, x, y):
-    """How far a point is inside the table's edge, m, negative beyond it, and the direction in which that grows."""
+    """Measures how far a point is inside the table's edge.
+
+    Args:
+        table: (K, 4) edges of the table's top, (ax, ay, bx, by), counterclockwise, m.
+        x, y: the point, m.
+
+    Returns:
+        The distance, m, negative beyond the edge, and the direction (two numbers) in which it
+        grows.
+    """
     nearest = np.inf
     inside = on_edge = False
     nx = ny = 0.0
     for e in range(table.shape[0]):
-        ax, ay, bx, by = table[e, 0], table[e, 1], table[e, 2], table[e, 3]
-        ex, ey = bx - ax, by - ay
-        rx, ry = x - ax, y - ay
+        ax = table[e, 0]
+        ay = table[e, 1]
+        bx = table[e, 2]
+        by = table[e, 3]
+        ex = bx - ax
+        ey = by - ay
+        rx = x - ax
+        ry = y - ay
+        # a ray from the point crosses the outline an odd number of times where it is inside
         if (ay > y) != (by > y) and rx < ry * ex / ey:
             inside = not inside
         along = (rx * ex + ry * ey) / (ex * ex + ey * ey)
@@ -210,7 +278,13 @@ def measure_depth(table, x, y):
         if distance2 < nearest:
             nearest = distance2
             on_edge = along == clipped
-            nx, ny = (-ey, ex) if on_edge else (rx, ry)
+            # on an edge its inward normal, at a corner the way from there to the point
+            if on_edge:
+                nx = -ey
+                ny = ex
+            else:
+                nx = rx
+                ny = ry
     size = sqrt(nx * nx + ny * ny)
     if not (on_edge or inside):
         size = -size
@@ -220,83 +294,117 @@ def measure_depth(table, x, y):
 
 @kernel(allocates=False)
 def _predict_tilt(loads, dx, dy, reach):
-    """Moves the last step's b by A^-1 dp*, where that is little; A^-1 is zero before the first step."""
-    inverse, tilt = loads.inverse, loads.tilt
+    """Moves the last step's b by A^-1 dp*, dp* = (dx, dy), where that is little.
+
+    A^-1 is zero before the first step.
+    """
+    inverse = loads.inverse
+    tilt = loads.tilt
     step_x = inverse[0, 0] * dx + inverse[0, 1] * dy
     step_y = inverse[1, 0] * dx + inverse[1, 1] * dy
     if (abs(step_x) + abs(step_y)) * reach < _LONGEST_STEP:
-        tilt[0], tilt[1] = tilt[0] + step_x, tilt[1] + step_y
+        tilt[0] += step_x
+        tilt[1] += step_y
 
 
 @kernel(allocates=False)
 def _find_tilt(support, cells, cell_size, loads):
-    """Finds b from the last step's by Newton's method; returns whether it exists, and S at the last b tried."""
-    reach, exp_x, exp_y = support.reach, loads.exp_x, loads.exp_y
-    center, tilt, mean, inverse = loads.center, loads.tilt, loads.mean, loads.inverse
+    """Finds the tilt b by Newton's method, from that of the last step.
+
+    Returns:
+        Whether it exists, and S at the last b tried.
+    """
+    reach = support.reach
+    exp_x = loads.exp_x
+    exp_y = loads.exp_y
+    center = loads.center
+    tilt = loads.tilt
+    mean = loads.mean
+    inverse = loads.inverse
     S = 0.0
     half = cell_size / 2.0
     # exp of how far from p*, or from the cells where p* is so far beyond them that exp would
     # overflow: w is the same
-    from_x, from_y = min(max(center[0], -reach), reach), min(max(center[1], -reach), reach)
+    from_x = min(max(center[0], -reach), reach)
+    from_y = min(max(center[1], -reach), reach)
     for _ in range(_NEWTON_LIMIT):
-        b0, b1 = tilt[0], tilt[1]
+        b0 = tilt[0]
+        b1 = tilt[1]
         _fill_exponentials(support.xs, b0, from_x, exp_x)
         _fill_exponentials(support.ys, b1, from_y, exp_y)
         S, sx, sy, sxx, sxy, syy = _sum_moments(support, cells, loads)
         if not S > 0.0:
-            break
-        sx, sy = sx / S, sy / S
-        delta_x, bend_x = _reach_out(b0 * half)
-        delta_y, bend_y = _reach_out(b1 * half)
+            break  # no cell is on the table
+
+        # p_bar - p*, A, and delta(b)
+        sx = sx / S
+        sy = sy / S
+        delta_x, bend_x = _calc_phi(b0 * half)
+        delta_y, bend_y = _calc_phi(b1 * half)
         xx = sxx / S - sx * sx + half * half * bend_x
         yy = syy / S - sy * sy + half * half * bend_y
         xy = sxy / S - sx * sy
         det = xx * yy - xy * xy
-        mean[0], mean[1] = sx + center[0], sy + center[1]
-        inverse[0, 0], inverse[1, 1] = yy / det, xx / det
+        mean[0] = sx + center[0]
+        mean[1] = sy + center[1]
+        inverse[0, 0] = yy / det
+        inverse[1, 1] = xx / det
         inverse[0, 1] = inverse[1, 0] = -xy / det
-        off_x, off_y = -(sx + half * delta_x), -(sy + half * delta_y)
+
+        # Newton's step on p_bar + delta(b) = p*, no longer than exp can follow.
+        off_x = -(sx + half * delta_x)
+        off_y = -(sy + half * delta_y)
         if abs(off_x) + abs(off_y) <= _TOLERANCE * reach:
             return True, S
         step_x = inverse[0, 0] * off_x + inverse[0, 1] * off_y
         step_y = inverse[1, 0] * off_x + inverse[1, 1] * off_y
         length = sqrt(step_x * step_x + step_y * step_y) * reach
         if length > _LONGEST_STEP:
-            step_x, step_y = step_x * _LONGEST_STEP / length, step_y * _LONGEST_STEP / length
-        b0, b1 = b0 + step_x, b1 + step_y
+            step_x = step_x * _LONGEST_STEP / length
+            step_y = step_y * _LONGEST_STEP / length
+        b0 = b0 + step_x
+        b1 = b1 + step_y
         if not (sqrt(b0 * b0 + b1 * b1) * reach < _STEEPEST):
             break
-        tilt[0], tilt[1] = b0, b1
+        tilt[0] = b0
+        tilt[1] = b1
     return False, S
 
 
 @kernel(allocates=False)
 def _fill_exponentials(lines, b, origin, values):
-    """Fills in exp(b (x - origin)) of lines at x, which increase; those that are as far apart share a factor."""
+    """Fills in exp(b (x - origin)) for lines of cells at x, which increase.
+
+    Lines that are equally far apart share a factor, so that few exponentials are needed.
+    """
     values[0] = exp(b * (lines[0] - origin))
-    gap, factor = 0.0, 1.0
+    gap = 0.0
+    factor = 1.0
     for i in range(1, lines.shape[0]):
         step = lines[i] - lines[i - 1]
         if abs(step - gap) > _SAME_GAP:
-            gap, factor = step, exp(b * step)
+            gap = step
+            factor = exp(b * step)
         values[i] = values[i - 1] * factor
 
 
 @kernel(allocates=False, fast_sums=True)
 def _sum_moments(support, cells, loads):
     """Sums m_i sigma_i exp(b·p_i), up to a factor, times 1, x, y, x², x y and y², with (x, y) = p_i - p*."""
-    mass, column, row = support.mass, support.column, support.row
-    covered, exp_x, exp_y, cx, cy = (
-        loads.share,
-        loads.exp_x,
-        loads.exp_y,
-        loads.center[0],
-        loads.center[1],
-    )
-    px, py = cells[0], cells[1]
+    mass = support.mass
+    column = support.column
+    row = support.row
+    covered = loads.share
+    exp_x = loads.exp_x
+    exp_y = loads.exp_y
+    cx = loads.center[0]
+    cy = loads.center[1]
+    px = cells[0]
+    py = cells[1]
     S = sx = sy = sxx = sxy = syy = 0.0
     for i in range(px.shape[0]):
-        x, y = px[i] - cx, py[i] - cy
+        x = px[i] - cx
+        y = py[i] - cy
         w = mass[i] * covered[i] * exp_x[column[i]] * exp_y[row[i]]
         S += w
         sx += w * x
@@ -308,9 +416,10 @@ def _sum_moments(support, cells, loads):
 
 
 @kernel(allocates=False)
-def _reach_out(x):
-    """phi(x) and its derivative."""
-    root, fourth = sqrt(1.0 + x * x), x * x * x * x
+def _calc_phi(x):
+    """Calculates phi(x) and its derivative."""
+    root = sqrt(1.0 + x * x)
+    fourth = x * x * x * x
     whole = 1.0 + abs(x) * fourth
     value = _SHARE * x / root + (1.0 - _SHARE) * x * fourth / whole
     slope = _SHARE / (root * root * root) + (1.0 - _SHARE) * 5.0 * fourth / (whole * whole)
@@ -329,45 +438,57 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
         Q: (11, width) see `forward_sensitivity`; rows 6-8 hold f_i in the first n columns.
         n_other: columns between those of the masses and h.
     """
-    n, mass, mu = cells.shape[1], support.mass, support.friction
-    G0, G1, inverse, mean, center = (
-        loads.total,
-        loads.by_tilt,
-        loads.inverse,
-        loads.mean,
-        loads.center,
-    )
-    by_pose, by_force = loads.by_pose, loads.by_force
+    n = cells.shape[1]
+    mass = support.mass
+    mu = support.friction
+    G0 = loads.total
+    G1 = loads.by_tilt
+    inverse = loads.inverse
+    mean = loads.mean
+    center = loads.center
+    by_pose = loads.by_pose
+    by_force = loads.by_force
     by_pose[:, :] = 0.0
     weight = support.weight
-    px, py = cells[0], cells[1]
+    px = cells[0]
+    py = cells[1]
+
+    # G0 = sum f_i k_i and G1 = sum f_i k_i (p_i - p_bar)^T
     for j in range(3):
-        f, total, by_x, by_y = Q[6 + j], 0.0, 0.0, 0.0
+        f = Q[6 + j]
+        total = 0.0
+        by_x = 0.0
+        by_y = 0.0
         for i in range(n):
             force = f[i] * k[i]
             total += force
             by_x += force * (px[i] - mean[0])
             by_y += force * (py[i] - mean[1])
-        G0[j], G1[j, 0], G1[j, 1] = total, by_x, by_y
+        G0[j] = total
+        G1[j, 0] = by_x
+        G1[j, 1] = by_y
     # G1 A^-1: the force by the center of the loads
     for j in range(3):
-        a, b = G1[j, 0], G1[j, 1]
-        G1[j, 0], G1[j, 1] = (
-            a * inverse[0, 0] + b * inverse[1, 0],
-            a * inverse[0, 1] + b * inverse[1, 1],
-        )
-        by_force[j, 0], by_force[j, 1] = (
-            G1[j, 0] * support.height / weight,
-            G1[j, 1] * support.height / weight,
-        )
+        a = G1[j, 0]
+        b = G1[j, 1]
+        G1[j, 0] = a * inverse[0, 0] + b * inverse[1, 0]
+        G1[j, 1] = a * inverse[0, 1] + b * inverse[1, 1]
+        by_force[j, 0] = G1[j, 0] * support.height / weight
+        by_force[j, 1] = G1[j, 1] * support.height / weight
+
+    # df by the pose: sigma_i changes the load of its cell, and by S and p_bar those of all.
     for i in range(n if support.table.shape[0] > 0 else 0):
-        arm_x, arm_y = cells[0, i] - mean[0], cells[1, i] - mean[1]
+        arm_x = cells[0, i] - mean[0]
+        arm_y = cells[1, i] - mean[1]
         for j in range(3):
             # df by w_i sigma_i' at a given twist
             force = mu[i] * weight * Q[6 + j, i] - G0[j] - G1[j, 0] * arm_x - G1[j, 1] * arm_y
             for m in range(3):
                 by_pose[j, m] += force * loads.slope[i, m]
-    shift_x, shift_y = center[0] - support.com_x, center[1] - support.com_y
+
+    # df by h: p* moves by F / W.
+    shift_x = center[0] - support.com_x
+    shift_y = center[1] - support.com_y
     width = Q.shape[1]
     whole = mass.sum()
     frictions = n + n_other + 1
@@ -375,9 +496,15 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
         h = n + n_other
         for j in range(3):
             Q[6 + j, h] = G1[j, 0] * loads.shift[0] + G1[j, 1] * loads.shift[1]
-    one, share = 1.0 / whole, loads.share
+
+    # df by mu_i, then by m_i, which moves W, c and w_i.
+    one = 1.0 / whole
+    share = loads.share
     for j in range(3):
-        f, total, by_x, by_y = Q[6 + j], G0[j], G1[j, 0], G1[j, 1]
+        f = Q[6 + j]
+        total = G0[j]
+        by_x = G1[j, 0]
+        by_y = G1[j, 1]
         if width > frictions:
             by_friction = f[frictions:]
             for i in range(n):
@@ -391,18 +518,28 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
 
 @kernel(allocates=False, fast_sums=True)
 def add_load_variations(loads, Q):
-    """Adds to the forces in rows 6-8 of Q what the pose (rows 0-2) and the last friction (rows 9-10) do to the loads.
+    """Adds what the pose (rows 0-2 of Q) and the last friction (rows 9-10) do to the forces in rows 6-8.
 
     The sum of them, x and y, then stands in the rows of F, where the step is to be added.
     """
-    P, R = loads.by_pose, loads.by_force
-    s0, s1, s2, F0, F1 = Q[0], Q[1], Q[2], Q[9], Q[10]
+    P = loads.by_pose
+    R = loads.by_force
+    s0 = Q[0]
+    s1 = Q[1]
+    s2 = Q[2]
+    F0 = Q[9]
+    F1 = Q[10]
     for j in range(3):
-        p0, p1, p2, r0, r1 = P[j, 0], P[j, 1], P[j, 2], R[j, 0], R[j, 1]
+        p0 = P[j, 0]
+        p1 = P[j, 1]
+        p2 = P[j, 2]
+        r0 = R[j, 0]
+        r1 = R[j, 1]
         f = Q[6 + j]
         for c in range(f.shape[0]):
             f[c] += p0 * s0[c] + p1 * s1[c] + p2 * s2[c] + r0 * F0[c] + r1 * F1[c]
     for j in range(2):
-        F, f = Q[9 + j], Q[6 + j]
+        F = Q[9 + j]
+        f = Q[6 + j]
         for c in range(f.shape[0]):
             F[c] = f[c]

@@ -94,8 +94,11 @@ def solve_isotropic_socp(
     """
     if spin not in SPIN_MODELS:
         raise SimulationError(f"spin is {spin!r}; expected one of {', '.join(SPIN_MODELS)}")
-    nu, wrench = np.asarray(nu, dtype=np.float64), np.asarray(wrench, dtype=np.float64)
-    n, s, m = obj.n, obj.cell_size, params.mass
+    nu = np.asarray(nu, dtype=np.float64)
+    wrench = np.asarray(wrench, dtype=np.float64)
+    n = obj.n
+    s = obj.cell_size
+    m = params.mass
     T = twist_to_cells(obj, q)
     M = np.stack([m * s**2 / 6, m, m], axis=1).ravel()
     L = np.linalg.cholesky(T.T @ (M[:, None] * T))
@@ -151,7 +154,8 @@ def _polish(
     moving = [A_i @ B for A_i, v in zip(cones, vanish, strict=True) if not v]
     y = B.T @ u
     for _ in range(MAX_NEWTON_STEPS):
-        gradient, hessian = y - B.T @ u_free, np.eye(len(y))
+        gradient = y - B.T @ u_free
+        hessian = np.eye(len(y))
         for A_i in moving:
             norm = np.linalg.norm(A_i @ y)
             if norm == 0:

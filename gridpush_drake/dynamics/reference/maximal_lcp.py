@@ -119,9 +119,11 @@ def make_maximal_lcp(
         raise SimulationError(
             f"dt is {dt!r}; expected a positive number (s), and finite q, xdot and F"
         )
-    s, m = obj.cell_size, params.mass
+    s = obj.cell_size
+    m = params.mass
     M = np.stack([m * s**2 / 6, m, m], axis=1).ravel()
-    b, spin_arm = params.friction * m * g * dt, calc_spin_arm(obj, params)
+    b = params.friction * m * g * dt
+    spin_arm = calc_spin_arm(obj, params)
     pairs = _spanning_tree(obj.adjacency, obj.n) if spanning_tree else obj.adjacency
     return MaximalLcp(
         M=M,
@@ -144,8 +146,10 @@ def twist_to_cells(obj: GridObject, q: ArrayLike) -> NDArray[np.float64]:
     rx, ry = (obj.cells_at(q) - q[:2]).T
     T = np.zeros((obj.n, 3, 3))
     T[:, 0, 2] = 1.0
-    T[:, 1, 0], T[:, 1, 2] = 1.0, -ry
-    T[:, 2, 1], T[:, 2, 2] = 1.0, rx
+    T[:, 1, 0] = 1.0
+    T[:, 1, 2] = -ry
+    T[:, 2, 1] = 1.0
+    T[:, 2, 2] = rx
     return T.reshape(3 * obj.n, 3)
 
 
@@ -161,7 +165,8 @@ def _rigidity(p_WC: NDArray[np.float64], pairs: NDArray[np.int64]) -> csr_array:
     k = len(pairs)
     i, j = pairs.reshape(-1, 2).T
     ax, ay = ((p_WC[j] - p_WC[i]) / 2).T
-    one, row = np.ones(k), 3 * np.arange(k)
+    one = np.ones(k)
+    row = 3 * np.arange(k)
     # (row, column, value); P - p_i = a, P - p_j = -a
     entries = [
         (row, 3 * i, one), (row, 3 * j, -one),
@@ -211,7 +216,8 @@ def _split(
     xdot: NDArray[np.float64], slow: float, slow_yaw: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Sense of rotation (n,) and unit direction (n, 2) of velocities (n, 3); zero where slower than the tolerances."""
-    w, v = xdot[:, 0], xdot[:, 1:]
+    w = xdot[:, 0]
+    v = xdot[:, 1:]
     speed = np.linalg.norm(v, axis=1, keepdims=True)
     moves = speed > slow
     return np.where(np.abs(w) > slow_yaw, np.sign(w), 0.0), np.where(

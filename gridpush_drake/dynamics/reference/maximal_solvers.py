@@ -110,7 +110,8 @@ def project(
     if not k or not r.size:
         return r.copy(), lam
     factor = splu(block_array([[eye_array(N), C.T], [C, -PROXIMAL_WEIGHT * eye_array(k)]]).tocsc())
-    best, goal = np.inf, ROUND_OFF * np.abs(r).max(initial=0.0)
+    best = np.inf
+    goal = ROUND_OFF * np.abs(r).max(initial=0.0)
     for _ in range(MAX_REFINEMENTS):
         residual = np.concatenate([r - y - C.T @ lam, -(C @ y)])
         size = np.abs(residual).max()
@@ -118,7 +119,8 @@ def project(
             break
         best = min(best, size)
         step = factor.solve(residual)
-        y, lam = y + step[:N], lam + step[N:]
+        y = y + step[:N]
+        lam = lam + step[N:]
     return y, lam
 
 
@@ -130,7 +132,8 @@ def calc_residuals(
     gamma: NDArray[np.float64],
 ) -> KktResiduals:
     """Evaluates every line of the LCP for velocities (3n,) after the step, impulses, and speeds gamma (2n,)."""
-    n, s = lcp.n, lcp.cell_size
+    n = lcp.n
+    s = lcp.cell_size
     length = np.tile([s, 1.0, 1.0], n)
     length_f = np.repeat([1.0, s], n)
     length_e = np.tile([s, 1.0, 1.0], len(lam_e) // 3)
@@ -138,7 +141,8 @@ def calc_residuals(
     P = ((np.abs(lcp.M * lcp.xdot) + np.abs(lcp.dt * lcp.F)) / length).reshape(n, 3).sum(axis=1) + b
     V = P.sum() / lcp.mass.sum() or 1.0
     P = P.max() or 1.0
-    rho, xi = lcp.J_f @ xdot + gamma, lcp.bound - lam_f
+    rho = lcp.J_f @ xdot + gamma
+    xi = lcp.bound - lam_f
     momentum = lcp.M * (xdot - lcp.xdot) - lcp.dt * lcp.F - lcp.J_e.T @ lam_e - lcp.J_f.T @ lam_f
 
     def largest(value: NDArray[np.float64]) -> float:
@@ -163,7 +167,9 @@ SIGN_TOLERANCE = (
 )
 MAX_ACTIVE_SETS = 600  # active sets to try before giving up
 
-STICK, SLIDE, REVERSE = 0, 1, 2
+STICK = 0
+SLIDE = 1
+REVERSE = 2
 
 LcpSolver = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 """Solves 0 <= z ⟂ M z + q >= 0 for (M, q)."""
@@ -202,7 +208,8 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
     k = len(unit.rows)
     G = unit.G.toarray()
     P_GT, _ = project(unit.C, G.T)
-    one, zero = np.eye(k), np.zeros((k, k))
+    one = np.eye(k)
+    zero = np.zeros((k, k))
     z = np.zeros(0)
     if k:
         z = lcp_solver(
@@ -241,7 +248,8 @@ def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
             state[first] = SLIDE if target[first] > 1 else REVERSE
             s = np.clip(s + share[first] * (target - s), 0, 1)
             continue
-        s, along = target, unit.G @ y
+        s = target
+        along = unit.G @ y
         wrong = np.choose(state, [np.zeros(len(s)), along, -along])
         if not (wrong > SIGN_TOLERANCE * fastest).any():
             return _restore(
@@ -264,7 +272,8 @@ def _restore(
     """Gives the dimensionless solution its units back; rows left out slide freely, lam_f = 0."""
     xdot = unit.e * y / unit.root_mass
     lam_e = -unit.e * (unit.lam_0 + lam) / unit.norm
-    lam_f, gamma = np.zeros(2 * lcp.n), np.maximum(0.0, -(lcp.J_f @ xdot))
+    lam_f = np.zeros(2 * lcp.n)
+    gamma = np.maximum(0.0, -(lcp.J_f @ xdot))
     lam_f[unit.rows] = lcp.bound[unit.rows] * s
     gamma[unit.rows] = unit.e**2 * slack / lcp.bound[unit.rows]
     return LcpSolution(xdot, lam_e, lam_f, gamma, calc_residuals(lcp, xdot, lam_e, lam_f, gamma))
@@ -275,7 +284,8 @@ def _interior_point(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Solves for y, lam, s, t:  min 1/2 |y|² - h·y + sum t  s.t.  C y = 0 (lam), t >= 0 (1 - s), t + G y >= 0 (s)."""
     k, N = unit.G.shape
-    E, m = unit.C.shape[0], unit.C.shape[0] + k
+    E = unit.C.shape[0]
+    m = unit.C.shape[0] + k
     A = block_array(
         [[unit.C, csr_array((E, k))], [csr_array((k, N)), -eye_array(k)], [-unit.G, -eye_array(k)]]
     )

@@ -154,14 +154,19 @@ def calc_paper_step_jacobian(
     Returns:
         dnu'/dm (3, n), per kg, and dnu'/dmu (3, n).
     """
-    nu, nu_next = np.asarray(nu, dtype=np.float64), np.asarray(nu_next, dtype=np.float64)
-    n, s, m = obj.n, obj.cell_size, params.mass
+    nu = np.asarray(nu, dtype=np.float64)
+    nu_next = np.asarray(nu_next, dtype=np.float64)
+    n = obj.n
+    s = obj.cell_size
+    m = params.mass
     T = twist_to_cells(obj, q)
     inertia = np.array([s**2 / 6, 1.0, 1.0])
     if abs(nu_next[2]) <= YAW_RATE_AT_REST and np.linalg.norm(nu_next[:2]) <= SPEED_AT_REST:
         return np.zeros((3, n)), np.zeros((3, n))
-    before, after = (T @ nu).reshape(n, 3), (T @ nu_next).reshape(n, 3)
-    v, w = before[:, 1:], before[:, :1]
+    before = (T @ nu).reshape(n, 3)
+    after = (T @ nu_next).reshape(n, 3)
+    v = before[:, 1:]
+    w = before[:, :1]
     v = np.where(np.linalg.norm(v, axis=1, keepdims=True) > SPEED_AT_REST, v, after[:, 1:])
     w = np.where(np.abs(w) > YAW_RATE_AT_REST, w, after[:, :1])
     speed = np.linalg.norm(v, axis=1, keepdims=True)
@@ -200,7 +205,8 @@ def _impulse_derivatives(
     lcp: MaximalLcp, solution: LcpSolution, g: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """-[dM (xdot - xdot_t) - J_f^T D_s dbound], a column (3n,) for every dm_i and for every dmu_i."""
-    n, s = lcp.n, lcp.cell_size
+    n = lcp.n
+    s = lcp.cell_size
     cell = np.arange(n)
     slides = (lcp.bound > 0) & (solution.lam_f >= (1 - AT_BOUND) * lcp.bound)
     # a row without friction slides too: more friction would act on it, if it moves along
@@ -209,7 +215,8 @@ def _impulse_derivatives(
     load = lcp.mass * g * lcp.dt
     dbound_dm = (lcp.bound / np.tile(lcp.mass, 2)).reshape(2, n)
     dbound_dmu = np.stack([load, lcp.spin_arm * load])
-    by_mass, by_friction = np.zeros((3 * n, n)), np.zeros((3 * n, n))
+    by_mass = np.zeros((3 * n, n))
+    by_friction = np.zeros((3 * n, n))
     for row in range(2):
         J_row = J_f[row * n : (row + 1) * n].T
         by_mass += J_row * dbound_dm[row]

@@ -52,7 +52,8 @@ def calc_paper_jacobian(
     """
     spin = physics.used_spin
     t = np.maximum(rows - 1, 0)
-    dt, arm = dts[t], calc_spin_arm(obj, params)
+    dt = dts[t]
+    arm = calc_spin_arm(obj, params)
     before, turn = _twists_before(obj, params, steps, t, physics.ahead * dt)
     after = steps.twists[t]
     turns = obj.radius_of_gyration * np.abs(after[:, 2]) > REST
@@ -62,7 +63,8 @@ def calc_paper_jacobian(
     held = X_B - np.outer(X_B[:, 2], X_B[2]) / X_B[2, 2]
     sticks = ~turns & (spin == "separate")
     response = -until[:, None, None] * _rotations(turn) @ np.where(sticks[:, None, None], held, X_B)
-    mass, friction = np.empty((len(rows), 3, obj.n)), np.empty((len(rows), 3, obj.n))
+    mass = np.empty((len(rows), 3, obj.n))
+    friction = np.empty((len(rows), 3, obj.n))
     fill_paper_gradient(
         np.array(obj.p_BC.T, order="C"), np.array(params.mass), np.array(params.friction), obj.cell_size**2 / 6,
         arm**2 if spin == "coupled" else 0.0, arm if spin == "separate" else 0.0, before, after,
@@ -93,35 +95,55 @@ def fill_paper_gradient(
         response: (R, 3, 3) from an impulse in that frame to the pose's displacement in W.
         dm, dmu: (R, 3, n) filled, by m_i and mu_i.
     """
-    px, py = cells[0], cells[1]
+    px = cells[0]
+    py = cells[1]
     n = px.shape[0]
-    row_m, row_mu = np.empty((3, n)), np.empty((3, n))
+    row_m = np.empty((3, n))
+    row_mu = np.empty((3, n))
     for r in range(before.shape[0]):
-        ux, uy, w = before[r, 0], before[r, 1], before[r, 2]
-        ux1, uy1, w1 = after[r, 0], after[r, 1], after[r, 2]
-        dx, dy, dw = ux1 - ux, uy1 - uy, w1 - w
+        ux = before[r, 0]
+        uy = before[r, 1]
+        w = before[r, 2]
+        ux1 = after[r, 0]
+        uy1 = after[r, 1]
+        w1 = after[r, 2]
+        dx = ux1 - ux
+        dy = uy1 - uy
+        dw = w1 - w
         w_own = w if abs(w) > YAW_RATE_AT_REST else w1
         spins = abs(w_own) > YAW_RATE_AT_REST and w_own * w1 > 0.0
         spin = spin_arm * np.sign(w_own) if spins else 0.0
         for i in range(n):
-            x, y = px[i], py[i]
-            vx, vy, wi = ux - w * y, uy + w * x, w
-            vx1, vy1 = ux1 - w1 * y, uy1 + w1 * x
+            x = px[i]
+            y = py[i]
+            vx = ux - w * y
+            vy = uy + w * x
+            wi = w
+            vx1 = ux1 - w1 * y
+            vy1 = uy1 + w1 * x
             size = sqrt(vx * vx + vy * vy + kappa2 * wi * wi)
             if size <= SPEED_AT_REST:
-                vx, vy, wi = vx1, vy1, w1
+                vx = vx1
+                vy = vy1
+                wi = w1
                 size = sqrt(vx * vx + vy * vy + kappa2 * wi * wi)
             slides = size > SPEED_AT_REST and vx * vx1 + vy * vy1 + kappa2 * wi * w1 > 0.0
             inverse = impulse[r] / size if slides else 0.0
-            fx, fy = vx * inverse, vy * inverse
+            fx = vx * inverse
+            fy = vy * inverse
             fw = x * fy - y * fx + kappa2 * wi * inverse + spin * impulse[r]
-            momentum_x, momentum_y = dx - dw * y, dy + dw * x
-            row_mu[0, i], row_mu[1, i], row_mu[2, i] = mass[i] * fx, mass[i] * fy, mass[i] * fw
+            momentum_x = dx - dw * y
+            momentum_y = dy + dw * x
+            row_mu[0, i] = mass[i] * fx
+            row_mu[1, i] = mass[i] * fy
+            row_mu[2, i] = mass[i] * fw
             row_m[0, i] = momentum_x + friction[i] * fx
             row_m[1, i] = momentum_y + friction[i] * fy
             row_m[2, i] = x * momentum_y - y * momentum_x + inertia * dw + friction[i] * fw
         for j in range(3):
-            a, b, c = response[r, j, 0], response[r, j, 1], response[r, j, 2]
+            a = response[r, j, 0]
+            b = response[r, j, 1]
+            c = response[r, j, 2]
             for i in range(n):
                 dm[r, j, i] = a * row_m[0, i] + b * row_m[1, i] + c * row_m[2, i]
                 dmu[r, j, i] = a * row_mu[0, i] + b * row_mu[1, i] + c * row_mu[2, i]
@@ -136,14 +158,15 @@ def _twists_before(
     rate before the step.
     """
     cx, cy = params.center_of_mass(obj)
-    theta, w = steps.poses[t, 2], steps.velocities[t, 2]
+    theta = steps.poses[t, 2]
+    w = steps.velocities[t, 2]
     turn = theta + until * w
-    c, s = np.cos(theta), np.sin(theta)
-    com_vx, com_vy = (
-        steps.velocities[t, 0] - w * (s * cx + c * cy),
-        steps.velocities[t, 1] + w * (c * cx - s * cy),
-    )
-    c, s = np.cos(turn), np.sin(turn)
+    c = np.cos(theta)
+    s = np.sin(theta)
+    com_vx = steps.velocities[t, 0] - w * (s * cx + c * cy)
+    com_vy = steps.velocities[t, 1] + w * (c * cx - s * cy)
+    c = np.cos(turn)
+    s = np.sin(turn)
     return np.stack(
         [c * com_vx + s * com_vy + w * cy, -s * com_vx + c * com_vy - w * cx, w], axis=1
     ), turn
@@ -151,7 +174,8 @@ def _twists_before(
 
 def _calc_inertia(obj: GridObject, params: CellParameters) -> Array:
     """M_B (3, 3) about B's origin, body frame: kg, kg m, kg m²."""
-    m, (cx, cy) = params.total_mass, params.center_of_mass(obj)
+    m = params.total_mass
+    (cx, cy) = params.center_of_mass(obj)
     about_origin = params.inertia(obj) + m * (cx**2 + cy**2)
     return np.array([[m, 0.0, -m * cy], [0.0, m, m * cx], [-m * cy, m * cx, about_origin]])
 
@@ -159,5 +183,6 @@ def _calc_inertia(obj: GridObject, params: CellParameters) -> Array:
 def _rotations(angles: Array) -> Array:
     """(R, 3, 3) from the body's axes to those of W, for twists."""
     R = np.zeros((len(angles), 3, 3))
-    R[:, :2, :2], R[:, 2, 2] = make_rotation(angles), 1.0
+    R[:, :2, :2] = make_rotation(angles)
+    R[:, 2, 2] = 1.0
     return R

@@ -1,0 +1,107 @@
+"""A friction law of the user's own, as `docs/extending.md` writes one, in everything that takes physics."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+
+BEGIN = """
+import numpy as np
+from gridpush_drake import CellParameters, GridObject, ObservedPush, Push, PushLog
+from gridpush_drake import Physics, simulate
+import ribbed_friction
+
+obj = GridObject.from_outline([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]], max_cells=15)
+mass = np.where(obj.p_BC[:, 0] > 0.0, 0.06, 0.02)
+truth = CellParameters(mass, np.full(obj.n, 0.35), 0.3)
+goal = [0.03, 0.01, 0.1]
+
+
+def see(i):
+    push = Push.on_outline(
+        obj, 0.03 + 0.057 * i, 0.2 * (-1) ** i, 0.04, radius=0.008, speed=0.02, clearance=1e-4
+    )
+    motion = simulate(obj, truth, push, physics=Physics(friction_law="ribbed"))
+    return ObservedPush(f"push_{i}", push, np.zeros(3), [push.duration], motion.poses[-1:])
+
+
+log = PushLog(tuple(see(i) for i in range(6)))
+push = log[0].push
+"""
+
+END = """
+# the law is what was used, and not the isotropic one
+isotropic = simulate(obj, truth, push)
+assert motion.physics == Physics("ribbed", "quasi_static")
+assert np.abs(motion.final_pose - isotropic.final_pose).max() > 1e-3
+
+# learned: the truth explains the pushes, and so does the model, better than with the other law
+wrong = identify(obj, log)
+assert model.physics == motion.physics
+assert model.noise_std < 0.3 * wrong.noise_std, (model.noise_std, wrong.noise_std)
+heavy = obj.p_BC[:, 0] > 0.0
+shares = model.params.relative_friction()
+assert shares[heavy].sum() > 2.0 * shares[~heavy].sum()
+
+# planned: the push ends where the law takes it
+assert plan.status == "ok"
+end = simulate(obj, model.params, plan.push.push, physics=ribbed).final_pose
+assert np.abs(end - plan.push.pose).max() < 1e-9
+
+# in a Diagram, step by step as the core does it
+from pydrake.systems.analysis import Simulator
+
+times = np.arange(51) * system.dt
+tip = push.tip_at(times)
+world = Simulator(system)
+context = world.get_mutable_context()
+port = system.GetInputPort("pusher_state")
+for t in range(50):
+    port.FixValue(context, np.concatenate([tip[t], (tip[t + 1] - tip[t]) / system.dt]))
+    world.AdvanceTo((t + 1) * system.dt)
+stepped = system.GetOutputPort("pose").Eval(context)
+core = simulate(obj, model.params, Push.along(times, tip, 0.01 / 2), times=times, physics=system.physics)
+assert system.physics == model.physics
+np.testing.assert_allclose(stepped, core.final_pose, atol=1e-9)
+
+# written and read, with the same bits
+assert same.physics == model.physics
+np.testing.assert_array_equal(same.params.mass, model.params.mass)
+print("done")
+"""
+
+
+@pytest.mark.slow
+def test_it_goes_wherever_physics_go(tmp_path):
+    """In a process of its own, with a cache of its own: the law is registered for the whole process."""
+    blocks = re.findall(r"```\{code-block\} python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    law, use = blocks[:2]
+    assert law.rstrip().endswith("register_friction_law(RIBBED)")
+    (tmp_path / "ribbed_friction.py").write_text(law)
+    (tmp_path / "try_it.py").write_text(BEGIN + use + END)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    run = subprocess.run(
+        [sys.executable, "try_it.py"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0 and run.stdout.endswith("done\n"), run.stderr
+    # without the law, reading its model says what is missing
+    read = "from gridpush_drake import read_model; read_model('model.yaml')"
+    run = subprocess.run(
+        [sys.executable, "-c", read],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "model.yaml: friction_law is 'ribbed'; expected one of" in run.stderr
