@@ -22,6 +22,7 @@ import hashlib
 import os
 import pickle
 import pwd
+import secrets
 import shutil
 import stat
 import sys
@@ -59,6 +60,9 @@ ROOT = 0
 """Number of the user who may change everything anyway."""
 
 KERNELS = Path(__file__).parent
+
+_THIS_PROCESS = secrets.token_hex(8)
+"""A word that no other process has."""
 
 NOTICE = "gridpush: compiling kernels (once a machine, takes up to a minute) ..."
 """Said on standard error by the first call that compiles."""
@@ -334,7 +338,31 @@ class KernelCache(NullCache):
         # a function that is made within another one may hold values of that
         held = dumps([cell.cell_contents for cell in self._function.__closure__ or ()])
         code = hashlib.sha256(self._function.__code__.co_code + held).hexdigest()
-        return (numba.__version__, sys.version, code, str(signature), *map(str, machine))
+        laws = hash_own_records(signature)
+        return (numba.__version__, sys.version, code, str(signature), laws, *map(str, machine))
+
+
+def hash_own_records(signature: Any) -> str:
+    """Hashes the files that define records of the user's own among a function's arguments.
+
+    Such a record is the data of a friction law: the machine code holds that law's functions, whose
+    file is not among the sources of this package.
+
+    Args:
+        signature: the types of the arguments, or Numba's signature with them.
+
+    Returns:
+        A word that is another one whenever one of these files is. A record of a module without a
+        file has one that holds for this process only.
+    """
+    found = set()
+    for argument in getattr(signature, "args", signature):
+        record = getattr(argument, "instance_class", None)
+        if record is None or record.__module__.startswith(f"{__package__}."):
+            continue
+        file = getattr(sys.modules.get(record.__module__), "__file__", None)
+        found.add(_THIS_PROCESS if file is None else calc_digest(Path(file)))
+    return " ".join(sorted(found))
 
 
 def _read(file: Path) -> bytes | None:

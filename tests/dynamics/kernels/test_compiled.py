@@ -12,11 +12,13 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
+import numba
 import pytest
 
 from gridpush_drake.dynamics.kernels import compiled
-from gridpush_drake.dynamics.kernels.compiled import calc_digest
+from gridpush_drake.dynamics.kernels.compiled import calc_digest, hash_own_records
 from gridpush_drake.dynamics.kernels.forward_sensitivity import step_columns
+from gridpush_drake.dynamics.kernels.inputs import Body
 from gridpush_drake.dynamics.warm_up import compile_rollouts, find_columns_signature
 
 USER = """
@@ -297,3 +299,23 @@ def test_the_second_process_compiles_the_columns_for_the_types_that_the_rollout_
     assert files
     codegen = step_columns.targetctx.codegen()
     assert files == [cache.find_file(find_columns_signature(), codegen)]
+
+
+def test_a_kernel_is_compiled_anew_when_a_friction_law_of_the_user_s_own_changes(
+    tmp_path, monkeypatch
+):
+    """What was compiled for a law's data holds the law's functions, which stand in another file."""
+    words = []
+    for folder, arm in (("one", 1.0), ("same", 1.0), ("changed", 2.0)):
+        path = tmp_path / folder / "own_law.py"
+        path.parent.mkdir()
+        text = f"from typing import NamedTuple\nARM = {arm}\nclass Own(NamedTuple):\n    k: float\n"
+        path.write_text(text)
+        spec = spec_from_file_location("own_law", path)
+        module = module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, "own_law", module)
+        spec.loader.exec_module(module)
+        words.append(hash_own_records((numba.typeof(module.Own(1.0)), numba.float64)))
+    assert words[0] == words[1] != words[2]
+    body = Body(*[1.0] * len(Body._fields))
+    assert hash_own_records((numba.typeof(body), numba.float64)) == "", "the package's own"
