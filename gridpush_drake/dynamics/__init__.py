@@ -1,4 +1,4 @@
-"""How an object moves when it is pushed: pushes, the simulation of one, and the motion that comes of it.
+"""How an object moves when it is pushed: pushes, their simulation, and the resulting motion.
 
 `kernels` has the compiled step and rollout, `reference` the paper's own, slow forms that they are
 tested against. The model is written out in `docs/theory/model.md`. The names below are imported on

@@ -81,7 +81,9 @@ def run_pushes(
     rows: int,
     table: Array | None = None,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Simulates P pushes of one object in one call; arguments as of `run_kernel` and `rollout_pushes`.
+    """Simulates P pushes of one object in one call.
+
+    The arguments are those of `run_kernel` and `rollout_pushes`.
 
     Returns:
         The poses (rows, 3) that are recorded, and whether the object was touched (P,).

@@ -124,7 +124,11 @@ class Motion:
 
     @cached_property
     def jacobian(self) -> Jacobian:
-        """The derivatives of the recorded poses. Raises SimulationError: the simulation ran without `gradients`."""
+        """The derivatives of the recorded poses.
+
+        Raises:
+            SimulationError: the simulation ran without `gradients`.
+        """
         if self._jacobian is None:
             raise SimulationError(
                 "no derivatives: pass gradients=True or gradients='paper' to simulate"

@@ -137,7 +137,7 @@ class Physics:
 
     @property
     def ahead(self) -> float:
-        """Share of a step after which it looks at the body: the midpoint rule, if the law uses it."""
+        """Share of a step after which it looks at the body: 0.5 if the law uses the midpoint rule."""
         return HALFWAY if self.law.looks_ahead else 0.0
 
     def resolve_for(self, obj: GridObject, params: CellParameters, speed: float) -> "Physics":

@@ -1,4 +1,7 @@
-"""A push and its steps' times: the planar motion of a disc-shaped pusher, or a given force, the paper's own setting."""
+"""A push and the times of its steps.
+
+A push is the planar motion of a disc, or, as in the paper, a given force.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +18,7 @@ from gridpush_drake.objects.grid_object import GridObject
 
 @dataclass(frozen=True, eq=False, init=False)
 class Push(Frozen):
-    """The motion of a disc of radius `radius` in the plane of the support, piecewise linear in time.
+    """The motion of a disc in the plane of the support, piecewise linear in time.
 
     `Push(start, velocity, duration, radius)` is straight at constant velocity; `Push.along` follows
     sampled points; `Push.on_outline` starts at a place on an object's outline.
@@ -54,7 +57,10 @@ class Push(Frozen):
         xy: ArrayLike | None = None,
         start_tangent: ArrayLike | None = None,
     ) -> None:
-        """Copies and checks what is given; without samples `t` and `xy`, those of the straight motion are made."""
+        """Copies and checks what is given.
+
+        Without samples `t` and `xy`, those of the straight motion are made.
+        """
         begin = check_vector(PushError, "push: start", start, 2)
         v = check_vector(PushError, "push: velocity", velocity, 2)
         require_positive(PushError, "push: ", radius=radius, duration=duration)
@@ -71,7 +77,8 @@ class Push(Frozen):
                 or not np.allclose(path[[0, -1]], [begin, end])
             ):
                 raise PushError(
-                    "push: t and xy disagree with start, velocity or duration; `Push.along` takes samples"
+                    "push: t and xy disagree with start, velocity or duration; "
+                    "`Push.along` takes samples"
                 )
         values = {
             "start": begin,
@@ -93,7 +100,9 @@ class Push(Frozen):
     def along(
         cls, t: ArrayLike, xy: ArrayLike | Sequence[Sequence[float]], radius: float
     ) -> "Push":
-        """Makes a push along p_WP (K, 2), m, at times (K,), s, strictly increasing; only their differences matter.
+        """Makes a push along p_WP (K, 2), m, at times (K,), s.
+
+        The times increase strictly; only their differences matter.
 
         Raises:
             PushError: shapes disagree, a value is not finite, or time does not increase.
@@ -170,21 +179,25 @@ class Push(Frozen):
         return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum())
 
     def tip_at(self, times: ArrayLike) -> NDArray[np.float64]:
-        """Interpolates p_WP of the disc's center, (K, 2) m, at times (K,), s from the beginning; held past the ends."""
+        """Interpolates p_WP of the disc's center, (K, 2) m, at times (K,), s from the beginning.
+
+        Before the beginning and after the end the disc stays where it is.
+        """
         times = np.asarray(times, dtype=np.float64)
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
 
     def distance_at(self, times: ArrayLike) -> NDArray[np.float64]:
-        """How far the disc's center has gone along its path at times (K,), s from the beginning: (K,) m."""
+        """Calculates how far the disc has gone along its path, (K,) m, at times (K,), s."""
         gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.xy, axis=0), axis=1)))
         return np.interp(np.asarray(times, dtype=np.float64), self.t, gone)
 
 
 def _check_samples(times: Array, path: Array) -> None:
-    """Refuses samples of a path that are not (K,) increasing times and (K, 2) places, with a PushError."""
+    """Raises PushError for samples of a path that are not (K,) increasing times, (K, 2) places."""
     if times.ndim != 1 or len(times) < 2 or path.shape != (len(times), 2):
         raise PushError(
-            f"push: t of shape {times.shape} and xy of shape {path.shape}; expected (K,) and (K, 2), K >= 2"
+            f"push: t of shape {times.shape} and xy of shape {path.shape}; "
+            "expected (K,) and (K, 2), K >= 2"
         )
     if not all((np.abs(values) <= MAX_NUMBER).all() for values in (times, path)):
         raise PushError(f"push: t and xy must be finite numbers, at most {MAX_NUMBER:g}")
@@ -219,7 +232,8 @@ class ForcePush(Frozen):
         t = np.zeros(1) if self.t is None else np.array(self.t, dtype=np.float64)
         if point.shape != (2,) or force.shape != (len(t), 2):
             raise PushError(
-                f"force push: point of shape {point.shape}, force of shape {force.shape}, {len(t)} times; "
+                f"force push: point of shape {point.shape}, force of shape {force.shape}, "
+                f"{len(t)} times; "
                 "expected (2,), (K, 2) and K"
             )
         if not (np.isfinite(point).all() and np.isfinite(force).all() and np.isfinite(t).all()):
@@ -232,7 +246,11 @@ class ForcePush(Frozen):
             object.__setattr__(self, name, value)
 
     def force_during(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(T, 2) the force in each of the T steps between `times` (T+1,), N, world frame; that of the step's start."""
+        """Looks up the force at the beginning of each of the T steps between `times` (T+1,).
+
+        Returns:
+            (T, 2), N, world frame.
+        """
         index = np.searchsorted(self.t, times[:-1], side="right") - 1
         return self.force[np.maximum(index, 0)]
 
@@ -248,7 +266,9 @@ SLACK = 1e-9  # share of a step by which a duration may exceed a whole number of
 
 
 def make_times(push: Push | ForcePush, dt: float | None, regime: str) -> Array:
-    """Cuts a push into steps of dt, s, the last one shortened to end with it; the default ones where None.
+    """Cuts a push into steps of dt, s, the last one shortened to end with the push.
+
+    Without dt, the default steps are taken.
 
     Returns:
         (T+1,) s from the push's beginning.
@@ -298,7 +318,7 @@ def make_path_times(
 
 
 def _merge(times: Array, shortest: float) -> Array:
-    """Leaves out times (T+1,), s, less than `shortest` after one that is kept or before the last; the ends stay."""
+    """Leaves out times (T+1,), s, that are less than `shortest` after another or before the end."""
     if (np.diff(times) >= shortest).all():
         return times
     kept = [float(times[0])]
@@ -309,17 +329,21 @@ def _merge(times: Array, shortest: float) -> Array:
 
 
 def _count_steps(steps: float) -> int:
-    """Rounds up to a whole number of steps. Raises SimulationError where they are too many to be kept."""
+    """Rounds up to a whole number of steps. Raises SimulationError if they are too many."""
     if not steps <= MAX_STEPS:
         raise SimulationError(
-            f"the push takes {steps:.3g} steps; expected at most {MAX_STEPS}: a shorter path or time (in m and s), or "
-            "longer steps"
+            f"the push takes {steps:.3g} steps; expected at most {MAX_STEPS}: "
+            "a shorter path or time (in m and s), or longer steps"
         )
     return max(1, ceil(steps - SLACK))
 
 
 def _cut(parts: float) -> Array:
-    """Cuts 1 into steps of 1/parts, of which the last two share what is left; returns where each begins."""
+    """Cuts 1 into steps of 1/parts, of which the last two share what is left.
+
+    Returns:
+        Where each begins.
+    """
     count = _count_steps(parts)
     if parts > count - SLACK:
         return np.arange(count) / count
@@ -359,7 +383,9 @@ def make_times_with(push: Push, wanted: Array, regime: str) -> Array:
 
 
 def measure_steps(push: Push | ForcePush, times: Array, regime: str) -> Array:
-    """How long the steps between `times` (T+1,) are, (T,): s; where nothing has inertia, by the pusher's path, m.
+    """Measures the steps between `times` (T+1,): (T,) s, or m of the pusher's path.
+
+    It is the path where nothing has inertia.
 
     There time does not matter, and what a step expects of the one before must not depend on it.
     Steps in which the pusher all but stands still count as short ones.

@@ -1,4 +1,6 @@
-"""`PushBatch`: many pushes of one object, simulated again and again with other parameters, in one compiled call.
+"""`PushBatch`: many pushes of one object, simulated again and again with other parameters.
+
+All of them take one compiled call.
 
 What does not depend on the parameters is prepared once. Each push is simulated just as `simulate`
 does it by itself, bit for bit.
@@ -91,9 +93,11 @@ class PushBatch:
         return len(self.offsets) - 1
 
     def simulate(self, params: CellParameters) -> tuple[Array, NDArray[np.bool_]]:
-        """The wanted poses (R, 3), m and rad, push by push; and whether the pusher touched the object (P,).
+        """Simulates all pushes with some parameters.
 
-        That is true also where a step was not solved or the object tips.
+        Returns:
+            The wanted poses (R, 3), m and rad, push by push; and (P,) whether the pusher touched
+            the object, a step was not solved or the object tips.
         """
         poses = np.empty((self.offsets[-1], 3))
         touched = np.empty(len(self), dtype=np.bool_)
@@ -102,7 +106,10 @@ class PushBatch:
         return poses, touched
 
     def differentiate(self, params: CellParameters) -> tuple[Array, Array]:
-        """The wanted poses (R, 3), m and rad, push by push, and their exact derivatives (R, 3, n+3).
+        """Simulates all pushes, and differentiates the wanted poses.
+
+        Returns:
+            The poses (R, 3), m and rad, push by push, and their exact derivatives (R, 3, n+3).
 
         They are by the n masses, 1/kg, by the contact friction, and by the place (x, y) where the
         push begins, 1/m.

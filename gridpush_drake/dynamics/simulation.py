@@ -208,7 +208,9 @@ def calc_loads(
     table: ArrayLike | None = None,
     gravity: float = GRAVITY,
 ) -> Array | None:
-    """What the cells of an object at rest bear, (n,) N (`docs/theory/model.md`, section 8); None where it tips.
+    """Calculates what the cells of an object at rest bear, (n,) N; None if it tips.
+
+    `docs/theory/model.md`, section 8.
 
     The table's top is endless, or has corners (K, 2) in W, m. The loads' center is the center of
     mass. Raises SimulationError: an argument is out of range.
@@ -249,7 +251,8 @@ def simulate_batch(
     count = max(lengths, default=1)
     if any(length != count for length in lengths):
         raise SimulationError(
-            f"objects, params, pushes and poses of lengths {lengths}; expected equal lengths, or one for all"
+            f"objects, params, pushes and poses of lengths {lengths}; "
+            "expected equal lengths, or one for all"
         )
     jobs = [
         (
@@ -269,7 +272,9 @@ def simulate_batch(
 def find_edges_near(
     obj: GridObject, push: Push | ForcePush, q: Array, table: ArrayLike | None, inertial: bool
 ) -> Array | None:
-    """The edges (K, 4) of a table, by its corners (K, 2) in W, that a push may bring an object to, m; None for none.
+    """Finds the edges (K, 4), m, of a table with corners (K, 2) in W that a push may reach.
+
+    None if there is no table, or the push cannot bring the object to its edge.
 
     Raises SimulationError: the corners are none, or the object is not on the table.
     """
@@ -390,7 +395,9 @@ def _check_combination(
 
 
 def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
-    """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1; negative ones count from the end.
+    """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1.
+
+    Negative ones count from the end.
 
     Raises SimulationError where they are not whole numbers in that range that name each pose once
     at most.

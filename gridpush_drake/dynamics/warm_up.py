@@ -40,7 +40,7 @@ def make_square() -> GridObject:
 
 
 def compile_rollouts() -> None:
-    """Simulates one push in each regime, by itself and in a batch: loads the kernels, or compiles them."""
+    """Loads or compiles the kernels, by a push in each regime, by itself and in a batch."""
     obj = make_square()
     params = CellParameters.uniform(obj)
     push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)

@@ -33,7 +33,9 @@ _REFLEX_VERTEX = -2
 """What the feature nearest to the disc may be other than an edge, whose index says which it is."""
 
 _STRAIGHT = 1e-9
-"""Sine of the turn below which a vertex counts as straight: convex from outside, reflex from inside."""
+"""Sine of the turn below which a vertex counts as straight.
+
+It is then convex as seen from outside, and reflex from inside."""
 
 
 class Edges(NamedTuple):
@@ -71,8 +73,8 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
     bx = edges.bx
     by = edges.by
     previous = edges.previous
-    # The nearest feature of all says whether the disc's center is inside the object: it is where that
-    # is an edge seen from its inner side, or a reflex vertex.
+    # The nearest feature of all says whether the disc's center is inside the object: if that is an
+    # edge seen from its inner side, or a reflex vertex.
     nearest = _CONVEX_VERTEX
     nearest2 = np.inf
     best = second = np.inf
@@ -164,7 +166,7 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
 
 @kernel(allocates=False)
 def _is_on_straight(ax, ay, previous, i, ex, ey, tx, ty):
-    """Whether edge i goes straight on from the one before, on which the disc is by round-off too."""
+    """Whether edge i goes straight on from the one before, with the disc beside both by round-off."""
     j = previous[i]
     qx = ax[i] - ax[j]
     qy = ay[i] - ay[j]
@@ -217,7 +219,7 @@ def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
 
 @kernel(allocates=False)
 def _measure_gap(ax, ay, bx, by, i, tx, ty, radius, contacts, row):
-    """Sets the row's gap, and its direction, to the gap between the disc and edge i where that is the smaller."""
+    """Sets the row's gap, and its direction, to those of the disc and edge i if that is nearer."""
     ex = bx[i] - ax[i]
     ey = by[i] - ay[i]
     rx = ax[i] - tx
@@ -236,7 +238,7 @@ def _measure_gap(ax, ay, bx, by, i, tx, ty, radius, contacts, row):
 
 @kernel(allocates=False)
 def _contact_from_inside(ax, ay, bx, by, i, tx, ty, radius, contacts):
-    """Writes the contact of a disc whose center is inside the object: it leaves through edge i, the nearest."""
+    """Writes the contact of a disc whose center is inside: it leaves by edge i, the nearest."""
     ex = bx[i] - ax[i]
     ey = by[i] - ay[i]
     length = sqrt(ex * ex + ey * ey)

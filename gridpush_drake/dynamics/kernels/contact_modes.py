@@ -1,4 +1,6 @@
-"""The contact problem of one linearized step: which of its at most two contacts separate, stick or slide.
+"""The contact problem of one linearized step: whether its contacts separate, stick or slide.
+
+A step has at most two contacts.
 
 With the 3x3 Hessian H, the rows J_n, J_t of the contacts and E = J_n^T (+ J_t^T, or + mu J_t^T
 where it slides), the modes that are right solve
@@ -22,8 +24,9 @@ SEPARATE, STICK, SLIDE_PLUS, SLIDE_MINUS = range(4)
 """Contact modes; `SLIDE_PLUS` has lam_t = + mu_c lam_n."""
 
 COMPLIANCE = 1e-9
-"""Compliance of two contacts at once, as a share of speed/load. It makes two sticking contacts, which
-are one more than the body needs, well posed."""
+"""Compliance of two contacts at once, as a share of speed/load.
+
+It makes two sticking contacts, which are one more than the body needs, well posed."""
 
 _MODE_TOLERANCE = 1e-9
 """Violation of the contact conditions, as a share of load and speed, that counts as none."""
@@ -87,10 +90,13 @@ def calc_compliance(touch, scales):
 
 @kernel(allocates=False)
 def build_contact_system(H, touch, modes, compliance, K):
-    """Fills K with [[H, -E], [C, -compliance]] for the contacts that are not separate; returns its size.
+    """Fills K with [[H, -E], [C, -compliance]] for the contacts that are not separate.
 
     C holds J_n of every touching contact and J_t of every sticking one; E holds J_n (and J_t) of a
     sticking contact, J_n ± mu J_t of a sliding one.
+
+    Returns:
+        The size of K.
     """
     contacts = touch.contacts
     mu = touch.mu
@@ -168,7 +174,11 @@ def relax_jam(contacts, X, columns):
 
 @kernel(allocates=False)
 def _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
-    """Solves the linearized step for one choice of modes into xi and lam; returns its worst violation."""
+    """Solves the linearized step into xi and lam, for the modes in `unknowns`.
+
+    Returns:
+        The worst violation of what the modes promise, as a share of load and speed.
+    """
     contacts, count, vpx, vpy, mu, dt = touch
     load = scales.load
     speed = scales.speed

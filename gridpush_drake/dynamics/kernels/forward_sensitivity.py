@@ -64,7 +64,9 @@ class Columns(NamedTuple):
 
 @kernel(allocates=False)
 def start_columns(Q, n, state):
-    """Fills in the variations at the beginning: the pose's own, and what pose and center of mass do to the velocity.
+    """Fills in the variations at the beginning.
+
+    The pose varies by itself, and the velocity with the pose and with the center of mass.
 
     Args:
         Q: (9, n + OTHER) zeros; rows 0-2 are s, 3-5 v.
@@ -150,7 +152,10 @@ def step_columns(
 
 @kernel(allocates=False)
 def _fill_step_matrix(Z, B, body, inertial, maps, derivative, xi, start, point, new_x, new_y):
-    """Fills in Z = [A, 0, 0; 0, 0, 0] + [G; L] [B, -Y] and what the yaw rate does through the frame of the step."""
+    """Fills in Z = [A, 0, 0; 0, 0, 0] + [G; L] [B, -Y], and p v_w.
+
+    p v_w is what the yaw rate does by turning the frame of the step.
+    """
     A, G, L = maps
     Y = derivative.Y
     E = derivative.E
@@ -172,25 +177,27 @@ def _fill_step_matrix(Z, B, body, inertial, maps, derivative, xi, start, point, 
     ca = cos(a)
     sa = sin(a)
 
-    # B: dxi by s (through the disc's place and velocity, and the force turned with the body), and by
-    # v (through the momentum M_B xi_hat/dt, and the look ahead). The frame of the step turns by h v_w.
+    # B: dxi by s (through the disc's place and velocity, and the force turned with the body), and
+    # by v (through the momentum M_B xi_hat/dt, and the look ahead). The frame turns by h v_w.
     force_moment = point[0] * fx + point[1] * fy
     for i in range(3):
+        e = E[i]
+        b = B[i]
         y0 = Y[i, 0]
         y1 = Y[i, 1]
         y2 = Y[i, 2]
         momentum_x = mass / dt * (y0 - com_y * y2)
         momentum_y = mass / dt * (y1 + com_x * y2)
         turned_force = y0 * fy - y1 * fx - y2 * force_moment
-        by_turn = E[i, 0] * ty - E[i, 1] * tx + E[i, 2] * vpy - E[i, 3] * vpx
-        by_yaw_rate = inertia / dt * y2 + E[i, 6] + com_y * E[i, 4] - com_x * E[i, 5]
+        by_turn = e[0] * ty - e[1] * tx + e[2] * vpy - e[3] * vpx
+        by_yaw_rate = inertia / dt * y2 + e[6] + com_y * e[4] - com_x * e[5]
         by_frame = momentum_x * expected_vy - momentum_y * expected_vx + turned_force
-        B[i, 0] = -E[i, 0]
-        B[i, 1] = -E[i, 1]
-        B[i, 2] = by_turn + turned_force
-        B[i, 3] = momentum_x * ca - momentum_y * sa + E[i, 4]
-        B[i, 4] = momentum_x * sa + momentum_y * ca + E[i, 5]
-        B[i, 5] = by_yaw_rate + h * by_frame
+        b[0] = -e[0]
+        b[1] = -e[1]
+        b[2] = by_turn + turned_force
+        b[3] = momentum_x * ca - momentum_y * sa + e[4]
+        b[4] = momentum_x * sa + momentum_y * ca + e[5]
+        b[5] = by_yaw_rate + h * by_frame
 
     # Z = [A, 0, 0; 0, 0, 0] + [G; L] [B, -Y], and p v_w.
     for i in range(3):
@@ -210,7 +217,10 @@ def _fill_step_matrix(Z, B, body, inertial, maps, derivative, xi, start, point, 
 
 @kernel(allocates=False)
 def _add_inertia_forces(Q, n, body, xi, start):
-    """Adds the inertia's part of the step's equations by m, c and I: T_c^T diag(m, m, I) (T_c xi - eta_hat)/dt."""
+    """Adds the derivatives of the step's inertia by m, c and I.
+
+    The inertia's part of the equations is T_c^T diag(m, m, I) (T_c xi - eta_hat)/dt.
+    """
     mass = body.mass
     com_x = body.com_x
     com_y = body.com_y
@@ -240,7 +250,7 @@ def _add_inertia_forces(Q, n, body, xi, start):
 
 @kernel(allocates=False)
 def _add_com(Q, n, maps, derivative, xi, start, H2):
-    """Adds what the center of mass does directly, and as B's origin is what the expected twist is that of.
+    """Adds what the center of mass does directly, and through the expected velocity of B's origin.
 
     x' = ... + dt R(a) w z × dc + dc - R(w dt) dc, turned into the new body frame; the same for the
     velocity.
@@ -281,7 +291,10 @@ def _add_com(Q, n, maps, derivative, xi, start, H2):
 
 @kernel(allocates=False, fast_sums=True)
 def _step_friction(Q, B, Y, H2):
-    """Carries F, whose rows hold f, over the step but for what acts directly: F' = f + H2 (B (s, v) - Y f)."""
+    """Carries F, whose rows hold f, over the step: F' = f + H2 (B (s, v) - Y f).
+
+    What acts on single columns is added later.
+    """
     q0 = Q[0]
     q1 = Q[1]
     q2 = Q[2]
@@ -376,7 +389,7 @@ def record_columns(J, row, Q, c, s):
 
 @kernel(allocates=False)
 def _add_tip(Q, column, E, dx, dy, dvx, dvy, c, s, G, L, H2):
-    """Adds the effect of moving the disc by (dx, dy) and its velocity by (dvx, dvy), both in W, on one column."""
+    """Adds a change of the disc's place, (dx, dy), and velocity, (dvx, dvy), in W, to a column."""
     # R^T (dx, dy) and R^T (dvx, dvy)
     bx = c * dx + s * dy
     by = -s * dx + c * dy
@@ -390,7 +403,7 @@ def _add_tip(Q, column, E, dx, dy, dvx, dvy, c, s, G, L, H2):
 
 @kernel(allocates=False)
 def _add_direct(Q, column, d0, d1, d2, G, L, H2):
-    """Adds a change of the twist by (d0, d1, d2) to one column: to s by G, to v by L, to F by H2."""
+    """Adds a change of the twist by (d0, d1, d2) to one column: to s by G, v by L, F by H2."""
     if Q.shape[0] > F_ROW:
         for i in range(2):
             Q[F_ROW + i, column] += apply_row(H2, i, d0, d1, d2)

@@ -85,7 +85,7 @@ def can_majorize(law):
 
 
 def fill_load_derivatives(law, cells, eps, xi, f):
-    """Fills in the derivative of the gradient by every k_i, see `FrictionLaw`; compiled code only."""
+    """Fills in the gradient's derivative by every k_i, see `FrictionLaw`; compiled code only."""
     raise NotImplementedError
 
 

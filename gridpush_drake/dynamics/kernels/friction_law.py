@@ -27,7 +27,10 @@ SPIN_MODELS = ("coupled", "separate", "none")
 
 
 def calc_spin_arm(obj: GridObject, params: CellParameters) -> float:
-    """Mean distance c s from a cell's center of the points that bear its load, on a patch of the side s, m."""
+    """Calculates how far the points that bear a cell's load are from its center on average: c s, m.
+
+    s is the side of the patch that they fill.
+    """
     return SPIN_ARM * params.patch_ratio * obj.cell_size
 
 

@@ -9,7 +9,9 @@ Array = NDArray[np.float64]
 
 
 class Body(NamedTuple):
-    """The object; mass, center of mass and inertia are zero in the quasi-static regime, where they do not act.
+    """The object, as the kernels know it.
+
+    Mass, center of mass and inertia are zero in the quasi-static regime, where they do not act.
 
     Attributes:
         cells: (2, n) cell centers p_BC, m.

@@ -1,4 +1,6 @@
-"""Isotropic Coulomb friction with maximal dissipation, at every cell (`docs/theory/model.md`, section 3).
+"""Isotropic Coulomb friction with maximal dissipation, at every cell.
+
+`docs/theory/model.md`, section 3, derives it.
 
 With v_i = u + w z × p_i the velocity of cell i in the body frame,
 
@@ -123,7 +125,9 @@ def add_isotropic(px, py, k, kappa2, spin_load, eps, xi, majorize, g, H):
 
 @kernel(allocates=False, fast_sums=True)
 def fill_cell_forces(px, py, spin, eps2, xi, f):
-    """Fills f (3, >= n) with a_i / s_i and, in its last row, the separate spin's c s w / |w|: dg/dk_i.
+    """Fills f (3, >= n) with dg/dk_i: a_i / s_i.
+
+    To its last row the separate spin adds c s w / |w|.
 
     Args:
         px, py: (n,) cell centers, m.

@@ -1,4 +1,6 @@
-"""The paper's lagged friction: directions of the motion before the step (`docs/theory/model.md`, sections 2 and 3).
+"""The paper's lagged friction, whose directions are those of the motion before the step.
+
+`docs/theory/model.md`, sections 2 and 3, has the paper's LCP and its condensed form.
 
 With d_i the unit direction in which cell i moved before the step, and sigma the sense in which the
 body turned,
@@ -75,7 +77,9 @@ def make_lagged(k, arm, spin):
 
 @kernel(allocates=False)
 def fill_lagged_directions(px, py, cx, cy, velocity, force_acceleration, cell_size, dx, dy):
-    """Fills in the unit directions of the cells' current velocities or, at rest, of the motion the force would start.
+    """Fills in the unit directions of the cells' velocities.
+
+    A cell at rest has that of the motion that the applied force would start.
 
     Args:
         px, py: (n,) cell centers, m.
@@ -148,7 +152,7 @@ def add_lagged(px, py, k, dx, dy, spin_load, spin_sign, eps, xi, g, H):
         load = k[i] * bend
         add_symmetric(
             H, load, row0 * row0, row0 * row1, row0 * row2, row1 * row1, row1 * row2, row2 * row2
-        )  # fmt: skip
+        )
     slope, bend = _smooth_ramp(spin_sign * w, eps)
     g[2] += spin_load * slope * spin_sign
     H[2, 2] += spin_load * bend * spin_sign * spin_sign
@@ -184,8 +188,16 @@ def _begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_ac
     if known:
         law.sense[0] = 1.0
         law.sense[1] = fill_lagged_directions(
-            cells[0], cells[1], com_x, com_y, expected_velocity, force_acceleration, cell_size, law.dx, law.dy
-        )  # fmt: skip
+            cells[0],
+            cells[1],
+            com_x,
+            com_y,
+            expected_velocity,
+            force_acceleration,
+            cell_size,
+            law.dx,
+            law.dy,
+        )
 
 
 @kernel(allocates=False)

@@ -372,7 +372,10 @@ def _shift_loads(law, body, support, state, loads, record, t):
 
 @kernel(allocates=False)
 def _find_friction(touch, unknowns, work, loads):
-    """Fills in the friction with the table, which balances contact, drive and inertia, and its Hessian's rows."""
+    """Fills in the friction with the table, and the first two rows of its Hessian.
+
+    It balances contact forces, drive and inertia.
+    """
     xi, lam, modes = unknowns
     contacts = touch.contacts
     H = work.H
@@ -392,7 +395,7 @@ def _find_friction(touch, unknowns, work, loads):
 
 @kernel(allocates=False)
 def _calc_body_speed(state, arm):
-    """Adds the center of mass's speed and the speed at which what is an arm away turns about it, m/s."""
+    """Adds the center of mass's speed and that of turning about it at an arm's distance, m/s."""
     return sqrt(state.com_vx * state.com_vx + state.com_vy * state.com_vy) + arm * abs(
         state.yaw_rate
     )
@@ -400,7 +403,11 @@ def _calc_body_speed(state, arm):
 
 @kernel(allocates=False)
 def _find_step_contacts(edges, radius, ahead, start, reach, found, contacts):
-    """Fills in the contacts at the beginning and those that the step sees; returns their number and the gap, m."""
+    """Fills in the contacts at the beginning, `found`, and those that the step sees, `contacts`.
+
+    Returns:
+        The number of contacts that the step sees, and the gap at its beginning, m.
+    """
     if radius <= 0.0:
         return 0, np.inf
     count = find_contacts(edges, start.tx, start.ty, radius, reach, found)
@@ -428,7 +435,7 @@ def _bound_recovery(contacts, count, depth):
 
 @kernel(allocates=False)
 def _calc_closing_speed(touch):
-    """The fastest approach of pusher and outline that the step must stop, m/s; zero where there is none."""
+    """Calculates the fastest approach of pusher and outline, m/s; zero if they part."""
     closing = 0.0
     contacts = touch.contacts
     for j in range(touch.n_contacts):
@@ -441,7 +448,7 @@ def _calc_closing_speed(touch):
 
 @kernel(allocates=False)
 def _fill_drive(body, inertial, start, point, work, force_acceleration):
-    """Fills in H0, the drive, and the acceleration (3,) that the applied force alone gives the body.
+    """Fills in H0, the drive, and the acceleration (3,) that the applied force alone would give.
 
     Returns:
         The speed that it gives in a step, m/s, and the size of the drive, N.
@@ -489,7 +496,7 @@ def _fill_drive(body, inertial, start, point, work, force_acceleration):
 
 @kernel(allocates=False)
 def _guess_twist(xi, last_twist, moving_steps, start, moves, body):
-    """Guesses the twist: extrapolated, as it was, the body's own where it moves, or the pusher's."""
+    """Guesses the twist: extrapolated, as it was, the body's own if it moves, or the pusher's."""
     if moving_steps >= MOVING:
         # the last two twists, continued
         for i in range(3):
@@ -523,7 +530,10 @@ def _differentiate_step(touch, scales, unknowns, work, found, start, derivative)
 
 @kernel(allocates=False)
 def _record_contacts(record, t, touch, unknowns, start, x, y):
-    """Records modes, forces and points of step t; (x, y) is where B's origin is when the step looks at the body, m."""
+    """Records modes, forces and points of the contacts in step t.
+
+    (x, y) is the place in W, m, where B's origin is when the step looks at the body.
+    """
     contacts = touch.contacts
     modes = unknowns.modes
     lam = unknowns.lam

@@ -11,7 +11,16 @@ def apply_row(M, i, x, y, z):
 
 @kernel(allocates=False)
 def solve_dense(A, B, size, columns):
-    """Solves A X = B in place (X in B) by Gaussian elimination with partial pivoting; False where A is singular."""
+    """Solves A X = B in place by Gaussian elimination with partial pivoting.
+
+    Args:
+        A: of which the first `size` rows and columns are used, and overwritten.
+        B: right-hand sides in its first `columns` columns, overwritten with X.
+        size, columns: see above.
+
+    Returns:
+        False where A is singular.
+    """
     # Forward elimination: row j is exchanged with the one that has the largest pivot.
     for j in range(size):
         pivot = j

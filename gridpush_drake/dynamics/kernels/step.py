@@ -39,7 +39,7 @@ _ITERATION_LIMIT = 40
 """Most Newton iterations at each tolerance of the continuation."""
 
 _SLOW = 0.5
-"""A Newton step that leaves more than this share of the residual is followed by a majorizing one."""
+"""If a Newton step leaves more than this share of the residual, a majorizing one follows."""
 
 _FINAL_RESIDUAL = 1e-8
 """Residual, as a share of the load, at which one last Newton step is taken: it squares the rest."""

@@ -63,6 +63,9 @@ def calc_step_derivative(H, touch, compliance, unknowns, K, X, derivative):
     D = derivative.D
     size = build_contact_system(H, touch, modes, compliance, K)
     F[:size, :] = 0.0
+    force_x = F[0]
+    force_y = F[1]
+    moment = F[2]
     row = 3
     for c in range(count):
         mode = modes[c]
@@ -93,36 +96,38 @@ def calc_step_derivative(H, touch, compliance, unknowns, K, X, derivative):
         f0 = -(dn0 * lam[c, 0] + dt0 * lam[c, 1])
         f1 = -(dn1 * lam[c, 0] + dt1 * lam[c, 1])
         f2 = -(dn2 * lam[c, 0] + dt2 * lam[c, 1])
-        F[0, AHEAD_X] += f0 * tx
-        F[0, AHEAD_Y] += f0 * ty
-        F[1, AHEAD_X] += f1 * tx
-        F[1, AHEAD_Y] += f1 * ty
-        F[2, AHEAD_X] += f2 * tx
-        F[2, AHEAD_Y] += f2 * ty
+        force_x[AHEAD_X] += f0 * tx
+        force_x[AHEAD_Y] += f0 * ty
+        force_y[AHEAD_X] += f1 * tx
+        force_y[AHEAD_Y] += f1 * ty
+        moment[AHEAD_X] += f2 * tx
+        moment[AHEAD_Y] += f2 * ty
 
         # The normal row: J_n xi - N·v_p + gap/dt, whose gap is that at the beginning of the step.
+        asked = F[row]
         along = dn0 * xi[0] + dn1 * xi[1] + dn2 * xi[2] - dn0 * vpx - dn1 * vpy
-        F[row, T_X] = -contacts[c, GX] / dt
-        F[row, T_Y] = -contacts[c, GY] / dt
-        F[row, AHEAD_X] = along * tx
-        F[row, AHEAD_Y] = along * ty
-        F[row, V_X] = -nx
-        F[row, V_Y] = -ny
+        asked[T_X] = -contacts[c, GX] / dt
+        asked[T_Y] = -contacts[c, GY] / dt
+        asked[AHEAD_X] = along * tx
+        asked[AHEAD_Y] = along * ty
+        asked[V_X] = -nx
+        asked[V_Y] = -ny
         row += 1
         if mode == STICK:
             # The tangential row: J_t xi - T·v_p.
+            asked = F[row]
             along = dt0 * xi[0] + dt1 * xi[1] + dt2 * xi[2] - dt0 * vpx - dt1 * vpy
-            F[row, AHEAD_X] = along * tx
-            F[row, AHEAD_Y] = along * ty
-            F[row, V_X] = -tx
-            F[row, V_Y] = -ty
+            asked[AHEAD_X] = along * tx
+            asked[AHEAD_Y] = along * ty
+            asked[V_X] = -tx
+            asked[V_Y] = -ty
             row += 1
         else:
             # Sliding: lam_t = ± mu_c lam_n, so mu_c acts on the balance of forces.
             slide = lam[c, 0] if mode == SLIDE_PLUS else -lam[c, 0]
-            F[0, FRICTION] -= slide * tx
-            F[1, FRICTION] -= slide * ty
-            F[2, FRICTION] -= slide * c_cross_t
+            force_x[FRICTION] -= slide * tx
+            force_y[FRICTION] -= slide * ty
+            moment[FRICTION] -= slide * c_cross_t
 
     # Y are the first rows of K^-1, and D = -K^-1 F.
     if size == 7:
@@ -145,7 +150,7 @@ def calc_step_derivative(H, touch, compliance, unknowns, K, X, derivative):
 
 @kernel(allocates=False)
 def calc_input_derivative(first, start, derivative):
-    """Differentiates a step by what it is given at its beginning, through the look ahead (`contact.look_ahead`).
+    """Differentiates a step by what it is given at its beginning, through `contact.look_ahead`.
 
     With tdot = v_p - u - w z × t the disc's motion seen from the body that moves with the expected
     twist (u, w), with N_0 and T_0 the directions of the contact at the beginning, and R(a), a = h
@@ -183,18 +188,20 @@ def calc_input_derivative(first, start, derivative):
     ca = cos(start.a)
     sa = sin(start.a)
     for i in range(3):
-        mx = D[i, AHEAD_X]
-        my = D[i, AHEAD_Y]
-        vx = D[i, V_X]
-        vy = D[i, V_Y]
+        step = D[i]
+        out = E[i]
+        mx = step[AHEAD_X]
+        my = step[AHEAD_Y]
+        vx = step[V_X]
+        vy = step[V_Y]
         bent = mx * bx + my * by
         slid = h * (mx * t0x + my * t0y)
         # d xi / d tdot is slid T_0^T; tdot depends on t by -w z × t
-        E[i, 0] = D[i, T_X] + mx + bent * t0x - slid * w * t0y
-        E[i, 1] = D[i, T_Y] + my + bent * t0y + slid * w * t0x
-        E[i, 2] = slid * t0x + vx * ca - vy * sa
-        E[i, 3] = slid * t0y + vx * sa + vy * ca
-        E[i, 4] = -slid * t0x
-        E[i, 5] = -slid * t0y
-        E[i, 6] = -slid * (t0y * tx - t0x * ty) + h * (vx * vpy - vy * vpx)
-        E[i, 7] = D[i, FRICTION]
+        out[0] = step[T_X] + mx + bent * t0x - slid * w * t0y
+        out[1] = step[T_Y] + my + bent * t0y + slid * w * t0x
+        out[2] = slid * t0x + vx * ca - vy * sa
+        out[3] = slid * t0y + vx * sa + vy * ca
+        out[4] = -slid * t0x
+        out[5] = -slid * t0y
+        out[6] = -slid * (t0y * tx - t0x * ty) + h * (vx * vpy - vy * vpx)
+        out[7] = step[FRICTION]

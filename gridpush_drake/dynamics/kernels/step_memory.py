@@ -1,4 +1,6 @@
-"""What the solver remembers from step to step, so that a motion can be cut in two without changing it.
+"""What the solver remembers from step to step.
+
+With it, a motion that is cut in two stays the same motion.
 
 A step's guess is the extrapolation of the last two twists, its contact modes are those of the last
 step. The solution does not depend on the guess where it is unique; where two contacts jam it may.
@@ -30,7 +32,11 @@ def make_memory() -> NDArray[np.float64]:
 
 @kernel(allocates=False)
 def recall(memory, xi, last_twist, modes, tilt, friction):
-    """Fills twists (3,), modes, tilt and friction (2,) from the memory; returns the steps moved in a row."""
+    """Fills twists (3,), modes, tilt and friction (2,) from the memory.
+
+    Returns:
+        The steps that the body moved in a row.
+    """
     for i in range(3):
         xi[i] = memory[i]
         last_twist[i] = memory[_LAST + i]

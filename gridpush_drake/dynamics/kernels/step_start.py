@@ -85,11 +85,11 @@ class StepStart(NamedTuple):
 
 @kernel(allocates=False)
 def make_state(pose, velocity, com_x, com_y):
-    """Makes the state of q (3,) and nu (3,), the velocity of B's origin in W, m/s, and yaw rate, rad/s."""
+    """Makes the state from q (3,) and nu (3,), which is of B's origin in W, m/s and rad/s."""
     c = cos(pose[2])
     s = sin(pose[2])
     yaw_rate = velocity[2]
-    # R^T v: the velocity of B's origin in the body frame; the center of mass moves with u + w z × c.
+    # R^T v: the velocity of B's origin in the body frame. The center of mass has u + w z × c.
     body_x = c * velocity[0] + s * velocity[1]
     body_y = -s * velocity[0] + c * velocity[1]
     return State(

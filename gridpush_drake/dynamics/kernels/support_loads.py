@@ -1,4 +1,6 @@
-"""How the body loads the table: what each cell bears of the weight W, while it is pushed and over a table's edge.
+"""How the body loads the table: what each cell bears of the weight W.
+
+A push above the table's height and the edge of the table shift these loads.
 
 At rest on the table the cells bear N_i0 = m_i g, with their center at the center of mass c.
 Friction F, which acts at the table's height against a force at height h, moves the center that
@@ -390,7 +392,10 @@ def _fill_exponentials(lines, b, origin, values):
 
 @kernel(allocates=False, fast_sums=True)
 def _sum_moments(support, cells, loads):
-    """Sums m_i sigma_i exp(b·p_i), up to a factor, times 1, x, y, x², x y and y², with (x, y) = p_i - p*."""
+    """Sums m_i sigma_i exp(b·p_i), up to a factor, times 1, x, y, x², x y and y².
+
+    (x, y) = p_i - p*.
+    """
     mass = support.mass
     column = support.column
     row = support.row
@@ -428,7 +433,9 @@ def _calc_phi(x):
 
 @kernel(allocates=False, fast_sums=True)
 def fill_load_columns(support, cells, loads, k, Q, n_other):
-    """Turns f_i = dg/dk_i in rows 6-8 of Q into df by each m_i and, where there is room, by h and each mu_i.
+    """Turns f_i = dg/dk_i in rows 6-8 of Q into df by each m_i.
+
+    Where Q has columns for them, df by h and by each mu_i are filled in, too.
 
     Args:
         support: `Support`.
@@ -518,7 +525,7 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
 
 @kernel(allocates=False, fast_sums=True)
 def add_load_variations(loads, Q):
-    """Adds what the pose (rows 0-2 of Q) and the last friction (rows 9-10) do to the forces in rows 6-8.
+    """Adds to the forces in rows 6-8 of Q what the pose (rows 0-2) and F (rows 9-10) do to them.
 
     The sum of them, x and y, then stands in the rows of F, where the step is to be added.
     """

@@ -1,4 +1,4 @@
-"""The paper's own forms, slow and independent: what the kernels are tested against, and its gradient.
+"""The paper's own forms, slow and independent, which the kernels are tested against.
 
 Song & Boularias, "Learning to Slide Unknown Objects with Differentiable Physics Simulations", RSS
 2020: the LCP in maximal coordinates, its solvers as an LCP, a QP and a cone program, and the

@@ -1,4 +1,6 @@
-"""The step with isotropic Coulomb friction as a second-order cone program: the kernel's slow, independent reference.
+"""The step with isotropic Coulomb friction as a second-order cone program.
+
+It is slow and independent of the kernel, which is tested against it.
 
 Clarabel's solution is good to 1e-7; Newton's method then takes it to round-off, on the subspace in
 which the norms that vanish (what sticks) stay zero.
@@ -120,7 +122,10 @@ def solve_isotropic_socp(
 def _minimize_norms(
     u_free: NDArray[np.float64], cones: list[NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Minimizes |u - u_free|²/2 + sum_i |A_i u| over u (3,), as  sum t_i  with  (t_i, A_i u) in second-order cones."""
+    """Minimizes |u - u_free|²/2 + sum_i |A_i u| over u (3,).
+
+    The sum is that of t_i, with (t_i, A_i u) in second-order cones.
+    """
     k = len(cones)
     P = diags_array(np.concatenate([np.ones(3), np.zeros(k)]))
     A = np.zeros((sum(1 + len(A_i) for A_i in cones), 3 + k))
@@ -144,7 +149,11 @@ def _polish(
     u: NDArray[np.float64],
     zero: float,
 ) -> NDArray[np.float64] | None:
-    """Newton's method from u, on the subspace B where the norms that vanish at u do; None where it fails."""
+    """Refines u by Newton's method, on the subspace B where the norms that vanish at u do.
+
+    Returns:
+        The minimizer; None if the method fails.
+    """
     vanish = [np.linalg.norm(A_i @ u) <= zero * np.abs(A_i).max() for A_i in cones]
     held = np.concatenate(
         [np.zeros((1, 3))]

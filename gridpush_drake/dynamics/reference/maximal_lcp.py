@@ -1,4 +1,6 @@
-"""The paper's LCP in maximal coordinates: n cells with three velocities each (Song & Boularias, RSS 2020, Fig. 2).
+"""The paper's LCP in maximal coordinates: n cells with three velocities each.
+
+Song & Boularias, RSS 2020, Fig. 2.
 
 Given pose, velocities xdot_t, applied force F, masses and frictions, find xdot, lam_e, lam_f, gamma
 with
@@ -107,7 +109,8 @@ def make_maximal_lcp(
         or params.n != obj.n
     ):
         raise SimulationError(
-            f"q {q.shape}, xdot {xdot.shape}, F {F.shape}, parameters of {params.n} cells; expected (3,), "
+            f"q {q.shape}, xdot {xdot.shape}, F {F.shape}, parameters of {params.n} cells; "
+            "expected (3,), "
             f"({3 * obj.n},), ({3 * obj.n},) and {obj.n}, as {obj.name} has"
         )
     if not (
@@ -161,7 +164,10 @@ def _spanning_tree(pairs: NDArray[np.int64], n: int) -> NDArray[np.int64]:
 
 
 def _rigidity(p_WC: NDArray[np.float64], pairs: NDArray[np.int64]) -> csr_array:
-    """J_e, three rows a pair: w_i = w_j and v_i + w_i z × (P - p_i) = v_j + w_j z × (P - p_j), P the midpoint."""
+    """Makes J_e, three rows for each pair of cells.
+
+    w_i = w_j and v_i + w_i z × (P - p_i) = v_j + w_j z × (P - p_j), with P the midpoint.
+    """
     k = len(pairs)
     i, j = pairs.reshape(-1, 2).T
     ax, ay = ((p_WC[j] - p_WC[i]) / 2).T
@@ -169,10 +175,20 @@ def _rigidity(p_WC: NDArray[np.float64], pairs: NDArray[np.int64]) -> csr_array:
     row = 3 * np.arange(k)
     # (row, column, value); P - p_i = a, P - p_j = -a
     entries = [
-        (row, 3 * i, one), (row, 3 * j, -one),
-        (row + 1, 3 * i + 1, one), (row + 1, 3 * i, -ay), (row + 1, 3 * j + 1, -one), (row + 1, 3 * j, -ay),
-        (row + 2, 3 * i + 2, one), (row + 2, 3 * i, ax), (row + 2, 3 * j + 2, -one), (row + 2, 3 * j, ax),
-    ]  # fmt: skip
+        # w_i = w_j
+        (row, 3 * i, one),
+        (row, 3 * j, -one),
+        # along x
+        (row + 1, 3 * i + 1, one),
+        (row + 1, 3 * i, -ay),
+        (row + 1, 3 * j + 1, -one),
+        (row + 1, 3 * j, -ay),
+        # along y
+        (row + 2, 3 * i + 2, one),
+        (row + 2, 3 * i, ax),
+        (row + 2, 3 * j + 2, -one),
+        (row + 2, 3 * j, ax),
+    ]
     rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
     return csr_array(coo_array((values, (rows, columns)), shape=(3 * k, 3 * len(p_WC))))
 
@@ -215,7 +231,10 @@ def _friction_directions(
 def _split(
     xdot: NDArray[np.float64], slow: float, slow_yaw: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sense of rotation (n,) and unit direction (n, 2) of velocities (n, 3); zero where slower than the tolerances."""
+    """Calculates the senses of rotation (n,) and unit directions (n, 2) of velocities (n, 3).
+
+    Both are zero where the velocity is below the tolerances.
+    """
     w = xdot[:, 0]
     v = xdot[:, 1:]
     speed = np.linalg.norm(v, axis=1, keepdims=True)

@@ -59,7 +59,9 @@ class NormalizedLcp:
 
 @dataclass(frozen=True)
 class KktResiduals:
-    """How well each line of the LCP holds: the largest violation, as a share of the problem's own scale.
+    """How well each line of the LCP holds.
+
+    Each figure is the largest violation, as a share of the problem's own scale.
 
     Impulses are measured by P, the largest cell's m |v_t| + dt |F| + bound; velocities by V, the
     same of the whole body over its mass; moments and yaw rates by P s and V / s, s the cell size;
@@ -98,7 +100,9 @@ def normalize(lcp: MaximalLcp) -> NormalizedLcp:
 def project(
     C: csr_array, r: NDArray[np.float64], lam: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solves y + C^T lam = r, C y = 0: y is r (N,) or (N, j), projected onto the null space of C (k, N).
+    """Solves y + C^T lam = r, C y = 0.
+
+    y is r (N,) or (N, j), projected onto the null space of C (k, N).
 
     The proximal method of multipliers, [[1, C^T], [C, -delta]] [dy; dlam] = residual, repeated down
     to round-off: one sparse factorization that does not mind redundant rows. Where those leave lam
@@ -131,7 +135,7 @@ def calc_residuals(
     lam_f: NDArray[np.float64],
     gamma: NDArray[np.float64],
 ) -> KktResiduals:
-    """Evaluates every line of the LCP for velocities (3n,) after the step, impulses, and speeds gamma (2n,)."""
+    """Evaluates every line of the LCP for velocities (3n,), impulses, and speeds gamma (2n,)."""
     n = lcp.n
     s = lcp.cell_size
     length = np.tile([s, 1.0, 1.0], n)
@@ -196,7 +200,7 @@ class LcpSolution:
 
 
 def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
-    """Eliminates xdot and lam_e and solves the LCP in (s, gamma) that is left, with a solver of dense LCPs.
+    """Eliminates xdot and lam_e, and solves the dense LCP in (s, gamma) that is left.
 
     With P the projector onto the null space of C, y = h + P G^T s and
 
@@ -220,7 +224,7 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
 
 
 def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
-    """Solves the convex QP with an interior point method, then the equations of its active set exactly, to round-off.
+    """Solves the convex QP by an interior point method, then its active set's equations exactly.
 
     Every friction row slides (s = 1), sticks (G y = 0) or is carried backwards (s = 0). The
     interior point solution tells which; y and the multipliers then solve linear equations, whose
@@ -282,7 +286,10 @@ def _restore(
 def _interior_point(
     unit: NormalizedLcp,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Solves for y, lam, s, t:  min 1/2 |y|² - h·y + sum t  s.t.  C y = 0 (lam), t >= 0 (1 - s), t + G y >= 0 (s)."""
+    """Solves a QP for y, t and the multipliers lam, s.
+
+    min 1/2 |y|² - h·y + sum t  s.t.  C y = 0 (lam), t >= 0 (1 - s), t + G y >= 0 (s)
+    """
     k, N = unit.G.shape
     E = unit.C.shape[0]
     m = unit.C.shape[0] + k
@@ -302,7 +309,10 @@ def _interior_point(
 def _solve_active_set(
     unit: NormalizedLcp, state: NDArray[np.int64], lam: NDArray[np.float64], s: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Solves for y, lam and s with s = 1 where rows slide, 0 where they are reversed, G y = 0 where they stick."""
+    """Solves for y, lam and s, with s = 1 where rows slide and 0 where they are reversed.
+
+    Where they stick, G y = 0.
+    """
     sticks = state == STICK
     G_s = unit.G[sticks]
     length = np.sqrt((G_s * G_s).sum(axis=1))

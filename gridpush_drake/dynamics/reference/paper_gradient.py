@@ -1,4 +1,6 @@
-"""The paper's closed-form gradient of one step of the maximal LCP (Song & Boularias, RSS 2020, section V).
+"""The paper's closed-form gradient of one step of the maximal LCP.
+
+Song & Boularias, RSS 2020, section V.
 
 The object moves, and pose, xdot_t, F and hence J_e and J_f are constant. Each friction row then
 either slides, lam_f = bound, or is carried backwards, lam_f = 0, or sticks, J_f xdot = 0. With C =
@@ -63,7 +65,7 @@ class PaperGradient:
 def calc_x11(
     lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """X11 (3n, 3n): from impulses on the cells to the velocities that they cause, 1/(kg m²) and 1/kg.
+    """Makes X11 (3n, 3n), from impulses on the cells to the velocities that they cause.
 
     With T (3n, 3), `twist_to_cells`, by the condensed form T X_B T^T; without it by the paper's
     formula in J_e, O(n³).
@@ -87,7 +89,9 @@ def calc_paper_gradient(
     *,
     g: float = STANDARD_GRAVITY,
 ) -> PaperGradient:
-    """Differentiates the velocities after a step of a moving object by every cell's mass and friction.
+    """Differentiates the velocities after a step by every cell's mass and friction.
+
+    The object must be moving.
 
     With T (3n, 3), `twist_to_cells`, by the condensed route in O(n²); without it by the explicit
     one in O(n³).
@@ -108,7 +112,9 @@ def calc_paper_loss_gradient(
     *,
     g: float = STANDARD_GRAVITY,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Differentiates the paper's loss |x_{t+1} - x*_{t+1}|², x_{t+1} = x_t + xdot dt, so dloss/dxdot = 2 dt error.
+    """Differentiates the paper's loss |x_{t+1} - x*_{t+1}|².
+
+    x_{t+1} = x_t + xdot dt, so dloss/dxdot = 2 dt error.
 
     Args:
         error: (3n,) x_{t+1} - x*_{t+1} in the cells' order, rad and m; zero where the loss ignores
@@ -204,7 +210,7 @@ def _condensed_x11(
 def _impulse_derivatives(
     lcp: MaximalLcp, solution: LcpSolution, g: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """-[dM (xdot - xdot_t) - J_f^T D_s dbound], a column (3n,) for every dm_i and for every dmu_i."""
+    """Makes -[dM (xdot - xdot_t) - J_f^T D_s dbound], a column (3n,) for every dm_i and dmu_i."""
     n = lcp.n
     s = lcp.cell_size
     cell = np.arange(n)

@@ -45,10 +45,10 @@ def calc_paper_jacobian(
     rows: NDArray[np.int64],
     physics: Physics,
 ) -> Jacobian:
-    """Differentiates each recorded pose (rows, (R,)) by the step that led to it: the blocks `mass` and `friction`.
+    """Differentiates each recorded pose (rows, (R,)) by the step that led to it.
 
-    The others are zero, and so is the row of pose 0, which no step led to. The steps `dts` (T,), s,
-    are inertial.
+    The blocks `mass` and `friction` are filled. The others are zero, and so is the row of pose 0,
+    which no step led to. The steps `dts` (T,), s, are inertial.
     """
     spin = physics.used_spin
     t = np.maximum(rows - 1, 0)
@@ -66,22 +66,47 @@ def calc_paper_jacobian(
     mass = np.empty((len(rows), 3, obj.n))
     friction = np.empty((len(rows), 3, obj.n))
     fill_paper_gradient(
-        np.array(obj.p_BC.T, order="C"), np.array(params.mass), np.array(params.friction), obj.cell_size**2 / 6,
-        arm**2 if spin == "coupled" else 0.0, arm if spin == "separate" else 0.0, before, after,
-        physics.gravity * dt, response, mass, friction,
-    )  # fmt: skip
+        np.array(obj.p_BC.T, order="C"),
+        np.array(params.mass),
+        np.array(params.friction),
+        obj.cell_size**2 / 6,
+        arm**2 if spin == "coupled" else 0.0,
+        arm if spin == "separate" else 0.0,
+        before,
+        after,
+        physics.gravity * dt,
+        response,
+        mass,
+        friction,
+    )
     zeros = np.zeros((len(rows), 3))
     return Jacobian(
-        steps=rows, mass=mass, friction=friction, contact_friction=zeros, start=np.zeros((len(rows), 3, 2)),
-        direction=zeros, length=zeros, pose=np.zeros((len(rows), 3, 3)),
-    )  # fmt: skip
+        steps=rows,
+        mass=mass,
+        friction=friction,
+        contact_friction=zeros,
+        start=np.zeros((len(rows), 3, 2)),
+        direction=zeros,
+        length=zeros,
+        pose=np.zeros((len(rows), 3, 3)),
+    )
 
 
 @kernel()
 def fill_paper_gradient(
-    cells: Array, mass: Array, friction: Array, inertia: float, kappa2: float, spin_arm: float, before: Array,
-    after: Array, impulse: Array, response: Array, dm: Array, dmu: Array,
-) -> None:  # fmt: skip
+    cells: Array,
+    mass: Array,
+    friction: Array,
+    inertia: float,
+    kappa2: float,
+    spin_arm: float,
+    before: Array,
+    after: Array,
+    impulse: Array,
+    response: Array,
+    dm: Array,
+    dmu: Array,
+) -> None:
     """Fills in the derivatives of R steps.
 
     Args:
@@ -110,6 +135,7 @@ def fill_paper_gradient(
         dx = ux1 - ux
         dy = uy1 - uy
         dw = w1 - w
+        # Separate spin acts against the sense of rotation, unless the step reversed it.
         w_own = w if abs(w) > YAW_RATE_AT_REST else w1
         spins = abs(w_own) > YAW_RATE_AT_REST and w_own * w1 > 0.0
         spin = spin_arm * np.sign(w_own) if spins else 0.0
@@ -121,6 +147,7 @@ def fill_paper_gradient(
             wi = w
             vx1 = ux1 - w1 * y
             vy1 = uy1 + w1 * x
+            # f_i: by the motion before the step, or after it for a cell that was at rest.
             size = sqrt(vx * vx + vy * vy + kappa2 * wi * wi)
             if size <= SPEED_AT_REST:
                 vx = vx1
@@ -132,6 +159,7 @@ def fill_paper_gradient(
             fx = vx * inverse
             fy = vy * inverse
             fw = x * fy - y * fx + kappa2 * wi * inverse + spin * impulse[r]
+            # T_i^T diag(s²/6, 1, 1) T_i (nu' - nu) + mu_i g dt f_i, and m_i g dt f_i
             momentum_x = dx - dw * y
             momentum_y = dy + dw * x
             row_mu[0, i] = mass[i] * fx
@@ -140,6 +168,7 @@ def fill_paper_gradient(
             row_m[0, i] = momentum_x + friction[i] * fx
             row_m[1, i] = momentum_y + friction[i] * fy
             row_m[2, i] = x * momentum_y - y * momentum_x + inertia * dw + friction[i] * fw
+        # to the pose's displacement in W
         for j in range(3):
             a = response[r, j, 0]
             b = response[r, j, 1]
