@@ -85,8 +85,8 @@ room              nodes  comments  pairs  packed  vague  long
 bench              10.2         0     36     6.2     12    41
 cli                 7.7         0     15     1.6      4    47
 display             9.7         0     25     0.3      5    51
-dynamics           11.1         0     34     2.8      2    35
-dynamics/kernels   14.5         0    133     5.2      2    30
+dynamics           10.3        25      2     1.8      0     2
+dynamics/kernels   11.1        25      2     0.5      0     1
 geometry           14.5         0     40     0.3      5    51
 gym                11.8         0     50     5.7      9    38
 identification     10.6         0     30     5.4     14    43

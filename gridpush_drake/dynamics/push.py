@@ -255,14 +255,24 @@ class ForcePush(Frozen):
         return self.force[np.maximum(index, 0)]
 
 
-DEFAULT_DT = 0.01  # s, the longest step where none is given
-DEFAULT_TIP_STEP = 0.001  # m, the furthest the pusher moves in a step where none is given
-MAX_STEPS = (
-    1_000_000  # of a simulation, each of which is kept: 1 km of the pusher's path by default
-)
-SAME_TIME = 1e-9  # of a push's duration, by which two of its times differ that are one
-SHORT_STEP = 0.01  # of the mean step: in what is shorter a rounding error of a place is a speed
-SLACK = 1e-9  # share of a step by which a duration may exceed a whole number of them
+DEFAULT_DT = 0.01
+"""Longest step if none is given, s."""
+
+DEFAULT_TIP_STEP = 0.001
+"""Farthest that the pusher moves in a step if none is given, m."""
+
+MAX_STEPS = 1_000_000
+"""Most steps of a simulation, each of which is kept: 1 km of the pusher's path by default."""
+
+SAME_TIME = 1e-9
+"""Two times of a push are one if they differ by less than this share of its duration."""
+
+SHORT_STEP = 0.01
+"""A step shorter than this share of the mean one is avoided: a rounding error of a place, divided by
+it, would be a speed."""
+
+SLACK = 1e-9
+"""Share of a step by which a duration may exceed a whole number of steps."""
 
 
 def make_times(push: Push | ForcePush, dt: float | None, regime: str) -> Array:

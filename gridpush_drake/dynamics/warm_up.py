@@ -22,8 +22,17 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-SIDE, RADIUS, SPEED, DURATION = 0.02, 0.005, 0.1, 0.02
-"""A small square and a short push of it: m, m, m/s, s."""
+SIDE = 0.02
+"""Side of a small square, m."""
+
+RADIUS = 0.005
+"""Radius of the disc that pushes it, m."""
+
+SPEED = 0.1
+"""Speed of the disc, m/s."""
+
+DURATION = 0.02
+"""Duration of the push, s."""
 
 REGIMES: tuple[Regime, ...] = ("inertial", "quasi_static")
 
@@ -44,7 +53,8 @@ def compile_rollouts() -> None:
     obj = make_square()
     params = CellParameters.uniform(obj)
     push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)
-    times, rows = np.array([0.0, DURATION]), np.array([1])
+    times = np.array([0.0, DURATION])
+    rows = np.array([1])
     for regime in REGIMES:
         simulate(obj, params, push, gradients=True, regime=regime)
         batch = PushBatch(
@@ -55,7 +65,9 @@ def compile_rollouts() -> None:
 
 def find_columns_signature() -> tuple[numba.types.Type, ...]:
     """The types of the arguments with which the rollout calls `step_columns`."""
-    matrix, vector, number = np.zeros((1, 1)), np.zeros(1), 0.0
+    matrix = np.zeros((1, 1))
+    vector = np.zeros(1)
+    number = 0.0
     records = {
         "columns": Columns(*[matrix] * len(Columns._fields)),
         "body": Body(matrix, vector, *[number] * (len(Body._fields) - 2)),

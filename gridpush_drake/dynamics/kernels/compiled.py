@@ -1,4 +1,4 @@
-"""How the kernels are compiled: once a machine, and again whenever the source of any of them changes.
+"""How the kernels are compiled: once a machine, and again when the source of any changes.
 
 Numba looks only at the file of the function that it caches, not at the files of those it calls; a
 kernel spread over several files could so run with stale parts. And it takes two checkouts of the
@@ -51,10 +51,10 @@ UNUSED = 30 * 86400.0
 """s since a folder was last used, after which it is removed."""
 
 FOLDER_MODE = 0o755
-"""Of a new cache folder: everybody may read it, only its owner may write in it."""
+"""Mode of a new cache folder: everybody may read it, only its owner may write in it."""
 
 FILE_MODE = 0o644
-"""Likewise of a file in it."""
+"""Mode of a file in the cache: everybody may read it, only its owner may write it."""
 
 ROOT = 0
 """Number of the user who may change everything anyway."""
@@ -116,7 +116,7 @@ def compile_for(function: Callable[..., Any], types: Sequence[Any]) -> None:
 
 @cache
 def calc_digest(source: Path) -> str:
-    """Hashes the files of this package, and the file that a kernel stands in where that is another one.
+    """Hashes the files of this package, and the file of a kernel that stands elsewhere.
 
     Args:
         source: that file.
@@ -135,7 +135,7 @@ def calc_digest(source: Path) -> str:
 
 @cache
 def find_cache_folder(source: Path) -> Path | None:
-    """Finds the folder for the compiled kernels of one file: one that is filled, else one that can be.
+    """Finds the folder for the compiled kernels of one file: a filled one, else one that can be.
 
     A place that others can change is left out, and that is said on standard error.
 
@@ -214,9 +214,10 @@ def find_doubt(folder: Path) -> str | None:
 
 
 def _is_private_group(group: int) -> bool:
-    """Whether a group is this user's alone: many systems make one for each user, of the same name."""
+    """Whether a group is this user's alone: many systems make one of each user's name."""
     try:
-        user, entry = pwd.getpwuid(os.getuid()), grp.getgrgid(group)
+        user = pwd.getpwuid(os.getuid())
+        entry = grp.getgrgid(group)
     except KeyError:
         return False
     own = user.pw_gid == group and entry.gr_name == user.pw_name
@@ -231,7 +232,10 @@ def _make_folder(folder: Path) -> None:
 
 
 def _remove_unused(place: Path) -> None:
-    """Removes the folders of other sources that were not used for long; several processes may be at it at once."""
+    """Removes the folders of other sources that were not used for long.
+
+    Several processes may be at it at once.
+    """
     for folder in place.glob(f"kernels-{'[0-9a-f]' * DIGEST_LENGTH}"):
         with suppress(OSError):
             if time.time() - folder.stat().st_mtime > UNUSED:
@@ -246,10 +250,11 @@ def _say_once(text: str) -> None:
 
 
 class _Locator(_CacheLocator):
-    """Numba wants to know where it finds what it compiled; `KernelCache` reads and writes it itself."""
+    """Says what Numba asks of the place of a cache, which `KernelCache` reads and writes itself."""
 
     def __init__(self, function: Callable[..., Any], source: str) -> None:
-        self._source, self._line = Path(source), function.__code__.co_firstlineno
+        self._source = Path(source)
+        self._line = function.__code__.co_firstlineno
 
     @classmethod
     def from_function(cls, function: Callable[..., Any], source: str) -> "_Locator":
@@ -270,7 +275,9 @@ class _KernelCacheImpl(CompileResultCacheImpl):
 
 
 class KernelCache(NullCache):
-    """The compiled forms of one function, each in a file of its own that is named by the types of its arguments.
+    """The compiled forms of one function.
+
+    Each is in a file of its own, which is named by the types of the arguments.
 
     Several processes can so write at once. (Numba's own cache numbers the files in an index, where
     one process could find its number given to another one's file.)
@@ -294,7 +301,7 @@ class KernelCache(NullCache):
         return [] if folder is None else sorted(folder.glob(f"{self._parts.filename_base}.*.nbc"))
 
     def find_file(self, signature: Any, codegen: Any) -> Path | None:
-        """The file of the function for some types of arguments; None where there is no folder for it."""
+        """Names the function's file for some types of arguments; None if there is no folder."""
         folder = find_cache_folder(self._source)
         if folder is None:
             return None

@@ -94,7 +94,9 @@ def normalize(lcp: MaximalLcp) -> NormalizedLcp:
     h, lam_0 = project(C, (lcp.M * lcp.xdot + lcp.dt * lcp.F) / root_mass)
     e = np.abs(h).max() or 1.0
     G = csr_array(diags_array(lcp.bound[rows] / e) @ lcp.J_f[rows] @ per_root_mass)
-    return NormalizedLcp(root_mass, e, rows, h / e, lam_0 / e, C, norm, G)
+    return NormalizedLcp(
+        root_mass=root_mass, e=e, rows=rows, h=h / e, lam_0=lam_0 / e, C=C, norm=norm, G=G
+    )
 
 
 def project(

@@ -142,7 +142,7 @@ def calc_paper_step_jacobian(
     dt: float,
     g: float = STANDARD_GRAVITY,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The same gradient with three unknowns, for use in a rollout: O(n) work.
+    """Calculates the gradient with three unknowns, for use in a rollout: O(n) work.
 
         dnu'/dm_i  = -M_B^-1 [T_i^T diag(s²/6, 1, 1) T_i (nu' - nu) + mu_i g dt f_i]
         dnu'/dmu_i = -M_B^-1 m_i g dt f_i,      f_i = (d_i, r_i × d_i + c s sgn w)
