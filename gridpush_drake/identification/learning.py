@@ -1,4 +1,9 @@
-"""`identify`: from a push log to a model (`docs/theory/identification.md`)."""
+"""`identify`: from a push log to a model (`docs/theory/identification.md`).
+
+It checks what it is given, sets up the least-squares problem, hands it to one of the methods, and
+turns what that finds into a model with its spread. The fit itself is not here, but in
+`robust_fit` and `map_ensemble`, or in `baselines`.
+"""
 
 from dataclasses import replace
 from numbers import Integral
@@ -43,16 +48,15 @@ from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.push_log import PushLog
 
 METHODS = ("default", *SEARCH_METHODS)
-"""Names that `identify` takes."""
+"""Names of the methods that `identify` offers."""
 
 MIN_CONTACT_FRICTION = 0.05
-"""Smallest contact friction that is taken for the prior's. Its logarithm is an unknown, so that it
-must not be nil."""
+"""Smallest coefficient of contact friction that a fit begins with. A prior's smaller one is raised
+to it, because the logarithm of the coefficient is an unknown, and zero has none."""
 
 
-@threadpool_limits.wrap(
-    limits=1, user_api="blas"
-)  # small matrices: threads only cost, and reorder sums
+# The matrices are small: threads of BLAS would only cost time, and change the order of sums.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def identify(
     obj: GridObject,
     log: PushLog,
@@ -76,7 +80,7 @@ def identify(
             no table, and by all methods but the default.
         prior: what is known beforehand; `obj.prior` by default.
         method: one of METHODS: "default", the paper's, or a baseline.
-        seed: of everything random.
+        seed: seed of everything random.
         regime: takes the place of the one in `physics`. "auto", the default, is the one that suits
             the log's fastest push (`physics.FAST_PUSH`), for all of them.
         physics: friction law, spin, gravity and tolerances of the simulations; `Physics()` by
@@ -112,19 +116,28 @@ def identify(
     if not (isinstance(seed, Integral) and seed >= 0):
         raise IdentificationError(f"seed is {seed}; expected a whole number, 0 or more")
     obj = obj if prior is None else replace(obj, prior=prior)
+
+    # Poses that no motion of the pusher explains would spoil every later step.
     screened = _check_log(obj, log if method == "default" else log.on_table)
     log = screened.log
     used = resolve_physics(asked, obj, log)
+
+    # The fit begins from loads that are the same everywhere: the prior mean z_0 (section 3).
     ensemble = ensemble or MapEnsemble()
-    uniform = _make_uniform(obj, ensemble.choose_patch_ratio(obj) if method == "default" else 1.0)
+    patch_ratio = ensemble.choose_patch_ratio(obj) if method == "default" else 1.0
+    uniform = _make_uniform(obj, patch_ratio)
     problem = PushProblem(obj, log, uniform, used)
     z0 = problem.unknowns(uniform)
+
+    # A push that misses the object says nothing of its loads, and has no derivatives to fit with.
     touched = problem.touched(z0)
     unused = tuple(push.name for push, hit in zip(log, touched, strict=True) if not hit)
     screened = screened.keep(log.subset(np.flatnonzero(touched)))
     problem = PushProblem(obj, screened.log, uniform, used)
+
     held = uniform
     tracker = Tracker(problem, progress)
+    # The prior is told of mu_c, while the unknown is log mu_c: d(log mu_c) = d(mu_c) / mu_c.
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     if not len(screened.log):
         fit = ensemble.fit_prior(obj, z0, log_contact_friction_std)
@@ -142,26 +155,37 @@ def identify(
         except (np.linalg.LinAlgError, ParameterError) as error:
             raise IdentificationError(_describe_no_fit(obj)) from error
     else:
-        search = SEARCH_METHODS[method]
         fit, held = _fit_by_search(
             problem,
             screened.log,
-            search,
-            uniform,
-            log_contact_friction_std,
-            ensemble,
-            budget,
-            seed,
-            tracker,
+            SEARCH_METHODS[method],
+            start=uniform,
+            log_contact_friction_std=log_contact_friction_std,
+            ensemble=ensemble,
+            budget=budget,
+            seed=seed,
+            tracker=tracker,
         )
     result = _make_result(
-        obj, screened, fit, held, method, tracker, used, seed, unused, ensemble.noise
+        obj,
+        screened,
+        fit,
+        held=held,
+        method=method,
+        tracker=tracker,
+        physics=used,
+        seed=seed,
+        unused=unused,
+        noise=ensemble.noise,
     )
     return _note_poor_fit(result, screened.log)
 
 
 def _note_poor_fit(result: Identification, log: PushLog) -> Identification:
-    """The result with the status "explains_little" and a message that says why, where it does explain little."""
+    """Marks a result that is far off from its own pushes "explains_little", and says why.
+
+    A result that explains its pushes is returned as it is.
+    """
     poor = explain_poor_fit(result.obj, result.params, log, result.physics)
     if poor is None:
         return result
@@ -181,8 +205,8 @@ def describe_prior(
     Args:
         obj: the object.
         ensemble: the default method, whose widest prior gives the spread.
-        seed: to be noted.
-        physics: to be noted; `Physics()` by default.
+        seed: the seed that the result names; nothing here is random.
+        physics: the physics that the result names; `Physics()` by default.
 
     Returns:
         The uniform model, with status "no_usable_pushes".
@@ -197,55 +221,93 @@ def describe_prior(
         obj,
         Screening(PushLog(())),
         fit,
-        uniform,
-        "default",
-        tracker,
-        problem.physics,
-        seed,
-        (),
-        ensemble.noise,
+        held=uniform,
+        method="default",
+        tracker=tracker,
+        physics=problem.physics,
+        seed=seed,
+        unused=(),
+        noise=ensemble.noise,
     )
 
 
 def _describe_no_fit(obj: GridObject) -> str:
     """Says which of what was told of an object may be why its fit's equations cannot be solved."""
-    prior, told = obj.prior, []
+    prior = obj.prior
+    told = []
     if prior.center_of_mass is not None:
         x, y = prior.center_of_mass
         told.append(f"center_of_mass.at, [{x:g}, {y:g}] m,")
     if prior.push_height is not None:
         told.append(f"pusher.height, {prior.push_height:g} m,")
     question = f"; is {' and '.join(told)} right?" if told else ""
-    return f"{obj.name}: the fit's equations cannot be solved, no loads of its cells explain the pushes{question}"
+    return (
+        f"{obj.name}: the fit's equations cannot be solved, "
+        f"no loads of its cells explain the pushes{question}"
+    )
 
 
 def _fit_by_search(
-    problem: PushProblem, log: PushLog, method: SearchMethod, start: CellParameters, log_contact_friction_std: float,
-    ensemble: MapEnsemble, budget: int | None, seed: int, tracker: Tracker,
-) -> tuple[MapEnsembleFit, CellParameters]:  # fmt: skip
-    """Runs a search; gives a fit with Laplace's spread under the widest prior, and what was found."""
+    problem: PushProblem,
+    log: PushLog,
+    method: SearchMethod,
+    *,
+    start: CellParameters,
+    log_contact_friction_std: float,
+    ensemble: MapEnsemble,
+    budget: int | None,
+    seed: int,
+    tracker: Tracker,
+) -> tuple[MapEnsembleFit, CellParameters]:
+    """Runs one of the searches that the default method is compared with.
+
+    Returns:
+        A fit with Laplace's spread under the widest prior, and the parameters found.
+    """
     budget = DEFAULT_BUDGET_PER_PUSH * len(log) if budget is None else budget
     found = run_search(
-        method, problem.obj, log, start, Bounds.around(problem.obj, start),
-        budget=budget, seed=seed, physics=problem.physics, progress=tracker.add,
-    )  # fmt: skip
-    params = replace(found.params, push_height=start.push_height)  # the paper's method knows none
+        method,
+        problem.obj,
+        log,
+        start,
+        Bounds.around(problem.obj, start),
+        budget=budget,
+        seed=seed,
+        physics=problem.physics,
+        progress=tracker.add,
+    )
+
+    # The searches state no spread of their own. Theirs is that of the exact derivatives at what
+    # they found (section 8). The paper's method knows no push height, so that it is set again.
+    params = replace(found.params, push_height=start.push_height)
     final = PushProblem(problem.obj, log, params, problem.physics)
     z = final.unknowns(params)
     A = ensemble.make_widest_factor(problem.obj, log_contact_friction_std)
     covariance, scale = calc_laplace(final, z, A, ensemble.noise)
+
     spent = found.status == SearchStatus.BUDGET_SPENT
     status = IdentificationStatus.BUDGET_SPENT if spent else IdentificationStatus.LEARNED
     message = (
         f"The search ended after {found.simulations} simulations: {found.status.replace('_', ' ')}."
     )
     noise = ensemble.noise.scaled(scale)
-    fit = MapEnsembleFit(z, covariance, A @ A.T, noise.pose, noise.load_shift, status, message)
+    fit = MapEnsembleFit(
+        z=z,
+        covariance=covariance,
+        prior_covariance=A @ A.T,
+        noise_std=noise.pose,
+        load_shift_std=noise.load_shift,
+        status=status,
+        message=message,
+    )
     return fit, params
 
 
 def _make_uniform(obj: GridObject, patch_ratio: float) -> CellParameters:
-    """The prior's parameters; the logarithm of the contact friction is an unknown, so that it must not be nil."""
+    """Makes the parameters that are most probable before any push: every cell is like the others.
+
+    The contact friction is that of the prior, but not less than MIN_CONTACT_FRICTION.
+    """
     contact_friction = max(obj.prior.contact_friction, MIN_CONTACT_FRICTION)
     return replace(
         CellParameters.uniform(obj, contact_friction=contact_friction), patch_ratio=patch_ratio
@@ -253,7 +315,7 @@ def _make_uniform(obj: GridObject, patch_ratio: float) -> CellParameters:
 
 
 def _choose_starts(obj: GridObject, start: Identification | None) -> tuple[FitStart, ...]:
-    """Where the fits of the default method begin, by the names of the priors; empty for anew."""
+    """Chooses where the fits of the default method begin; nothing where they begin anew."""
     if start is None:
         return ()
     if start.obj.n != obj.n:
@@ -264,7 +326,10 @@ def _choose_starts(obj: GridObject, start: Identification | None) -> tuple[FitSt
 
 
 def _check_log(obj: GridObject, log: PushLog) -> Screening:
-    """The log with the object's pusher radius where it has none of its own, and without poses that jump."""
+    """Refuses a log that nothing can be learned from, and the poses that jump.
+
+    A log without a pusher radius takes that of the object's prior.
+    """
     source = log.source or "push log"
     if not len(log):
         raise IdentificationError(f"{source}: no pushes; expected at least one")
@@ -272,8 +337,8 @@ def _check_log(obj: GridObject, log: PushLog) -> Screening:
     for push in log:
         if not len(push.t_observed):
             raise IdentificationError(
-                f"{source}: push {push.name}: object_x, object_y, object_theta: no pose after the first row; "
-                "expected at least one"
+                f"{source}: push {push.name}: object_x, object_y, object_theta: "
+                "no pose after the first row; expected at least one"
             )
     if not log.radius_given and obj.prior.pusher_radius is not None:
         log = log.with_radius(obj.prior.pusher_radius)
@@ -286,6 +351,7 @@ def _make_result(
     obj: GridObject,
     screened: Screening,
     fit: MapEnsembleFit,
+    *,
     held: CellParameters,
     method: str,
     tracker: Tracker,
@@ -294,7 +360,25 @@ def _make_result(
     unused: tuple[str, ...],
     noise: NoiseModel,
 ) -> Identification:
-    """Turns z and its covariance into masses, frictions and their standard deviations; the rest is as it was held."""
+    """Turns z and its covariance into masses, frictions and their standard deviations.
+
+    Args:
+        obj: the object.
+        screened: the pushes learned from, and what was refused.
+        fit: the most probable z, and its covariance.
+        held: parameters that the fit does not change, among them every cell's friction.
+        method: the method's name.
+        tracker: counts the simulations, and has the history of the fit.
+        physics: physics of the simulations.
+        seed: seed of the draws that weigh measured forces.
+        unused: names of the pushes that missed the object.
+        noise: the noise model, at scale one.
+
+    Returns:
+        The result.
+    """
+    # Pushes show k_i = mu_i m_i up to a common scale (section 2): with the frictions held, the
+    # masses follow, and their sum is what was told of the object.
     friction = held.friction
     posterior = Posterior(fit.z, fit.covariance, fit.prior_covariance)
     share = posterior.calc_share()
@@ -302,21 +386,23 @@ def _make_result(
     mass = share / friction
     mass *= total_mass / mass.sum()
     params = replace(held, mass=mass, contact_friction=float(np.exp(fit.z[CONTACT_FRICTION])))
+
+    # Measured forces give the common scale (section 10), but only those of slow pushes.
     force = None
     if not physics.inertial and screened.log:
         force = calc_force_scale(obj, params, posterior, screened.log, physics, seed)
     if force is not None:
         params = force.rescale(obj, params)
-        mass, friction = params.mass, params.friction
+        mass = params.mass
     relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
+
     # Between its bounds, slow pushes say nothing of a friction coefficient by itself: uniform.
     friction_std = (obj.prior.friction_max - obj.prior.friction_min) / UNIFORM_WIDTH
+    log_contact_friction_std = np.sqrt(fit.covariance[CONTACT_FRICTION, CONTACT_FRICTION])
     std = CellParameters(
-        np.maximum(mass * relative_std, np.finfo(float).tiny),
-        np.full(obj.n, friction_std),
-        float(
-            params.contact_friction * np.sqrt(fit.covariance[CONTACT_FRICTION, CONTACT_FRICTION])
-        ),
+        mass=np.maximum(mass * relative_std, np.finfo(float).tiny),
+        friction=np.full(obj.n, friction_std),
+        contact_friction=float(params.contact_friction * log_contact_friction_std),
     )
     return Identification(
         obj=obj,
