@@ -1,4 +1,4 @@
-"""What pushes show besides the model: errors of the poses, of the pusher's place, of friction and of loads that shift.
+"""What pushes show besides the model: errors of poses, pusher and friction, and loads that shift.
 
 A push's residuals share their errors,
 
@@ -7,6 +7,7 @@ A push's residuals share their errors,
 
 with K_eff = sqrt(K) of K observations, J_c the derivatives by a shift of the load's center, and s
 and t what the pushes make of the stated deviations (`docs/theory/identification.md`, section 4).
+The numbers are the fields of `NoiseModel`. How s and t follow from a fit is in `map_fit`.
 """
 
 from collections.abc import Sequence
@@ -19,14 +20,19 @@ import numpy as np
 from gridpush_drake.geometry.se2 import Array
 
 POSE = 3
-"""Numbers in a pose."""
+"""Number of coordinates in a pose: x, y and theta."""
 
 NORMAL = 1e6
-"""Freedom at which Student's t is as good as normal."""
+"""Degrees of freedom at which Student's t is as good as a normal distribution."""
 
 
 class NoiseScale(NamedTuple):
-    """Of a noise model, as large as the pushes said: s of all but the load's shift, t of that."""
+    """How many times larger than a noise model states it the noise is, as the pushes show it.
+
+    Attributes:
+        pose: s, factor on all standard deviations but the one of the load's shift.
+        shift: t, factor on the standard deviation of the load's shift.
+    """
 
     pose: float = 1.0
     shift: float = 1.0
@@ -38,9 +44,10 @@ class Whitening:
 
     Attributes:
         std: a, m.
-        inputs: (3K, 5) M, the residuals' derivatives by the inputs, in standard deviations, over a.
+        inputs: (3K, 5) M, the residuals' derivatives by the inputs, each input in its standard
+            deviations, over a.
         inner: (5, 5) T = 1 / (r (r + 1)) with r = (I + M^T M)^(1/2).
-        log_determinant: half log det Sigma, Sigma^-1 = W².
+        log_determinant: half the log determinant of Sigma, where Sigma^-1 = W².
     """
 
     std: float
@@ -49,10 +56,10 @@ class Whitening:
     log_determinant: float
 
     def apply(self, values: Array) -> Array:
-        """W times (3K,) or (3K, p)."""
-        return np.asarray(
-            (values - self.inputs @ (self.inner @ (self.inputs.T @ values))) / self.std
-        )
+        """Whitens `values`, (3K,) or (3K, p): returns W times them."""
+        # From right to left, so that no matrix of 3K by 3K is made.
+        shared = self.inputs @ (self.inner @ (self.inputs.T @ values))
+        return np.asarray((values - shared) / self.std)
 
 
 @dataclass(frozen=True)
@@ -60,16 +67,16 @@ class NoiseModel:
     """Standard deviations at scale one, and the priors on their scales.
 
     Attributes:
-        pose: of a residual (a coordinate of the centroid, or the turn at the radius of gyration),
-            m.
-        tip: of the pusher's place per axis, m.
-        log_contact_friction: of log mu_c from push to push.
-        load_shift: of the load's center per axis from push to push, m.
-        prior_weight: how many residuals the prior on scale one is worth.
-        shift_weight: how many shifts the prior on the shift's scale one is worth.
-        discrepancy_weight: how many predicted numbers the prior on a discrepancy of one is worth.
-        outlier: a push whose whitened residual is this many standard deviations counts less from
-            there on (Huber).
+        pose: sigma, standard deviation of a residual (a coordinate of the centroid, or the turn at
+            the radius of gyration), m.
+        tip: sigma_tip, standard deviation of the pusher's place per axis, m.
+        log_contact_friction: sigma_mu, standard deviation of log mu_c from push to push.
+        load_shift: sigma_c, standard deviation of the load's center per axis from push to push, m.
+        prior_weight: how many residuals the prior belief s = 1 is worth.
+        shift_weight: how many shifts the prior belief t = 1 is worth.
+        discrepancy_weight: how many predicted numbers the prior belief kappa = 1 is worth.
+        outlier: if the root mean square of a push's whitened residuals is above this, in standard
+            deviations, its loss grows linearly instead of quadratically (Huber).
     """
 
     pose: float = 0.0008
@@ -82,61 +89,84 @@ class NoiseModel:
     outlier: float = 0.7
 
     def calc_covariance(self, input_jacobian: Array, scale: NoiseScale) -> Array:
-        """Sigma (3K, 3K), m².
+        """Calculates the covariance of a push's residuals.
 
         Args:
-            input_jacobian: (3K, 5) residuals by start x, start y (both per m), log mu_c, m, and
-                shift of the load's center in x and y (per m).
+            input_jacobian: (3K, 5) derivatives of the residuals by start x, start y (both per m),
+                log mu_c (m), and a shift of the load's center in x and y (per m).
             scale: s and t.
+
+        Returns:
+            Sigma (3K, 3K), m².
         """
+        # K/K_eff = sqrt(K): the poses of a push share a part of their errors.
         rows = len(input_jacobian)
+        measured = (scale.pose * self.pose) ** 2 * np.sqrt(rows / 3) * np.eye(rows)
         inputs = input_jacobian * self._calc_stds(scale)
-        return (scale.pose * self.pose) ** 2 * np.sqrt(rows / 3) * np.eye(rows) + inputs @ inputs.T
+        return measured + inputs @ inputs.T
 
     def make_whitenings(
         self, input_jacobians: Sequence[Array], scale: NoiseScale
     ) -> list[Whitening]:
-        """Makes W with W² = Sigma^-1 for many pushes, at the cost of the few inputs rather than of the many rows.
+        """Makes W with W² = Sigma^-1 for many pushes.
+
+        The cost is that of the few inputs rather than of the many rows.
 
         Args:
-            input_jacobians: of each push, as of `calc_covariance`.
+            input_jacobians: (3K, 5) of each push, as for `calc_covariance`.
             scale: s and t.
+
+        Returns:
+            One whitening a push.
         """
-        stds, floor = self._calc_stds(scale), scale.pose * self.pose
+        # Sigma = a² (I + M M^T), with a² = s² sigma² sqrt(K).
+        stds = self._calc_stds(scale)
+        floor = scale.pose * self.pose
         std = [floor * (len(J) / 3) ** 0.25 for J in input_jacobians]
         inputs = [J * (stds / one) for J, one in zip(input_jacobians, std, strict=True)]
+
+        # T = 1 / (r (r + 1)) is a function of the matrix r² = I + M^T M: of its eigenvalues.
         size2, V = np.linalg.eigh(np.array([M.T @ M for M in inputs]))
         root = np.sqrt(1 + np.maximum(size2, 0.0))
         inner = (V / (root * (root + 1))[:, None]) @ np.swapaxes(V, 1, 2)
+
+        # 1/2 log det Sigma = 3K log a + log det r
         log_roots = np.log(root).sum(axis=1).tolist()
         return [
-            Whitening(a, M, T, len(M) * log(a) + spread)
-            for a, M, T, spread in zip(std, inputs, inner, log_roots, strict=True)
+            Whitening(std=a, inputs=M, inner=T, log_determinant=len(M) * log(a) + log_root)
+            for a, M, T, log_root in zip(std, inputs, inner, log_roots, strict=True)
         ]
 
     def calc_scale_loss(self, scale: NoiseScale) -> float:
-        """Negative log prior of s and t, but for a constant."""
-        return sum(
-            weight * float(np.log(value) + 0.5 * value**-2)
-            for weight, value in ((self.prior_weight, scale.pose), (self.shift_weight, scale.shift))
-        )
+        """Negative log prior of s and t, but for a constant: eta (log s + 1/2 s^-2) of each."""
+        weighted = ((self.prior_weight, scale.pose), (self.shift_weight, scale.shift))
+        return sum(weight * float(np.log(value) + 0.5 * value**-2) for weight, value in weighted)
 
     def calc_discrepancy(self, ratios: Array) -> float:
-        """kappa, by how much more than said the pushes' last poses differ from what the others predict.
+        """Calculates how much more than stated pushes differ from what the other pushes predict.
 
         Args:
-            ratios: (P,) squared lengths of the differences over the expected ones, each of POSE
-                numbers.
+            ratios: (P,) squared lengths of the differences of the last poses over the expected
+                ones, each of POSE numbers.
+
+        Returns:
+            kappa, 1 if they differ by as much as was stated.
         """
+        # Section 5: the mean of a scaled inverse chi-square distribution.
         weight = self.discrepancy_weight
         return sqrt((POSE * float(ratios.sum()) + weight) / (POSE * len(ratios) + weight))
 
     def calc_freedom(self, pushes: int) -> float:
-        """Of Student's t of a predicted number, kappa known from so many pushes; a normal's where there are none."""
+        """Degrees of freedom of the Student's t distribution of a predicted coordinate.
+
+        Args:
+            pushes: how many pushes kappa is known from. With none it is not in doubt, and the
+                distribution is normal.
+        """
         return POSE * pushes + self.discrepancy_weight if pushes else NORMAL
 
     def scaled(self, scale: NoiseScale) -> "NoiseModel":
-        """The same with its deviations times s and t."""
+        """Returns a noise model whose standard deviations are multiplied by s and t."""
         return replace(
             self,
             pose=scale.pose * self.pose,
@@ -151,13 +181,17 @@ class NoiseModel:
         return 1.0 if size <= self.outlier else self.outlier / size
 
     def calc_loss(self, whitened: Array) -> float:
-        """Huber's loss of a push from its whitened residuals (3K,): -log likelihood but for its normalization."""
+        """Huber's loss of a push from its whitened residuals (3K,).
+
+        It is the negative log likelihood, but for its normalization.
+        """
+        # Beyond `outlier` the loss goes on along its tangent: linear, and without a kink.
         size = _calc_size(whitened)
         squared = size**2 if size <= self.outlier else self.outlier * (2 * size - self.outlier)
         return 0.5 * calc_effective_count(len(whitened)) * squared
 
     def _calc_stds(self, scale: NoiseScale) -> Array:
-        """(5,) of the inputs."""
+        """Standard deviations (5,) of the inputs, in the order of `calc_covariance`."""
         noise = self.scaled(scale)
         return np.array(
             [noise.tip, noise.tip, noise.log_contact_friction, noise.load_shift, noise.load_shift]
@@ -165,10 +199,10 @@ class NoiseModel:
 
 
 def calc_effective_count(rows: int) -> float:
-    """How many independent residuals a push's 3K count for: 3 K_eff."""
+    """Number of independent residuals that a push's 3K residuals count for: 3 K_eff = 3 sqrt(K)."""
     return 3.0 * sqrt(rows / 3)
 
 
 def _calc_size(whitened: Array) -> float:
-    """Root mean square of the whitened residuals, one where the noise is as large as supposed."""
+    """Root mean square of whitened residuals; it is 1 where the noise is as large as supposed."""
     return sqrt(float(whitened @ whitened) / calc_effective_count(len(whitened)))

@@ -1,9 +1,10 @@
-"""Poses and pushes that cannot be used: a tracker that jumped or flipped, a push that belongs to another object.
+"""Poses and pushes that cannot be used: a tracker that jumped, a push of another object.
 
 Two looks are taken (`docs/theory/identification.md`, section 5). Before the fit, no motion of the
 pusher explains a jump between frames: of each push the longest chain of poses is kept in which each
 can be reached from the one before. After it, each pose is compared with what all others say of it,
-and each push with what the other pushes say.
+and each push with what the other pushes say. What is refused in the end, and the fits in between,
+is decided in `robust_fit`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,31 +24,34 @@ Mask = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 JUMP_SLACK = 0.008
-"""m that a pose may be off besides what the pusher can have moved it."""
+"""Distance that an object may seem to have moved without being pushed, m. A pose farther than this
+from where the pusher can have moved the object has jumped."""
 
 FIRST_POSE_BONUS = 0.5
-"""Poses that the first one counts for beyond itself: of two chains as long the one with it is
-taken."""
+"""Number of poses that a push's first pose counts for beyond itself. So of two chains of the same
+length the one that begins with the first pose is kept."""
 
 MAX_JUMP_SHARE = 0.4
-"""Of a log's poses; if more seem to jump, the log is what is wrong, and is left as it is."""
+"""Largest share of a log's poses that may jump. If more seem to, the log itself is wrong, and all
+its poses are kept."""
 
 OUTLIER_ODDS = 0.02
-"""Of a pose, or a push, to be wrong rather than right, beforehand."""
+"""Prior odds that a pose, or a push, is wrong rather than right."""
 
 MAX_REFUSED_POSES = 0.5
-"""Share of a push's poses; where more do not agree with the rest, it is the push that is in
-doubt."""
+"""Largest share of a push's poses that are refused one by one. If more disagree with the rest, it
+is the push as a whole that is in doubt, and its poses are kept."""
 
 MIN_PUSHES_EACH = 4
-"""Pushes that it takes to refuse one as a whole."""
+"""Number of pushes that a log must have for each push that is refused as a whole."""
 
 SUSPECT_ODDS = -9.0
-"""Log odds to be another object's, to first order, from which a push is tried to be done
-without."""
+"""Log odds, to first order, that a push is another object's. If they are higher, the other pushes
+are fitted again without it."""
 
 OUTLIER_GROWTH = 0.3
-"""How far off another object's poses are expected to be, as a share of the pusher's travel."""
+"""Standard deviation of how far off another object's poses are, as a share of the pusher's
+travel."""
 
 
 @dataclass(frozen=True)
@@ -69,18 +73,20 @@ class Outlier:
 
     @property
     def share(self) -> float:
-        """Of the push's poses that are refused, 0 to 1."""
+        """Share of the push's poses that are refused, from 0 to 1."""
         return 1.0 if self.whole else len(self.poses) / self.observed
 
     def describe(self) -> str:
         """What was refused, in a sentence."""
         if self.whole and not self.poses:
-            return f"push {self.push}: refused, as no motion of this object that the other pushes allow"
+            return (
+                f"push {self.push}: refused, "
+                "as no motion of this object that the other pushes allow"
+            )
         where = f"{len(self.poses)} of {self.observed} poses jump or disagree with the rest"
         numbers = ", ".join(str(i + 1) for i in self.poses)
-        return f"push {self.push}: {where} (number {numbers})" + (
-            ", all of it refused" if self.whole else ", refused"
-        )
+        what = "all of it refused" if self.whole else "refused"
+        return f"push {self.push}: {where} (number {numbers}), {what}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +103,8 @@ class LeftOut:
 
     @property
     def log_density(self) -> float:
-        """Of its residuals by the others, but for a constant."""
+        """Log density of the push's residuals by the other pushes, but for a constant."""
+        # log N(e; 0, Q^-1) = -1/2 e^T Q e + 1/2 log det Q
         e = np.linalg.solve(self.precision, self.pull)
         return -0.5 * float(self.pull @ e) + 0.5 * float(np.linalg.slogdet(self.precision)[1])
 
@@ -108,9 +115,9 @@ class Screening:
 
     Attributes:
         log: the pushes with the poses that are kept.
-        kept: of each push as observed, the poses that are kept, 0 the first; as many as there are
-            where not listed.
-        observed: of each push, how many poses it had.
+        kept: numbers of the poses that are kept, by the push's name; 0 is the first pose. Of a push
+            that is not listed all are kept.
+        observed: how many poses each push had, the first included, by the push's name.
         refused: names of the pushes refused as a whole.
     """
 
@@ -121,14 +128,16 @@ class Screening:
 
     @classmethod
     def of_jumps(cls, obj: GridObject, log: PushLog) -> "Screening":
-        """Refuses the poses that `find_jumps` finds; not in a push of which no two would be left."""
+        """Refuses the poses that `find_jumps` finds, if two or more of the push are left."""
         masks = [mask if mask.sum() > 1 else np.ones_like(mask) for mask in find_jumps(obj, log)]
-        chosen = select_poses(log, masks)
-        kept = {seen.name: np.flatnonzero(mask) for seen, mask in zip(log, masks, strict=True)}
-        return cls(chosen, kept, {seen.name: len(seen.t_observed) + 1 for seen in log})
+        return cls(
+            log=select_poses(log, masks),
+            kept={seen.name: np.flatnonzero(mask) for seen, mask in zip(log, masks, strict=True)},
+            observed={seen.name: len(seen.t_observed) + 1 for seen in log},
+        )
 
     def keep(self, log: PushLog) -> "Screening":
-        """The same with some of its pushes."""
+        """Keeps some of the pushes; the others count neither as learned from nor as refused."""
         return replace(self, log=log)
 
     def refuse_poses(self, left_out: Sequence[LeftOut], size: float) -> "Screening":
@@ -138,12 +147,17 @@ class Screening:
             left_out: what the others say of each push.
             size: of the object: its radius of gyration, m.
         """
-        masks = [np.append(True, _judge_poses(seen, size)) for seen in left_out]
-        masks = [
-            mask if mask[1:].mean() > MAX_REFUSED_POSES else np.ones_like(mask) for mask in masks
-        ]
+        masks = []
+        for seen in left_out:
+            # The first pose is where the simulation begins: it cannot disagree.
+            mask = np.append(True, _judge_poses(seen, size))
+            # If most poses disagree, it is the push that does: others decide on that.
+            few = mask[1:].mean() > MAX_REFUSED_POSES
+            masks.append(mask if few else np.ones_like(mask))
         if all(mask.all() for mask in masks):
             return self
+
+        # Poses are named by their place in the log as it was read.
         kept = dict(self.kept)
         for seen, mask in zip(self.log, masks, strict=True):
             kept[seen.name] = kept[seen.name][mask]
@@ -166,7 +180,14 @@ class Screening:
         for name, kept in self.kept.items():
             poses = tuple(sorted(set(range(self.observed[name])) - set(kept.tolist())))
             if poses or name in self.refused:
-                found.append(Outlier(name, poses, self.observed[name], name in self.refused))
+                found.append(
+                    Outlier(
+                        push=name,
+                        poses=poses,
+                        observed=self.observed[name],
+                        whole=name in self.refused,
+                    )
+                )
         return tuple(found)
 
 
@@ -189,22 +210,38 @@ def find_jumps(obj: GridObject, log: PushLog) -> list[Mask]:
 
 
 def _find_chain(obj: GridObject, seen: ObservedPush) -> Mask:
-    """The longest chain of poses, each within reach of the one before."""
+    """Finds the longest chain of a push's poses, each within reach of the one before.
+
+    Returns:
+        A mask (K+1,) of the poses in the chain, the first pose of the push included.
+    """
     poses = np.vstack([seen.pose, seen.poses_observed])
     centroids = obj.cells_at(poses).mean(axis=1)
     way = seen.push.distance_at(np.append(0.0, seen.t_observed))
+
+    # An object that was pushed fast slides on by itself, v² / (2 mu g), after the pusher stops.
     speed = SPEED_FACTOR * seen.push.length / seen.push.duration
     slack = JUMP_SLACK + speed**2 / (2 * obj.prior.friction * GRAVITY)
-    length, before = np.ones(len(poses)), np.full(len(poses), -1)
+
+    # Dynamic programming: the longest chain that ends at pose j goes on from the longest one that
+    # ends at any earlier pose from which j can be reached.
+    length = np.ones(len(poses))
     length[0] += FIRST_POSE_BONUS
+    before = np.full(len(poses), -1)
     for j in range(1, len(poses)):
         moved = np.linalg.norm(centroids[:j] - centroids[j], axis=1)
-        turned = obj.radius_of_gyration * np.abs(wrap_angle(poses[:j, 2] - poses[j, 2]))
-        reached = np.maximum(moved, turned) <= TRAVEL_FACTOR * (way[j] - way[:j]) + slack
+        turn = np.abs(wrap_angle(poses[:j, 2] - poses[j, 2]))
+        turned = obj.radius_of_gyration * turn
+        reach = TRAVEL_FACTOR * (way[j] - way[:j]) + slack
+        reached = np.maximum(moved, turned) <= reach
         if reached.any():
             best = int(np.argmax(np.where(reached, length[:j], 0.0)))
-            length[j], before[j] = length[best] + 1.0, best
-    mask, k = np.zeros(len(poses), dtype=bool), int(np.argmax(length))
+            length[j] = length[best] + 1.0
+            before[j] = best
+
+    # Back from the end of the longest chain of all.
+    mask = np.zeros(len(poses), dtype=bool)
+    k = int(np.argmax(length))
     while k >= 0:
         mask[k] = True
         k = int(before[k])
@@ -212,7 +249,7 @@ def _find_chain(obj: GridObject, seen: ObservedPush) -> Mask:
 
 
 def remove_outliers(log: PushLog, outliers: Sequence[Outlier]) -> PushLog:
-    """The log without what was refused."""
+    """Leaves out of a log what was refused of it: single poses, and whole pushes."""
     by_name = {outlier.push: outlier for outlier in outliers}
     masks = []
     for seen in log:
@@ -234,51 +271,92 @@ def select_poses(log: PushLog, masks: Sequence[Mask]) -> PushLog:
 
 
 def _trim(seen: ObservedPush, mask: Mask) -> ObservedPush | None:
+    """Takes the poses (K+1,) of a push that a mask keeps; None where fewer than two are left."""
     kept = np.flatnonzero(mask)
     if len(kept) < 2:
         return None
     if mask.all():
         return seen
+
+    # A flip of the tracker may have turned all poses behind it by a whole turn.
     later = kept[1:] - 1
-    times, poses = seen.t_observed[later], seen.poses_observed[later]
+    times = seen.t_observed[later]
+    poses = seen.poses_observed[later]
     theta = seen.pose[2] if mask[0] else seen.poses_observed[kept[0] - 1, 2]
-    for pose in poses:  # a flip may have turned all poses behind it by a whole turn
-        theta = pose[2] = nearest_turn(pose[2], theta)
+    for pose in poses:
+        theta = nearest_turn(pose[2], theta)
+        pose[2] = theta
     if mask[0]:
         return replace(seen, t_observed=times, poses_observed=poses)
+
+    # The simulation begins at the first pose. If that is refused, the push begins later, and its
+    # clock with it.
     begin = seen.t_observed[kept[0] - 1]
     t = np.append(begin, seen.push.t[seen.push.t > begin])
-    push = Push.along(t, seen.push.tip_at(t), seen.push.radius)
-    force_t, force = seen.force_t, seen.force
+    force_t = seen.force_t
+    force = seen.force
     if force_t is not None and force is not None:
         rest = force_t >= begin
-        force_t, force = force_t[rest] - begin, force[rest]
-    pose = seen.poses_observed[kept[0] - 1]
-    return ObservedPush(seen.name, push, pose, times - begin, poses, force_t, force, seen.overhang)
+        force_t = force_t[rest] - begin
+        force = force[rest]
+    return ObservedPush(
+        name=seen.name,
+        push=Push.along(t, seen.push.tip_at(t), seen.push.radius),
+        pose=seen.poses_observed[kept[0] - 1],
+        t_observed=times - begin,
+        poses_observed=poses,
+        force_t=force_t,
+        force=force,
+        overhang=seen.overhang,
+    )
 
 
 def _judge_poses(seen: LeftOut, size: float) -> Mask:
-    """Finds the later poses to keep: drops one by one, the worst first, those more likely to be anywhere."""
+    """Finds the later poses of a push to keep.
+
+    Those more likely to be anywhere than where the others put them are dropped one by one, the
+    worst first: next to a pose that is far off, good ones look bad.
+
+    Args:
+        seen: what the other pushes say of the push.
+        size: the object's radius of gyration, m.
+
+    Returns:
+        A mask (K,).
+    """
     kept = list(range(len(seen.pull) // 3))
-    Q, g = seen.precision, seen.pull
+    Q = seen.precision
+    g = seen.pull
     while len(kept) > 1:
         blocks = [slice(3 * i, 3 * i + 3) for i in range(len(kept))]
         odds = np.array([_calc_pose_odds(Q[block, block], g[block], size) for block in blocks])
         worst = int(np.argmax(odds))
         if odds[worst] <= 0:
             break
-        out, rest = blocks[worst], np.delete(np.arange(len(g)), np.arange(3 * worst, 3 * worst + 3))
-        slope = np.linalg.solve(Q[out, out], Q[out][:, rest]).T
+
+        # Without that pose: the Schur complement is the precision of the others by themselves.
+        out = blocks[worst]
+        rest = np.delete(np.arange(len(g)), np.arange(3 * worst, 3 * worst + 3))
+        beside = Q[out][:, rest]
+        slope = np.linalg.solve(Q[out, out], beside).T
         g = g[rest] - slope @ g[out]
-        Q = Q[np.ix_(rest, rest)] - slope @ Q[out][:, rest]
+        Q = Q[np.ix_(rest, rest)] - slope @ beside
         del kept[worst]
+
     mask = np.zeros(len(seen.pull) // 3, dtype=bool)
     mask[kept] = True
     return mask
 
 
 def _calc_pose_odds(Q: Array, g: Array, size: float) -> float:
-    """Log odds that a pose is anywhere, within about the object's size, rather than where the others put it."""
+    """Log odds that a pose is anywhere near the object, rather than where the others put it.
+
+    Args:
+        Q: (3, 3) precision of the pose, given the others.
+        g: (3,) Q e, e the distance of the pose from where the others put it.
+        size: the object's radius of gyration, m; a wrong pose is about so far off.
+    """
+    # Both normals without their common factor: N(e; 0, Q^-1) against N(e; 0, size² I).
     e = np.linalg.solve(Q, g)
     here = -0.5 * float(g @ e) + 0.5 * np.linalg.slogdet(Q)[1]
     anywhere = -0.5 * float(e @ e) / size**2 - 3.0 * np.log(size)
@@ -286,12 +364,17 @@ def _calc_pose_odds(Q: Array, g: Array, size: float) -> float:
 
 
 def calc_outlier_odds(seen: LeftOut, way: Array) -> float:
-    """Calculates the log odds that a push is another object's, whose residuals grow with the pusher's way together.
+    """Calculates the log odds that a push is another object's.
+
+    The residuals of another object's push grow with the way of the pusher, all in the same
+    direction.
 
     Args:
         seen: what the other pushes say of it.
         way: (K,) m, how far the pusher has gone at each later pose.
     """
+    # One vector d ~ N(0, I) of three numbers for the whole push, which adds D d to its residuals.
+    # Integrated over d, the evidence grows by `gain`.
     D = np.kron(OUTLIER_GROWTH * way[:, None], np.eye(3))
     inner = np.eye(3) + D.T @ seen.precision @ D
     pull = D.T @ seen.pull
