@@ -148,9 +148,9 @@ class Screening:
             size: of the object: its radius of gyration, m.
         """
         masks = []
-        for seen in left_out:
+        for one in left_out:
             # The first pose is where the simulation begins: it cannot disagree.
-            mask = np.append(True, _judge_poses(seen, size))
+            mask = np.append(True, _judge_poses(one, size))
             # If most poses disagree, it is the push that does: others decide on that.
             few = mask[1:].mean() > MAX_REFUSED_POSES
             masks.append(mask if few else np.ones_like(mask))

@@ -8,6 +8,8 @@ combination a that the pushes fixed,
 
 which for small dz is the draw itself (`docs/theory/identification.md`, section 6). Where the pushes
 are at hand, they have the last word (`evidence`).
+
+How z is found is not here but in `map_fit` and `map_ensemble`.
 """
 
 from dataclasses import dataclass, replace
@@ -21,54 +23,60 @@ from gridpush_drake.notebook import count, describe_range
 from gridpush_drake.objects.parameters import CellParameters
 
 GLOBALS = ("log_contact_friction",)
-"""What z holds after the cells' log k, one entry each."""
+"""Names of the entries of z that follow the cells' log k."""
 
-CELLS, GLOBAL = slice(0, -len(GLOBALS)), slice(-len(GLOBALS), None)
-"""Where in z the cells' log k stand, and the rest."""
+CELLS = slice(0, -len(GLOBALS))
+"""Entries of z that are the cells' log k."""
+
+GLOBAL = slice(-len(GLOBALS), None)
+"""Entries of z that belong to no cell, named by `GLOBALS`."""
 
 CONTACT_FRICTION = GLOBALS.index("log_contact_friction") - len(GLOBALS)
-"""Where in z log mu_c stands."""
+"""Index in z of log mu_c, counted from the end."""
 
 LEARNED_SHARE = 0.5
-"""A combination, or a cell, counts as learned where the pushes took away this share of its prior
-variance."""
+"""Share of the prior variance that pushes must take away from a combination, or a cell, for it to
+count as learned."""
 
 MIN_SHARE = 1e-12
-"""Of the friction that a cell is given where a draw has none: masses must be positive."""
+"""Smallest share of the friction that a cell of a draw is given, because masses must be
+positive."""
 
 STEPS = 25
-"""Newton steps at most; the few draws that need more stay wider than they ought to be, which is
-safe."""
+"""Most Newton steps by which draws are moved. The few draws that need more stay wider than they
+ought to be, which is safe."""
 
 TOLERANCE = 0.05
-"""Of a combination, in standard deviations of the posterior, at which a draw is left alone."""
+"""Largest error of a draw's combinations, in standard deviations of the posterior. A draw with
+smaller errors is not moved any more."""
 
 MAX_STEP = 2.0
-"""Of any cell's log friction."""
+"""Largest change of any entry of z in one Newton step. A longer step is shortened to it."""
 
 RIDGE = 1e-10
-"""Relative, where combinations of a draw all but agree."""
+"""Share of the trace that is added to the diagonal of a step's equations, so that they can be
+solved where combinations of a draw all but agree."""
 
 FARTHEST = 30.0
-"""Of log k from the mean, against overflow."""
+"""Largest distance of an entry of z from the mean. Draws are clipped to it against overflow."""
 
 
 class DrawJudge(Protocol):
-    """What says more of draws than their covariance."""
+    """Knows more of draws than their covariance, such as the pushes that were learned from."""
 
     def draw_in(self, dz: Array) -> Array:
-        """Draws dz (count, n+1) from the mean, those that cannot be drawn in towards it."""
+        """Shortens draws dz (count, n+1) from the mean until each of them is possible."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """z = (log k_1 .. log k_n, log mu_c) is normal.
+    """Normal distribution of z = (log k_1 .. log k_n, log mu_c) after the pushes.
 
     Attributes:
-        mean: (n+1,) of z.
-        covariance: (n+1, n+1) of z.
-        prior_covariance: (n+1, n+1) before the pushes.
+        mean: (n+1,) mean of z.
+        covariance: (n+1, n+1) covariance of z.
+        prior_covariance: (n+1, n+1) covariance of z before the pushes.
     """
 
     mean: Array
@@ -84,44 +92,49 @@ class Posterior:
     def draw(
         self, count: int, seed: int = 0, judge: DrawJudge | None = None
     ) -> tuple[Array, Array]:
-        """Draws relative support frictions and contact frictions that agree with what the pushes showed.
+        """Draws normalized loads and contact frictions that agree with what the pushes showed.
 
         Args:
             count: how many draws.
-            seed: of the draws.
-            judge: of the draws, such as the pushes themselves.
+            seed: seed of the draws.
+            judge: knows more of the draws, such as the pushes themselves; None where nothing does.
 
         Returns:
             (count, n) shares k / sum k, each positive and summing to one, but for MIN_SHARE;
             (count,) mu_c.
         """
+        # dz ~ N(0, S). S may be singular, so that its factor is taken from its eigenvalues.
         values, vectors = np.linalg.eigh(self.covariance)
         factor = vectors * np.sqrt(np.maximum(values, 0.0))
         rng = np.random.default_rng(seed)
         dz = rng.standard_normal((count, len(self.mean))) @ factor.T
+
+        # Far from the mean such draws contradict what was learned, and are moved (section 6).
         share = self.calc_share()
         A, variances, root = _find_learned(self)
         if len(A):
             _correct(dz, share, A, np.sqrt(variances), root)
         if judge is not None:
             dz = judge.draw_in(dz)
-        return np.maximum(_calc_shares(share, dz), MIN_SHARE), np.exp(
-            self.mean[CONTACT_FRICTION] + dz[:, CONTACT_FRICTION]
-        )
 
-    @threadpool_limits.wrap(
-        limits=1, user_api="blas"
-    )  # small matrices: threads only cost, and reorder sums
+        shares = np.maximum(_calc_shares(share, dz), MIN_SHARE)
+        contact_friction = np.exp(self.mean[CONTACT_FRICTION] + dz[:, CONTACT_FRICTION])
+        return shares, contact_friction
+
+    # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
+    @threadpool_limits.wrap(limits=1, user_api="blas")
     def draw_parameters(
         self, params: CellParameters, count: int, seed: int = 0, judge: DrawJudge | None = None
     ) -> list[CellParameters]:
-        """Draws parameters that agree with the pushes; every cell's friction is that of `params`, its mass varies.
+        """Draws parameters that agree with the pushes.
+
+        Every cell's friction is that of `params`, and its mass varies.
 
         Args:
             params: the estimate, whose sum of mu_i m_i the draws share.
             count: how many draws.
-            seed: of the draws.
-            judge: of the draws, such as the pushes themselves.
+            seed: seed of the draws.
+            judge: knows more of the draws, such as the pushes themselves; None where nothing does.
 
         Returns:
             The parameters.
@@ -130,6 +143,7 @@ class Posterior:
             return []
         shares, contact_friction = self.draw(count, seed, judge)
         total = float(params.mass @ params.friction)
+        # m_i = k_i / mu_i, also where a cell's friction is zero.
         friction = np.maximum(params.friction, np.finfo(float).tiny)
         return [
             replace(params, mass=total * share / friction, contact_friction=float(mu_c))
@@ -137,24 +151,26 @@ class Posterior:
         ]
 
     def calc_share(self) -> Array:
-        """(n,) relative friction at the mean, summing to one."""
+        """Normalized loads x (n,) at the mean: nonnegative, summing to one."""
         return calc_share(self.mean)
 
     def calc_share_covariance(self) -> Array:
-        """(n, n) covariance of the relative friction k / sum k, to first order."""
+        """Covariance (n, n) of the normalized loads x = k / sum k, to first order."""
+        # dx = (diag x - x x^T) dz
         share = self.calc_share()
         slope = np.diag(share) - np.outer(share, share)
         return slope @ self.covariance[CELLS, CELLS] @ slope
 
 
 def calc_share(z: Array) -> Array:
-    """(n,) relative friction at z (n+1,), summing to one."""
+    """Normalized loads x = k / sum k (n,) at z (n+1,), summing to one."""
+    # The common scale drops out; without it, exp cannot overflow.
     k = np.exp(z[CELLS] - z[CELLS].max())
     return np.asarray(k / k.sum())
 
 
 def calc_center_jacobian(share: Array, p_BC: Array) -> Array:
-    """Derivatives share_i (p_i - c) by z of the center c = sum_i share_i p_i.
+    """Calculates the derivatives share_i (p_i - c) by z of the center c = sum_i share_i p_i.
 
     Args:
         share: (n,) weights proportional to exp z_i, summing to one: of friction or, with mu_i held,
@@ -170,17 +186,21 @@ def calc_center_jacobian(share: Array, p_BC: Array) -> Array:
 
 
 def compare_covariances(prior: Array, after: Array) -> tuple[Array, Array, Array, Array]:
-    """Finds the combinations of z whose variance the pushes cut most: generalized eigenvectors of two covariances.
+    """Finds the combinations of z whose variance the pushes cut most.
+
+    They are the generalized eigenvectors of both covariances.
 
     Args:
-        prior: (n, n) before the pushes.
-        after: (n, n) after them.
+        prior: (n, n) covariance before the pushes.
+        after: (n, n) covariance after them.
 
     Returns:
         Ratios (n,) of the variances after to before, increasing; the columns (n, n) of their
         directions in coordinates u, z = root u, in which the prior is the identity; root (n, n),
         and its inverse.
     """
+    # A prior that is all but singular keeps a little variance everywhere, so that it has an
+    # inverse.
     values, vectors = np.linalg.eigh(prior)
     size = np.sqrt(np.maximum(values, np.finfo(float).eps * values[-1]))
     inverse = (vectors / size).T
@@ -189,36 +209,56 @@ def compare_covariances(prior: Array, after: Array) -> tuple[Array, Array, Array
 
 
 def _find_learned(posterior: Posterior) -> tuple[Array, Array, Array]:
-    """Learned combinations A (m, n+1), each of prior variance one, their variances (m,), and the prior's root."""
+    """Finds the combinations of z that the pushes determined.
+
+    Returns:
+        Combinations A (m, n+1), each of prior variance one, their variances (m,) now, and the
+        prior's root (n+1, n+1).
+    """
     ratio, directions, root, inverse = compare_covariances(
         posterior.prior_covariance, posterior.covariance
     )
     learned = ratio < 1 - LEARNED_SHARE
     A = directions[:, learned].T @ inverse
-    A[:, CELLS] -= A[:, CELLS].mean(
-        axis=1, keepdims=True
-    )  # no push shows the common scale, nor do shares
+    # No push shows the common scale, nor do shares.
+    A[:, CELLS] -= A[:, CELLS].mean(axis=1, keepdims=True)
     return A, np.maximum(ratio[learned], np.finfo(float).tiny), root
 
 
 def _correct(dz: Array, share: Array, A: Array, stds: Array, root: Array) -> None:
-    """Moves draws dz (count, n+1), in place, until their shares have the combinations that dz had."""
+    """Moves draws, in place, until their shares have the combinations that the draws had.
+
+    Args:
+        dz: (count, n+1) draws from the mean.
+        share: (n,) x_0, shares at the mean.
+        A: (m, n+1) learned combinations.
+        stds: (m,) their standard deviations.
+        root: (n+1, n+1) root of the prior, in whose norm the moves are the shortest.
+    """
+    by_cells = A[:, CELLS]
+    by_globals = A[:, GLOBAL]
     wanted = dz @ A.T
     rest = np.arange(len(dz))
     for _ in range(STEPS):
+        # What is lacking in a.(x/x0 - 1) = a.dz; only draws that lack something go on.
         x = _calc_shares(share, dz[rest])
         ratio = x / share
-        lack = wanted[rest] - (ratio - 1) @ A[:, CELLS].T - dz[rest, GLOBAL] @ A[:, GLOBAL].T
+        lack = wanted[rest] - (ratio - 1) @ by_cells.T - dz[rest, GLOBAL] @ by_globals.T
         far = np.abs(lack / stds).max(axis=1) > TOLERANCE
-        rest, x, ratio, lack = rest[far], x[far], ratio[far], lack[far]
+        rest = rest[far]
+        x = x[far]
+        ratio = ratio[far]
+        lack = lack[far]
         if not len(rest):
             return
+
         # d(ratio_i) = ratio_i (dz_i - sum_j x_j dz_j)
         slope = np.empty((len(rest), *A.shape))
-        slope[:, :, CELLS] = (
-            A[:, CELLS] * ratio[:, None] - (ratio @ A[:, CELLS].T)[:, :, None] * x[:, None]
-        )
-        slope[:, :, GLOBAL] = A[:, GLOBAL]
+        common = (ratio @ by_cells.T)[:, :, None] * x[:, None]
+        slope[:, :, CELLS] = by_cells * ratio[:, None] - common
+        slope[:, :, GLOBAL] = by_globals
+
+        # Newton's step that is shortest in the prior's norm: dz = R J^T (J J^T)^-1 lack.
         J = slope @ root
         JT = np.swapaxes(J, 1, 2)
         K = J @ JT
@@ -229,7 +269,7 @@ def _correct(dz: Array, share: Array, A: Array, stds: Array, root: Array) -> Non
 
 
 def _calc_shares(share: Array, dz: Array) -> Array:
-    """(count, n) shares of draws."""
+    """Normalized loads (count, n) of draws dz (count, n+1) about the shares (n,) at the mean."""
     z = np.log(share) + dz[:, CELLS]
     k = np.exp(z - z.max(axis=1, keepdims=True))
     return np.asarray(k / k.sum(axis=1, keepdims=True))
