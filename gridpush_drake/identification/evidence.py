@@ -1,4 +1,4 @@
-"""How well the pushes that were learned from bear a model out, and draws drawn in until they do.
+"""How well parameters other than the estimate agree with the pushes, and draws that are made to.
 
 The spread of what was learned is a normal about the best fit. Far from it the pushes may say more
 than their derivatives there: a cell that bears next to nothing has next to no derivative, and yet
@@ -9,7 +9,7 @@ itself. Its excess
     push's whitening
 
 is at most a chi square of three numbers a push. A draw whose excess is more than that can be is
-drawn in, dz <- c dz, until it is not, six times at most (`docs/theory/identification.md`, section
+shortened, dz <- c dz, until it is not, six times at most (`docs/theory/identification.md`, section
 6).
 """
 
@@ -25,10 +25,14 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.pushes.push_log import PushLog
 
 MAX_SIGMAS = 3.0
-"""How many standard deviations above its mean a chi square still counts as possible."""
+"""Number of standard deviations above its mean up to which a chi square counts as possible. A draw
+with a greater excess is shortened."""
 
-SHRINK, MAX_SHRINKS = 0.5, 6
-"""c, and how often at most."""
+SHRINK = 0.5
+"""Factor c by which a draw that the pushes contradict is shortened."""
+
+MAX_SHRINKS = 6
+"""Most times that a draw is shortened. Then it is taken as it is."""
 
 
 class PushEvidence:
@@ -39,40 +43,68 @@ class PushEvidence:
     """
 
     def __init__(self, found: Identification, used: PushLog) -> None:
-        """Takes what was learned, and the pushes that it was learned from, as `select_learned` gives them."""
-        self._mean, self._noise = found.posterior.mean, found.noise
+        """Simulates the pushes once with the estimate.
+
+        Args:
+            found: what was learned.
+            used: the pushes that it was learned from, as `select_learned` gives them.
+        """
+        self._mean = found.posterior.mean
+        self._noise = found.noise
         self._problem = PushProblem(found.obj, used, found.params, found.physics)
+
+        # The whitening of the estimate is kept for all draws: losses are compared in one unit.
         linear = self._problem.linearize(self._mean)
         self._whitenings = self._noise.make_whitenings(linear.by_inputs, found.noise_scale)
         self._least = self._calc_loss(linear.residuals)
+
+        # A chi square of N numbers has the mean N and the variance 2 N.
         numbers = POSE * len(used)
         self.max_excess = numbers + MAX_SIGMAS * sqrt(2 * numbers)
 
     @classmethod
     def of_log(cls, found: Identification, log: PushLog | None) -> "PushEvidence | None":
-        """Takes those pushes of a log that `found` was learned from; None where it holds none of them."""
+        """Takes the pushes of a log that `found` was learned from; None if the log has none."""
         used = None if log is None else select_learned(found, log)
         return cls(found, used) if used else None
 
     def calc_excess(self, dz: Array) -> float:
-        """E at dz (n+1,) from the posterior's mean."""
+        """Excess E of the parameters at dz (n+1,) from the posterior's mean."""
         return self._calc_loss(self._problem.residuals(self._mean + dz)) - self._least
 
     def draw_in(self, dz: Array) -> Array:
-        """Draws dz (count, n+1), those that the pushes contradict drawn in towards the mean."""
-        kept, far = dz.copy(), np.arange(len(dz))
+        """Shortens the draws that the pushes contradict, towards the mean.
+
+        Args:
+            dz: (count, n+1) draws, from the mean. They are not changed.
+
+        Returns:
+            (count, n+1) the draws that the pushes allow, and the others shortened.
+        """
+        kept = dz.copy()
+        far = np.arange(len(dz))
         for _ in range(MAX_SHRINKS):
+            # Written so that an excess that is not a number counts as too great.
             far = far[[not self.calc_excess(kept[i]) <= self.max_excess for i in far]]
             kept[far] *= SHRINK
         return kept
 
     def _calc_loss(self, residuals: list[Array]) -> float:
+        """Twice the sum of the pushes' Huber losses, from their residuals (3K,), m."""
         whitened = (one.apply(r) for one, r in zip(self._whitenings, residuals, strict=True))
         return 2 * sum(self._noise.calc_loss(values) for values in whitened)
 
 
 def select_learned(found: Identification, log: PushLog) -> PushLog:
-    """The pushes of a log that a model was learned from, without what was refused of them, as it took them."""
+    """Selects the pushes of a log that a model was learned from, without what was refused of them.
+
+    Args:
+        found: what was learned.
+        log: the log that it was learned from, or one with the same pushes.
+
+    Returns:
+        The pushes as the model took them: with its pusher radius if they name none.
+    """
     used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
     radius = found.obj.prior.pusher_radius
     if not used.radius_given and radius is not None:

@@ -1,4 +1,4 @@
-"""The least-squares problem behind identification: predicted against observed poses, with exact derivatives.
+"""The least-squares problem behind identification: predicted against observed poses.
 
 The unknowns are z = (log k_1 .. log k_n, log mu_c), with k_i = mu_i m_i the friction each cell
 carries (relative to g) and mu_c the contact friction. Each observed pose gives the residual
@@ -7,7 +7,9 @@ carries (relative to g) and mu_c the contact friction. Each observed pose gives 
 
 with (x_c, y_c) the cells' centroid, its error in the observed body's axes, and rho the radius of
 gyration. The cells' frictions mu_i stay those of the prior and the masses follow, m_i = k_i / mu_i;
-slow pushes cannot tell the two apart (`identifiability`).
+slow pushes cannot tell the two apart (`identifiability`). The derivatives are exact. See
+`docs/theory/identification.md`, section 1; the noise and the prior are not here but in `noise` and
+`hypotheses`.
 """
 
 from collections.abc import Sequence
@@ -32,13 +34,15 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 SHIFT = slice(3, 5)
-"""The columns of `Linearization.by_inputs` by the shift of the load's center."""
+"""Columns of `Linearization.by_inputs` that are the derivatives by a shift of the load's center."""
 
 SINGULAR = 1e-6
-"""Of the squared radius of gyration, by which a row of cells is taken to be wide."""
+"""Share of the squared radius of gyration that is added to the cells' spread along both axes, so
+that the loads of a single row of cells can be tilted across the row, too."""
 
 FRICTION_FLOOR = 1e-6
-"""Least contact friction whose logarithm is taken."""
+"""Smallest coefficient of contact friction whose logarithm is taken. A smaller one is raised to
+it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +52,7 @@ class TimedPush:
     Attributes:
         observed: the push.
         times: (T+1,) s from its beginning.
-        rows: (K,) the observations' among them, or those nearest to them.
+        rows: (K,) indices in `times` of the observations, or of the times nearest to them.
         table: (K, 2) corners in W of the table's top, m; None where its edge is far.
     """
 
@@ -59,7 +63,7 @@ class TimedPush:
 
     @classmethod
     def of(cls, observed: ObservedPush, regime: Regime, table: Array | None = None) -> "TimedPush":
-        """Cuts the time at every observation."""
+        """Cuts the time of a push into steps of which one ends at every observation."""
         times = make_times_with(observed.push, observed.t_observed, regime)
         rows = np.searchsorted((times[:-1] + times[1:]) / 2, observed.t_observed)
         return cls(observed, times, rows, table)
@@ -86,9 +90,9 @@ class Linearization:
 
     Attributes:
         residuals: (3K,) m.
-        by_z: (3K, n+1).
-        by_inputs: (3K, 5) by the place (x, y) where the push begins, by log mu_c, and by a shift
-            (x, y) of the center of the load, all loads tilted along it.
+        by_z: (3K, n+1) derivatives by z.
+        by_inputs: (3K, 5) derivatives by the place (x, y) where the push begins, by log mu_c, and
+            by a shift (x, y) of the center of the load, all loads tilted along it.
     """
 
     residuals: list[Array]
@@ -96,11 +100,12 @@ class Linearization:
     by_inputs: list[Array]
 
     def choose(self, pushes: Sequence[int]) -> "Linearization":
-        """Those of some pushes."""
-        chosen = (
-            [values[i] for i in pushes] for values in (self.residuals, self.by_z, self.by_inputs)
+        """Takes the residuals and derivatives of some of the pushes."""
+        return Linearization(
+            residuals=[self.residuals[i] for i in pushes],
+            by_z=[self.by_z[i] for i in pushes],
+            by_inputs=[self.by_inputs[i] for i in pushes],
         )
-        return Linearization(*chosen)
 
 
 def resolve_physics(
@@ -109,10 +114,10 @@ def resolve_physics(
     """Replaces the regime "auto" by the one that suits a log's fastest push.
 
     Args:
-        physics: of the log's simulations.
+        physics: physics of the log's simulations.
         obj: the object.
         log: its pushes; one regime is chosen for all of them.
-        params: what the object is taken to weigh and rub; by default the friction is the prior's.
+        params: masses and frictions of the object; by default the friction is the prior's.
 
     Returns:
         The physics, see `Physics.resolve`.
@@ -130,7 +135,7 @@ class PushProblem:
 
     Attributes:
         obj: the object.
-        physics: of the simulations; its regime is never "auto".
+        physics: physics of the simulations; its regime is never "auto".
     """
 
     def __init__(
@@ -146,20 +151,23 @@ class PushProblem:
             obj: the object.
             log: the training pushes, each with at least one later observation.
             held: parameters, all of which but the masses and the contact friction stay as they are.
-            physics: of the simulations; `Physics()` by default. The regime "auto" becomes the one
-                of the log's fastest push, see `resolve_physics`.
+            physics: physics of the simulations; `Physics()` by default. The regime "auto" becomes
+                the one of the log's fastest push, see `resolve_physics`.
         """
         self.obj = obj
         self.physics = resolve_physics(physics or DEFAULT_PHYSICS, obj, log)
         self._held = held
+        # A list, so that problems made of this one count their simulations together with it.
         self._spent = [0]
         self._pushes = [TimedPush.of(push, self.physics.regime, log.table) for push in log]
         self._centroid = obj.p_BC.mean(axis=0)
         self._rho = obj.radius_of_gyration
+
+        # (n, 2) changes of log k, linear in the cells' places, that shift the center of even loads
+        # by one meter along x and along y.
         arm = obj.p_BC - self._centroid
-        self._tilts = np.linalg.solve(
-            arm.T @ arm / obj.n + SINGULAR * self._rho**2 * np.eye(2), arm.T
-        ).T
+        spread = arm.T @ arm / obj.n + SINGULAR * self._rho**2 * np.eye(2)
+        self._tilts = np.linalg.solve(spread, arm.T).T
 
     @property
     def simulations(self) -> int:
@@ -171,42 +179,51 @@ class PushProblem:
         return len(self._pushes)
 
     def replace_log(self, log: PushLog) -> "PushProblem":
-        """The same problem of another log; simulations are counted together."""
+        """Makes the problem of another log of the object; simulations are counted together."""
         return self._take([TimedPush.of(push, self.physics.regime, log.table) for push in log])
 
     def choose(self, pushes: Sequence[int]) -> "PushProblem":
-        """The same problem of some of its pushes; simulations are counted together."""
+        """Makes the problem of some of the pushes; simulations are counted together."""
         return self._take([self._pushes[i] for i in pushes])
 
     def move_cells(self, p_BC: Array) -> "PushProblem":
-        """The same problem with the loads of the cells at other places, (n, 2) m; simulations are counted together."""
+        """Makes the problem with the cells' loads elsewhere; simulations are counted together.
+
+        Args:
+            p_BC: (n, 2) the places, body frame, m. Residuals are still those of the cells' centers.
+        """
         other = self._take(self._pushes)
         other.obj = replace(self.obj, p_BC=p_BC)
         return other
 
     def _take(self, pushes: list[TimedPush]) -> "PushProblem":
+        """Makes a problem that shares everything with this one but its pushes."""
         other = copy(self)
+        # A cached property, which belongs to the pushes.
         other.__dict__.pop("_observed", None)
         other._pushes = pushes
         return other
 
     def params(self, z: Array) -> CellParameters:
         """The cells' parameters at z (n+1,)."""
+        # Section 1: the frictions are held, m_i = k_i / mu_i.
         mass = np.exp(z[CELLS]) / self._held.friction
         return replace(self._held, mass=mass, contact_friction=float(np.exp(z[CONTACT_FRICTION])))
 
     def calc_tilt_covariance(self, std: float) -> Array:
-        """(n+1, n+1) of z where the load's center is off by `std` per axis, m, all loads tilted along it."""
+        """Covariance (n+1, n+1) of z if the center of the load is not known exactly.
+
+        Args:
+            std: standard deviation of the center per axis, m. All loads are tilted along it.
+        """
         tilts = np.zeros((self.obj.n + len(GLOBALS), 2))
         tilts[CELLS] = std * self._tilts
         return np.asarray(tilts @ tilts.T)
 
     def unknowns(self, params: CellParameters) -> Array:
-        """The unknowns z (n+1,) of some parameters."""
-        k, contact_friction = (
-            params.mass * self._held.friction,
-            max(params.contact_friction, FRICTION_FLOOR),
-        )
+        """The unknowns z (n+1,) of some parameters, their masses taken with the frictions held."""
+        k = params.mass * self._held.friction
+        contact_friction = max(params.contact_friction, FRICTION_FLOOR)
         return np.append(np.log(k), np.log(contact_friction))
 
     def residuals(self, z: Array, pushes: Sequence[int] | None = None) -> list[Array]:
@@ -222,15 +239,22 @@ class PushProblem:
         if pushes is not None:
             return self.choose(pushes).linearize(z)
         self._spent[0] += len(self)
-        params, n = self.params(z), self.obj.n
+        params = self.params(z)
+        n = self.obj.n
         poses, J = self._observed.batch.differentiate(params)
+
+        # By the logarithms: d/d(log k_i) = m_i d/dm_i, as mu_i is held, and likewise for mu_c.
         J[..., :n] *= params.mass
         J[..., n] *= params.contact_friction
         J = self._to_residuals(poses, J)
+
+        # The inputs of the noise (section 4): the push's place, log mu_c, the load's shift.
         inputs = np.concatenate([J[:, [n + 1, n + 2, n]], J[:, :n] @ self._tilts], axis=1)
         residuals = self._calc_residuals(poses).ravel()
         return Linearization(
-            self._split(residuals), self._split(J[:, : n + 1]), self._split(inputs)
+            residuals=self._split(residuals),
+            by_z=self._split(J[:, : n + 1]),
+            by_inputs=self._split(inputs),
         )
 
     def touched(self, z: Array) -> NDArray[np.bool_]:
@@ -239,32 +263,50 @@ class PushProblem:
         return self._observed.batch.simulate(self.params(z))[1]
 
     def calc_cell_errors(self, residuals: Sequence[Array]) -> Array:
-        """Mean distance of the cells' centers, m, by push: the paper's ADD, averaged over a push's observations."""
+        """Mean distance of the cells' centers by push: the paper's ADD, over all its observations.
+
+        Args:
+            residuals: (3K,) of each push, m.
+
+        Returns:
+            (P,) m.
+        """
         if not len(residuals):
             return np.empty(0)
-        rows, counts = (
-            np.concatenate(residuals).reshape(-1, 3),
-            np.array([len(one) // 3 for one in residuals]),
-        )
+        rows = np.concatenate(residuals).reshape(-1, 3)
+        counts = np.array([len(one) // 3 for one in residuals])
         arm = self.obj.p_BC - self._centroid
-        x, y, turn = rows[:, 0], rows[:, 1], rows[:, 2] / self._rho
-        c, s = -2.0 * np.sin(turn / 2) ** 2, np.sin(turn)  # the rotation less the identity
+        x = rows[:, 0]
+        y = rows[:, 1]
+        turn = rows[:, 2] / self._rho
+
+        # A cell moves by (x, y) + (R - I) arm. The diagonal of R - I, cos - 1, is written so that
+        # small turns lose no digits.
+        cos_less_1 = -2.0 * np.sin(turn / 2) ** 2
+        sin = np.sin(turn)
         cells = np.vstack([np.ones(self.obj.n), arm.T])
-        moved_x, moved_y = np.column_stack([x, c, -s]) @ cells, np.column_stack([y, s, c]) @ cells
+        moved_x = np.column_stack([x, cos_less_1, -sin]) @ cells
+        moved_y = np.column_stack([y, sin, cos_less_1]) @ cells
         errors = np.sqrt(moved_x**2 + moved_y**2).mean(axis=1)
-        return np.asarray(np.add.reduceat(errors, np.append(0, np.cumsum(counts[:-1]))) / counts)
+
+        # The mean over each push's rows, which stand one push after another.
+        begins = np.append(0, np.cumsum(counts[:-1]))
+        return np.asarray(np.add.reduceat(errors, begins) / counts)
 
     @cached_property
     def _observed(self) -> "_Observations":
+        """All pushes' observations, prepared when they are first needed."""
         pushes = [
             BatchPush(p.observed.push, p.observed.pose, p.times, p.rows, p.table)
             for p in self._pushes
         ]
-        poses = np.concatenate(
-            [np.empty((0, 3)), *(p.observed.poses_observed for p in self._pushes)]
-        )
+        # An empty first entry, for problems without a push.
+        observed = [p.observed.poses_observed for p in self._pushes]
+        poses = np.concatenate([np.empty((0, 3)), *observed])
         return _Observations(
-            PushBatch(self.obj, pushes, self.physics), poses, self._centroid_at(poses)
+            batch=PushBatch(self.obj, pushes, self.physics),
+            poses=poses,
+            centroids=self._centroid_at(poses),
         )
 
     def _split(self, values: Array) -> list[Array]:
@@ -273,22 +315,36 @@ class PushProblem:
         return [values[begin:end] for begin, end in pairwise(ends)]
 
     def _calc_residuals(self, predicted: Array) -> Array:
-        """(R, 3) of all pushes' predicted poses (R, 3)."""
-        observed, centroids = self._observed.poses, self._observed.centroids
-        shift = rotate(-observed[:, 2], self._centroid_at(predicted) - centroids)
-        return np.column_stack([shift, self._rho * wrap_angle(predicted[:, 2] - observed[:, 2])])
+        """Residuals (R, 3) of the predicted poses (R, 3) of all pushes, m."""
+        # Section 1: r = (dx_c, dy_c, rho dtheta), the shift in the observed body's axes.
+        theta = self._observed.poses[:, 2]
+        shift = rotate(-theta, self._centroid_at(predicted) - self._observed.centroids)
+        return np.column_stack([shift, self._rho * wrap_angle(predicted[:, 2] - theta)])
 
     def _centroid_at(self, poses: Array) -> Array:
+        """Centroids (R, 2) of the cells at poses (R, 3), world frame, m."""
         return transform(poses, self._centroid[None])[:, 0]
 
     def _to_residuals(self, predicted: Array, J: Array) -> Array:
-        """Turns derivatives of the predicted poses, (R, 3, p), into those of the residuals, (3R, p)."""
+        """Turns derivatives of poses into those of residuals.
+
+        Args:
+            predicted: (R, 3) predicted poses.
+            J: (R, 3, p) their derivatives.
+
+        Returns:
+            (3R, p) derivatives of the residuals.
+        """
+        # The centroid is q_xy + R(theta) c; a turn moves it at right angles to its arm.
         arm = self._centroid_at(predicted) - predicted[:, :2]
-        c, s = np.cos(self._observed.poses[:, 2:]), np.sin(self._observed.poses[:, 2:])
-        x, y = J[:, 0] - arm[:, 1:] * J[:, 2], J[:, 1] + arm[:, :1] * J[:, 2]
-        return np.stack([c * x + s * y, c * y - s * x, self._rho * J[:, 2]], axis=1).reshape(
-            -1, J.shape[2]
-        )
+        x = J[:, 0] - arm[:, 1:] * J[:, 2]
+        y = J[:, 1] + arm[:, :1] * J[:, 2]
+
+        # Into the axes of the observed body.
+        c = np.cos(self._observed.poses[:, 2:])
+        s = np.sin(self._observed.poses[:, 2:])
+        rows = np.stack([c * x + s * y, c * y - s * x, self._rho * J[:, 2]], axis=1)
+        return rows.reshape(-1, J.shape[2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,8 +353,8 @@ class _Observations:
 
     Attributes:
         batch: simulates the pushes.
-        poses: (R, 3) observed.
-        centroids: (R, 2) the cells' centroid there, m.
+        poses: (R, 3) the observed poses, m and rad, world frame.
+        centroids: (R, 2) the cells' centroids at the observed poses, world frame, m.
     """
 
     batch: PushBatch
