@@ -4,6 +4,9 @@ What is seen of a prism of height h is its outline on every level from the table
 the picture's outline shows a point of the top where the prism's side there faces away from the
 camera, and one of the bottom where it faces it. So the outline is what the pixels' rays meet on all
 levels: the intersection of the picture's outline cast to some levels from the table to the height.
+
+Which pixels are no table is found in `foreground`, and an object that is known is followed in
+`tracking`. The theory is in docs/theory/perception.md, section 2.
 """
 
 from dataclasses import dataclass
@@ -46,59 +49,94 @@ from gridpush_drake.perception.table_plane import TablePlane, fit_table
 Mask = NDArray[np.bool_]
 
 PIXEL_MIDDLE = 0.5
-"""Of a pixel, from its corner."""
+"""Distance from a pixel's upper left corner to its middle along each axis, pixels."""
 
 BORDER = 2
-"""Pixels at the picture's border which no object may touch."""
+"""Width of the strip along the picture's border that the object must not touch, pixels: beyond it,
+some of the object may be out of view."""
 
 CERTAIN = 3.0
-"""Median score from which on a piece of the foreground is an object for certain, and not the
-table's own unevenness; the plainest piece needs none."""
+"""A further piece of the foreground counts as an object if its median score is at least this; with
+less it is the table's own unevenness. The plainest piece counts with any score."""
 
 MAX_TABLE_DEVIATION = 8.0
-"""Of a table's color, units of CIE L*a*b*; without depth, more is taken for no table."""
+"""Largest standard deviation of a table's color without depth, units of CIE L*a*b*; what varies
+more is taken for no table."""
 
-MAX_TILT, MAX_SHIFT = np.radians(10), 0.05
-"""Between the table in depth and X_WC's z = 0, rad and m."""
+MAX_TILT = np.radians(10)
+"""Largest angle between the table seen in depth and the plane z = 0 by X_WC, rad; beyond it, X_WC
+is taken to be wrong."""
 
-RIM_WIDTH, RIM_PERCENTILE = 31, 60
-"""Of the window in which an outline's point finds the height of the object there, pixels; and of
-the heights in it."""
+MAX_SHIFT = 0.05
+"""Largest distance between the table seen in depth and the plane z = 0 by X_WC, m; beyond it, X_WC
+is taken to be wrong."""
 
-TOP_PERCENTILE, TOP_WINDOW = 90, 5
-"""Of the heights of an object, smoothed in such a window, which is its height."""
+RIM_WIDTH = 31
+"""Side of the square window about a point of the outline in which the object's height there is
+looked for, pixels."""
+
+RIM_PERCENTILE = 60
+"""Percentile of the heights in that window that is taken for the object's height near its rim;
+depth images blur the edge downward."""
+
+TOP_PERCENTILE = 90
+"""Percentile of an object's smoothed heights that is taken for its height."""
+
+TOP_WINDOW = 5
+"""Side of the window whose median smooths the heights of an object, pixels; half of it is left out
+along the object's rim."""
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Of the height, to which the picture's outline is cast."""
+"""Levels to which the picture's outline is cast, as parts of the object's height."""
 
 OUTLINE_SMOOTHING = 0.5
-"""Of the coverage, before the outline is traced, standard deviation in pixels."""
+"""Standard deviation of the blur of the coverage before the outline is traced, pixels."""
 
 SIMPLIFICATION = 2e-4
-"""m, by which the outline may differ after the levels were intersected."""
+"""Largest distance by which the outline may be simplified after the levels were intersected, m."""
 
-MAX_PARTS, PART_ROUNDS, PART_EPSILON = 3, 30, 0.1
-"""Most parts by color; of the clustering."""
+MAX_PARTS = 3
+"""Most parts of an object that are told apart by color."""
 
-PART_CONTRAST, MIN_PART = 25.0, 0.08
-"""Colors nearer than this in CIE L*a*b* are of one part; a part of less than this share of the
-object is none."""
+PART_ROUNDS = 30
+"""Most rounds of the clustering of colors (k-means)."""
+
+PART_EPSILON = 0.1
+"""The clustering of colors ends when no center moves by more than this, units of CIE L*a*b*."""
+
+PART_CONTRAST = 25.0
+"""Clusters whose centers are nearer than this are one part, units of CIE L*a*b*."""
+
+MIN_PART = 0.08
+"""A part that has less than this share of the object's pixels is joined to the others."""
 
 PART_SMOOTHING = 9
-"""Width of the median that a part's colors go through, pixels."""
+"""Side of the window of the median that colors and labels of parts go through, pixels."""
 
-GREEN, RED, BLUE, LINE = (0, 255, 0), (255, 0, 0), (0, 80, 255), 1
-"""Of what is drawn in pictures; the line's width, pixels."""
+GREEN = (0, 255, 0)
+"""Color of an object's outline, of its top and of its body frame's y axis in pictures."""
+
+RED = (255, 0, 0)
+"""Color of what was refused, and of the body frame's x axis in pictures."""
+
+BLUE = (0, 80, 255)
+"""Color of an object's bottom in pictures."""
+
+LINE = 1
+"""Width of the lines drawn in pictures, pixels."""
+
+FRACTION_BITS = 4
+"""Bits after the binary point in the coordinates that OpenCV's drawing takes."""
 
 CLOSE_UP_ROOM = 0.2
-"""About an object in its close-up, share of its longer side."""
+"""Room about an object in its close-up, as a part of the object's longer side."""
 
 AXIS = 0.03
 """Length of the body frame's axes in pictures, m."""
 
-
 TABLE_SHARE = 75
-"""Percent of what is seen, nearest to its median in color, that is taken for table."""
+"""Percentage of the pixels seen, those nearest to the median color, that is taken for table when
+something is painted over."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +144,8 @@ class DetectorOptions:
     """What counts as an object.
 
     Attributes:
-        min_area: of an object, m^2.
-        height: of the object, m, where it is known; it goes before what depth says.
+        min_area: least area of an object on the table, m^2; what is smaller is left out.
+        height: height of the object, m, where it is known; it goes before what depth says.
         parts: whether the object's parts are told apart by color.
         cues: what is looked at.
     """
@@ -125,7 +163,7 @@ class DetectedObject:
     Attributes:
         outline: contour with holes, W, on the table's plane, m.
         mask: (height, width) bool, the pixels that show it, of the undistorted image.
-        height: of its top above the table, m; 0 where neither depth nor options told it.
+        height: height of its top above the table, m; 0 where neither depth nor options told it.
         X_WB: (3,) pose (x, y, theta) chosen for the body frame: the outline's centroid, x as in W.
         pixel: (2,) where the body frame's origin is in the photograph as it was taken, pixels.
         parts: polygons by label, W, m; empty where they were not asked for.
@@ -151,9 +189,9 @@ class DetectedObject:
         """The part of the picture that shows the object, with some room about it."""
         x, y, width, height = cv2.boundingRect(self.mask.astype(np.uint8))
         room = round(CLOSE_UP_ROOM * max(width, height))
-        return self.picture[
-            max(y - room, 0) : y + height + room, max(x - room, 0) : x + width + room
-        ]
+        rows = slice(max(y - room, 0), y + height + room)
+        columns = slice(max(x - room, 0), x + width + room)
+        return self.picture[rows, columns]
 
     @cached_property
     def outline_B(self) -> Polygon:
@@ -165,7 +203,7 @@ class DetectedObject:
 
         Args:
             cell_size: side of a cell, m, about; the default number of cells where None.
-            name: of the object.
+            name: name of the object.
 
         Returns:
             The object, in the body frame B that stands at X_WB.
@@ -173,21 +211,21 @@ class DetectedObject:
         Raises:
             ObjectError: the cells would be too many.
         """
-        max_cells = (
-            DEFAULT_MAX_CELLS
-            if cell_size is None
-            else max(1, round(self.outline.area / cell_size**2))
-        )
+        max_cells = DEFAULT_MAX_CELLS
+        if cell_size is not None:
+            max_cells = max(1, round(self.outline.area / cell_size**2))
         if max_cells > MAX_CELLS:
+            least = (self.outline.area / MAX_CELLS) ** 0.5
             raise ObjectError(
-                f"{name}: cells of {cell_size:g} m are {max_cells}; expected at most {MAX_CELLS}, so of at least "
-                f"{(self.outline.area / MAX_CELLS) ** 0.5:.2g} m"
+                f"{name}: cells of {cell_size:g} m are {max_cells}; expected at most {MAX_CELLS},"
+                f" so of at least {least:.2g} m"
             )
         parts = {label: self._to_body(part) for label, part in self.parts.items()}
         obj = GridObject.from_outline(self.outline_B, parts=parts, max_cells=max_cells, name=name)
         return GridObject(name, *obj.grid, obj.prior, self.height or None)
 
     def _to_body(self, shape: Polygon) -> Polygon:
+        """Moves a shape from W to the body frame, m."""
         return shapely.transform(shape, lambda points: transform_back(self.X_WB, points))
 
 
@@ -200,8 +238,8 @@ def detect_object(
         color: (height, width, 3) uint8, red, green, blue, as it was taken (distorted).
         depth: (height, width), m, registered to `color`, 0 where it was not measured; None without
             a depth camera.
-        camera: that took it; X_WC, with the table's top at z = 0, may be left out where there is
-            depth.
+        camera: camera that took it; X_WC, with the table's top at z = 0, may be left out where
+            there is depth.
         options: see `DetectorOptions`.
 
     Returns:
@@ -221,32 +259,50 @@ def detect_object(
     color, depth, plane, camera = look_at_table(color, depth, camera)
     if options.height is not None and not 0 <= options.height < camera.center[2]:
         raise PerceptionError(
-            f"height is {options.height!r}; expected 0 to {camera.center[2]:.3g} m, where the camera is",
+            f"height is {options.height!r}; expected 0 to {camera.center[2]:.3g} m, where the"
+            " camera is",
             color,
         )
+
+    # Table and everything else (section 1). Without depth, only an even color tells the table.
     found = find_foreground(color, plane, options.cues)
     if plane is None and found.deviation.max() > MAX_TABLE_DEVIATION:
         raise NoTableError("no even color takes the picture's rim; expected a table in view", color)
-    mask, coverage = refine_boundary(_choose_object(found, color, camera, options), found)
+
+    # The object's pixels, with the boundary drawn anew by color.
+    rough = _choose_object(found, color, camera, options)
+    mask, coverage = refine_boundary(rough, found)
     if not mask.any():
         raise NoObjectError("no object is in view; expected one on the table", color)
-    heights = None if plane is None or options.height is not None else plane.heights
-    height = _find_height(heights, mask) if heights is not None else options.height or 0.0
-    outline = _to_world(
-        calc_contour(coverage.astype(np.float64), OUTLINE_SMOOTHING), camera, mask, heights, height
-    )
+
+    # Its height: the one that is known goes before what depth says.
+    heights = None
+    height = options.height or 0.0
+    if plane is not None and options.height is None:
+        heights = plane.heights
+        height = _find_height(heights, mask)
+
+    # Its outline on the table (section 2), and what follows from it.
+    contour = calc_contour(coverage.astype(np.float64), OUTLINE_SMOOTHING)
+    outline = _to_world(contour, camera, mask, heights, height)
     X_WB = np.array([*outline.centroid.coords[0], 0.0])
-    parts = _find_parts(color, mask, camera, outline, height) if options.parts else {}
+    parts: dict[int, Polygon | MultiPolygon] = {}
+    if options.parts:
+        parts = _find_parts(color, mask, camera, outline, height)
+    contradiction = 0.0
+    if options.cues == "both":
+        contradiction = calc_contradiction(mask, found, plane)
+    picture = draw_contours(color, mask, GREEN)
     return DetectedObject(
-        outline,
-        mask,
-        height,
-        X_WB,
-        camera.project([*X_WB[:2], 0.0]),
-        parts,
-        camera,
-        draw_outline(draw_contours(color, mask, GREEN), camera, outline, 0.0, X_WB),
-        calc_contradiction(mask, found, plane) if options.cues == "both" else 0.0,
+        outline=outline,
+        mask=mask,
+        height=height,
+        X_WB=X_WB,
+        pixel=camera.project([*X_WB[:2], 0.0]),
+        parts=parts,
+        camera=camera,
+        picture=draw_outline(picture, camera, outline, 0.0, X_WB),
+        contradiction=contradiction,
     )
 
 
@@ -268,10 +324,11 @@ def look_at_table(
             raise CameraError(
                 "X_WC is not known and there is no depth image; expected one of the two"
             )
+        # Without depth nothing else than X_WC tells where the table is.
         if not np.isfinite(camera.cast(camera.K[:2, 2])).all():
             raise NoTableError(
-                "the camera looks past the table; expected X_WC in its file with the table at z = 0 and the camera "
-                "above, its z axis toward the table",
+                "the camera looks past the table; expected X_WC in its file with the table at z = 0"
+                " and the camera above, its z axis toward the table",
                 color,
             )
         return color, None, None, camera
@@ -280,12 +337,14 @@ def look_at_table(
     plane = fit_table(depth, camera.undistorted, color)
     if camera.X_WC is None:
         return color, depth, plane, camera.with_pose(plane.make_pose(camera))
+
+    # Where both tell it, they must agree: a camera that was moved gives wrong places silently.
     tilt = np.arccos(np.clip(plane.normal @ camera.X_WC[2, :3], -1, 1))
     shift = plane.offset - camera.X_WC[2, 3]
     if tilt > MAX_TILT or abs(shift) > MAX_SHIFT:
         raise NoTableError(
-            f"the table in depth is tilted by {np.degrees(tilt):.0f} degrees and shifted by {shift:.3f} m from z = 0 of"
-            " X_WC; expected them to agree",
+            f"the table in depth is tilted by {np.degrees(tilt):.0f} degrees and shifted by"
+            f" {shift:.3f} m from z = 0 of X_WC; expected them to agree",
             color,
         )
     return color, depth, plane, camera
@@ -300,7 +359,7 @@ def cover_pixels(
         color: (height, width, 3) uint8.
         depth: (height, width), m; None without a depth camera.
         unseen: (height, width) bool, pixels that say nothing; most of the others show the table.
-        seed: of the colors, which are drawn from the table's, the most common ones.
+        seed: seed of the choice among the table's colors, which are the most common ones.
 
     Returns:
         New images; depth is 0 there. The very ones that were given where nothing is unseen.
@@ -313,15 +372,27 @@ def cover_pixels(
     seen = color[~unseen]
     if not len(seen):
         raise NoTableError("the robot hides all of the picture; expected a table in view", color)
+    # The colors nearest to the median are the table's. Each pixel gets one of them and not their
+    # mean, so that what is painted has the table's own noise.
     off = np.abs(seen - np.median(seen, axis=0)).max(axis=1)
     table = seen[off <= np.percentile(off, TABLE_SHARE)]
     covered = color.copy()
     covered[unseen] = np.random.default_rng(seed).choice(table, int(unseen.sum()))
-    return covered, None if depth is None else np.where(unseen, np.float32(0), depth)
+    if depth is None:
+        return covered, None
+    return covered, np.where(unseen, np.float32(0), depth)
 
 
 def find_off_table(camera: Camera, table_top: BaseGeometry) -> Mask:
-    """Finds the pixels (height, width) whose rays do not meet the table's top, a polygon in W, m."""
+    """Finds the pixels whose rays do not meet the table's top.
+
+    Args:
+        camera: camera with X_WC.
+        table_top: polygon of the table's top at z = 0, W, m.
+
+    Returns:
+        (height, width) bool, True where the table is not.
+    """
     pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
     xy = camera.cast(pixels)
     return ~np.asarray(shapely.contains_xy(table_top, xy[..., 0], xy[..., 1]))
@@ -330,62 +401,73 @@ def find_off_table(camera: Camera, table_top: BaseGeometry) -> Mask:
 def draw_outline(
     color: Color, camera: Camera, outline: Polygon, height: float, X_WB: ArrayLike
 ) -> Color:
-    """Draws an outline (W, m) and the body frame at X_WB (3,) into an undistorted photograph; returns a new one."""
-    picture, ideal = color.copy(), camera.undistorted
-    for z, tint in ((0.0, BLUE), (height, GREEN))[: 1 + (height > 0)]:
+    """Draws an outline and its body frame into a photograph.
+
+    Args:
+        color: (height, width, 3) uint8, undistorted.
+        camera: camera that took it, with X_WC.
+        outline: outline on the table, W, m.
+        height: height of the object, m; 0 draws its bottom alone.
+        X_WB: (3,) pose (x, y, theta) of the body frame, W, m and rad.
+
+    Returns:
+        A new picture.
+    """
+    picture = color.copy()
+    ideal = camera.undistorted
+
+    def draw(points: Array, closed: bool, tint: tuple[int, int, int]) -> None:
+        places = np.round(ideal.project(points) * 2**FRACTION_BITS).astype(np.int32)
+        cv2.polylines(picture, [places], closed, tint, LINE, cv2.LINE_AA, FRACTION_BITS)
+
+    # The bottom, and the top where that is another.
+    levels = [(0.0, BLUE)]
+    if height > 0:
+        levels.append((height, GREEN))
+    for z, tint in levels:
         for ring in (outline.exterior, *outline.interiors):
             points = np.column_stack([np.array(ring.coords), np.full(len(ring.coords), z)])
-            cv2.polylines(
-                picture, [_to_places(ideal.project(points))], True, tint, LINE, cv2.LINE_AA, SHIFT
-            )
+            draw(points, True, tint)
+
+    # The body frame's axes lie on the top, where they hide no part of the outline.
     x, y, theta = np.asarray(X_WB, dtype=np.float64)
     for angle, tint in ((theta, RED), (theta + np.pi / 2, GREEN)):
-        ends = np.array(
-            [[x, y, height], [x + AXIS * np.cos(angle), y + AXIS * np.sin(angle), height]]
-        )
-        cv2.polylines(
-            picture, [_to_places(ideal.project(ends))], False, tint, LINE, cv2.LINE_AA, SHIFT
-        )
+        tip = [x + AXIS * np.cos(angle), y + AXIS * np.sin(angle), height]
+        draw(np.array([[x, y, height], tip]), False, tint)
     return picture
-
-
-SHIFT = 4
-"""Bits of a pixel's fraction in OpenCV's drawing."""
-
-
-def _to_places(pixels: Array) -> NDArray[np.int32]:
-    return np.round(pixels * 2**SHIFT).astype(np.int32)
 
 
 def _choose_object(
     found: Foreground, color: Color, camera: Camera, options: DetectorOptions
 ) -> Mask:
-    """The one piece of the foreground that is large enough to be an object."""
+    """Chooses the one piece of the foreground that is large enough to be an object."""
     score = found.score
     count, labels, stats, middles = cv2.connectedComponentsWithStats(
         found.mask.astype(np.uint8), connectivity=8
     )
-    corners = np.array(
-        [
-            [-PIXEL_MIDDLE, -PIXEL_MIDDLE],
-            [PIXEL_MIDDLE, -PIXEL_MIDDLE],
-            [-PIXEL_MIDDLE, PIXEL_MIDDLE],
-        ]
-    )
+
+    # The area of each piece on the table: its pixels, times what a pixel at its middle takes there.
+    # That is the parallelogram of the pixel's upper left, upper right and lower left corners.
+    low = -PIXEL_MIDDLE
+    high = PIXEL_MIDDLE
+    corners = np.array([[low, low], [high, low], [low, high]])
     places = camera.undistorted.cast(middles[:, None] + corners)
     across, down = np.moveaxis(places[:, 1:] - places[:, :1], 1, 0)
-    area = stats[:, cv2.CC_STAT_AREA] * np.abs(
-        across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
-    )
+    pixel_area = np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])
+    area = stats[:, cv2.CC_STAT_AREA] * pixel_area
     large = [i for i in range(1, count) if area[i] >= options.min_area]
     if not large:
         raise NoObjectError("no object is in view; expected one on the table", color)
+
+    # The plainest piece is the object. Others count only if they are no unevenness of the table,
+    # for nobody should have to clean a table of its own stains.
     plainest = max(large, key=lambda i: score[labels == i].sum())
     large = [i for i in large if i == plainest or np.median(score[labels == i]) >= CERTAIN]
     chosen = np.isin(labels, large)
     if len(large) > 1:
         problem = f"{len(large)} objects are in view; expected one"
         raise SeveralObjectsError(problem, draw_contours(color, chosen))
+
     inner = chosen[BORDER:-BORDER, BORDER:-BORDER]
     if inner.sum() < chosen.sum():
         problem = "the object touches the picture's border; expected all of it in view"
@@ -402,47 +484,80 @@ def draw_contours(color: Color, mask: Mask, tint: tuple[int, int, int] = RED) ->
 
 
 def _find_height(heights: Array, mask: Mask) -> float:
-    inner = cv2.erode(mask.astype(np.uint8), np.ones((TOP_WINDOW, TOP_WINDOW), np.uint8)) > 0
+    """Finds the height of an object's top, m; 0 where depth was not measured on it."""
+    # Depth images blur an object's rim, and single pixels are noisy: the rim is left out, and a
+    # percentile taken for the top.
+    brush = np.ones((TOP_WINDOW, TOP_WINDOW), np.uint8)
+    inner = cv2.erode(mask.astype(np.uint8), brush) > 0
     smooth = cv2.medianBlur(np.nan_to_num(heights).astype(np.float32), TOP_WINDOW)
     measured = smooth[inner & np.isfinite(heights)]
-    return max(0.0, float(np.percentile(measured, TOP_PERCENTILE))) if len(measured) else 0.0
+    if not len(measured):
+        return 0.0
+    return max(0.0, float(np.percentile(measured, TOP_PERCENTILE)))
 
 
 def _to_world(
     contour: Polygon, camera: Camera, mask: Mask, heights: Array | None, height: float
 ) -> Polygon:
-    """The outline on the table of one in the picture, whose pixels are counted from the upper left corner."""
+    """Finds an object's outline on the table from its outline in the picture.
+
+    Args:
+        contour: outline in the picture, pixels from the picture's upper left corner.
+        camera: camera with X_WC.
+        mask: (height, width) bool, pixels that show the object.
+        heights: (height, width) heights above the table, m; None for the same height everywhere.
+        height: height of the object's top, m.
+
+    Returns:
+        The outline, W, m, counterclockwise.
+
+    Raises:
+        PerceptionError: nothing is common to all levels.
+    """
 
     def cast(points: Array, level: float) -> Array:
+        """Makes S_z: casts the contour to a part of the height at each of its points."""
         pixels = points - PIXEL_MIDDLE
-        z = height if heights is None else _find_rim_heights(pixels, mask, heights, height)
+        z: float | Array = height
+        if heights is not None:
+            z = _find_rim_heights(pixels, mask, heights, height)
         return camera.undistorted.cast(pixels, level * np.asarray(z))
 
     layers = [
         shapely.transform(contour, lambda points, level=level: cast(points, level))
         for level in LEVELS
     ]
-    outline = (
-        shapely.intersection_all(shapely.make_valid(layers))
-        if height > 0
-        else shapely.make_valid(layers[0])
-    )
+
+    # P: what all levels have in common. A flat object is the same on all.
+    valid = shapely.make_valid(layers)
+    outline = valid[0]
+    if height > 0:
+        outline = shapely.intersection_all(valid)
     pieces = [piece for piece in shapely.get_parts(outline) if isinstance(piece, Polygon)]
     if not pieces:
         raise PerceptionError(
             "the object is higher than it is wide, seen from the side; expected an overhead camera"
         )
+
+    # Levels cross each other in many short sides, which say nothing of the object.
     largest = max(pieces, key=lambda piece: piece.area)
-    return orient(largest.simplify(SIMPLIFICATION)) if height > 0 else orient(largest)
+    if height > 0:
+        largest = largest.simplify(SIMPLIFICATION)
+    return orient(largest)
 
 
 def _find_rim_heights(pixels: Array, mask: Mask, heights: Array, height: float) -> Array:
-    """The object's height near each of (k, 2) pixels of its outline, m."""
+    """Finds the object's height near each of (k, 2) pixels of its outline, (k,), m.
+
+    An object that is not of one height is so taken for a prism at each side.
+    """
     half = RIM_WIDTH // 2
     inside = np.where(mask, heights, np.nan)
     found = np.full(len(pixels), height)
     for i, (x, y) in enumerate(np.round(pixels).astype(int)):
-        window = inside[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
+        rows = slice(max(y - half, 0), y + half + 1)
+        columns = slice(max(x - half, 0), x + half + 1)
+        window = inside[rows, columns]
         window = window[np.isfinite(window)]
         if len(window):
             found[i] = np.clip(np.percentile(window, RIM_PERCENTILE), 0.0, height)
@@ -452,33 +567,45 @@ def _find_rim_heights(pixels: Array, mask: Mask, heights: Array, height: float) 
 def _find_parts(
     color: Color, mask: Mask, camera: Camera, outline: Polygon, height: float
 ) -> dict[int, Polygon | MultiPolygon]:
-    """Parts by color, the largest first, W; one part where the object is of one color."""
-    lab = to_lab(np.asarray(cv2.medianBlur(color, PART_SMOOTHING), dtype=np.uint8))[mask]
+    """Finds parts by color, the largest first, W, m; one part where the object is of one color."""
+    # Clusters of color, after a median that takes prints and grain away. OpenCV's generator is
+    # seeded, so that the same picture gives the same parts.
+    smooth = np.asarray(cv2.medianBlur(color, PART_SMOOTHING), dtype=np.uint8)
+    lab = to_lab(smooth)[mask]
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, PART_ROUNDS, PART_EPSILON)
     cv2.setRNGSeed(0)
-    none = np.zeros((len(lab), 1), np.int32)
     _, labels, centers = cv2.kmeans(
-        lab, min(MAX_PARTS, len(lab)), none, criteria, 1, cv2.KMEANS_PP_CENTERS
+        data=lab,
+        K=min(MAX_PARTS, len(lab)),
+        bestLabels=np.zeros((len(lab), 1), np.int32),
+        criteria=criteria,
+        attempts=1,
+        flags=cv2.KMEANS_PP_CENTERS,
     )
-    labels = labels.ravel()
-    counts = np.bincount(labels, minlength=len(centers))
+    counts = np.bincount(labels.ravel(), minlength=len(centers))
+
+    # Clusters that are large, and of another color than the larger ones, are parts.
     kept: list[int] = []
     for k in np.argsort(-counts):
         apart = all(np.linalg.norm(centers[k] - centers[other]) >= PART_CONTRAST for other in kept)
         if not kept or (apart and counts[k] >= MIN_PART * len(lab)):
             kept.append(int(k))
+
+    # Every pixel goes to the nearest part in color, and single ones to what is about them.
     nearest = np.argmin(np.linalg.norm(lab[:, None] - centers[kept], axis=-1), axis=1)
     image = np.zeros(mask.shape, np.uint8)
     image[mask] = nearest + 1
     image = np.asarray(cv2.medianBlur(image, PART_SMOOTHING), dtype=np.uint8)
+
+    # Parts are cast to the top, for that is what shows them, and cut to the object's outline.
     parts: dict[int, Polygon | MultiPolygon] = {}
     for label in range(1, len(kept) + 1):
         part = keep_largest(image == label)
         if part.sum() < MIN_PART * len(lab):
             continue
+        contour = calc_contour(part.astype(np.float64))
         shape = shapely.transform(
-            calc_contour(part.astype(np.float64)),
-            lambda p: camera.undistorted.cast(p - PIXEL_MIDDLE, height),
+            contour, lambda points: camera.undistorted.cast(points - PIXEL_MIDDLE, height)
         )
         pieces = shapely.get_parts(shapely.intersection(shapely.make_valid(shape), outline))
         pieces = [piece for piece in pieces if isinstance(piece, Polygon)]

@@ -18,6 +18,9 @@ neighboring edges share, and J is their mean along that length, as nothing finer
 errors are of two kinds. Where a side is seen below the top, the edge is off by a share of the
 side's width in the picture, on all such edges alike. And light from one side draws all edges its
 way. Either moves the pose, and hardly turns it.
+
+The object's outline and height must be known: `detection` finds them in one photograph. The theory
+is in docs/theory/perception.md, section 3.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -59,65 +62,124 @@ from gridpush_drake.perception.table_plane import TO_DEVIATION, TablePlane, make
 
 Mask = NDArray[np.bool_]
 
-MAX_POINTS, SPACING = 360, 1.5
-"""Of the boundary that are looked at, at most; and how far apart they are at least, pixels."""
+MAX_POINTS = 360
+"""Most points of the boundary at which an edge is looked for; a longer outline has them further
+apart."""
 
-SEARCHES = ((16.0, 1.0, 10), (6.0, 0.5, 10), (3.0, 0.25, 12))
-"""How far from the boundary the edge is looked for, in what steps, pixels, and how often at most;
-coarse to fine."""
+MIN_SPACING = 1.5
+"""Least distance between two points of the boundary, pixels: closer ones would see the same
+edge."""
+
+
+class Search(NamedTuple):
+    """One stage of a registration.
+
+    Attributes:
+        reach: how far from the expected boundary an edge is looked for, inward and outward, pixels.
+        step: distance between two samples across the boundary, pixels.
+        rounds: largest number of least-squares steps.
+    """
+
+    reach: float
+    step: float
+    rounds: int
+
+
+SEARCHES = (
+    Search(reach=16.0, step=1.0, rounds=10),
+    Search(reach=6.0, step=0.5, rounds=10),
+    Search(reach=3.0, step=0.25, rounds=12),
+)
+"""Stages of a registration, from coarse to fine: a wide reach finds an object that moved far, and a
+narrow one leaves out the edges of other things."""
 
 CONVERGED = 1e-3
-"""Pixels, of the step at which a search ends."""
+"""A stage ends when a step moves no point of the outline by more than this, pixels."""
 
-TUKEY, MIN_SPREAD = 3.0, 0.3
-"""Deviations at which an edge counts for nothing, and the least deviation, pixels."""
+TUKEY = 3.0
+"""An edge that is this many standard deviations or more from the outline has no weight (the tuning
+constant of Tukey's weights)."""
+
+MIN_SPREAD = 0.3
+"""Least standard deviation of the edges' distances that Tukey's weights assume, pixels; without it
+a few edges that agree by chance would throw all others out."""
 
 SHARED_LENGTH = 12.0
-"""Along the boundary within which errors of edges are alike, pixels."""
+"""Edges that are less than this far apart along the boundary have nearly the same error, pixels;
+such a stretch counts as one measurement."""
 
 SIDE_ERROR = 0.1
-"""Of the edges below sides that are seen, in the sides' widths in the picture: a side is of another
-brightness."""
+"""Standard deviation of the error that all edges below visible sides share, as a part of the sides'
+width in the picture: a side has another brightness than the top."""
 
 LIGHT_ERROR = 0.03
-"""By which light from one side draws the edges its way, pixels."""
+"""Standard deviation of the error that all edges share because light from one side moves them its
+way, pixels."""
 
 DIFFERENCE = 1e-5
-"""Step of numerical derivatives, m."""
+"""Step of the numerical derivatives of pixels by places on the table, m."""
 
 HALF = 0.5
-"""Coverage at the edge."""
+"""Coverage of a pixel at the object's edge; a pixel with more is object."""
 
 CLEARANCE = 0.015
-"""What stands higher than the object by this is something else, such as the arm, m."""
+"""A pixel that is this much higher than the object's top shows something else, such as the arm,
+m."""
 
-FLOOR, FLOOR_MARGIN = 0.05, 5
-"""What lies lower than the table by this, m, is not the object, whatever its color; nor is, beyond
-the table's edge, what is further than half of so many pixels from where the depth camera sees
-anything above that."""
+FLOOR_DEPTH = 0.05
+"""A pixel that is this much lower than the table's top shows the floor and never the object,
+whatever its color, m."""
+
+FLOOR_MARGIN = 5
+"""Beyond the table's edge, a pixel counts as floor if it is more than half of this from every pixel
+where the depth camera sees something above the floor, pixels."""
 
 COVER_MARGIN = 9
-"""Width, pixels, by which what covers the object is widened: its edges are uncertain too."""
+"""Width of the brush that widens what covers the object, pixels; half of it is added on each side,
+because the cover's own edge is uncertain too."""
 
-MARGIN = 30
-"""About what may hold the object in the next frame, pixels."""
+WINDOW_MARGIN = 30
+"""Room around the part of the picture that can hold the object in the next frame, pixels."""
 
-PIECES, ANGLES, BEST, COARSE = 4, 48, 5, 4
-"""Of a search everywhere: how many of the largest pieces are looked at, angles tried with each, how
-many of the best are looked at closely, and the side of its pixels."""
+MAX_PIECES = 4
+"""A search everywhere tries this many pieces of the foreground, the largest first."""
+
+ANGLES_TRIED = 48
+"""A search everywhere tries this many angles with each piece, evenly over a full turn."""
+
+MAX_CANDIDATES = 5
+"""A search everywhere registers this many of the poses it tried, those with the largest overlap."""
+
+COARSENESS = 4
+"""Side of the pixels on which a search everywhere compares shapes, in pixels of the picture."""
 
 PAINT_SEED = 0
-"""Of the table's colors that are painted over what covers it in the first frame."""
+"""Seed of the table's colors that are painted over what covers it in the first frame."""
 
 MIN_OVERLAP = 0.35
-"""Least share that silhouette and foreground have in common (intersection over union) in a search
-everywhere."""
+"""A pose whose silhouette has a smaller intersection over union with the foreground is not
+registered in a search everywhere."""
 
 MIN_INSIDE = 0.6
-"""Least share of the visible silhouette that must be foreground."""
+"""A fit is refused if less than this share of the points just inside its visible boundary shows the
+object."""
 
 MAX_RMS = 2.0
-"""Pixels, of the edges that are found."""
+"""A fit is refused if the edges found are further than this from its outline, root mean square,
+pixels."""
+
+FOUND = 0
+"""State of a point of the boundary whose edge was found."""
+
+MISSING = 1
+"""State of a point of the boundary that is in plain view and has no edge."""
+
+COVERED = 2
+"""State of a point of the boundary that has no edge because something covers it or the picture ends
+there; it says nothing of the pose."""
+
+MAX_REMAP = 32_000
+"""Most places that are looked up in one call of OpenCV's `remap`, which takes 16-bit sizes."""
 
 
 @dataclass(frozen=True)
@@ -126,11 +188,11 @@ class TrackerOptions:
 
     Attributes:
         max_step: furthest that the object goes from one frame to the next, m.
-        max_turn: likewise, rad.
+        max_turn: furthest that the object turns from one frame to the next, rad.
         lost_share: the object is lost where less of its visible outline than this is found.
-        found_share: in a search everywhere it is found where at least this of its visible outline
-            is, and where what is visible determines the pose; else the arm's, the table's edge or
-            another thing's would do.
+        found_share: a search everywhere accepts a pose only where at least this share of its
+            visible outline is found, and where what is visible determines the pose; with less, the
+            edges of the arm, of the table or of another thing would do.
         pixel_noise: least standard deviation of an edge's place, pixels.
         max_dilution: the object counts as not seen where what covers it makes its pose less sure by
             more than this: a ratio of standard deviations, in the worst direction.
@@ -153,10 +215,12 @@ class Appearance:
     """What the table looks like.
 
     Attributes:
-        table: (height, width, 3) its color, CIE L*a*b*.
-        deviation: (3,) of it.
-        plane: its plane in depth, the normal (3,) over the distance; None without depth.
-        height_deviation: of the table's heights, m.
+        table: (height, width, 3) color of the table in each pixel, CIE L*a*b*.
+        deviation: (3,) standard deviations of the table's color, CIE L*a*b*.
+        plane: (3,) n/d, the normal of the table's plane in C over its distance, 1/m; None without
+            depth.
+        height_deviation: standard deviation of the heights measured on the table, m; 0 without
+            depth.
     """
 
     table: NDArray[np.float32]
@@ -172,7 +236,7 @@ class TrackerState:
     Attributes:
         pose: (3,) the last pose (x, y, theta) found, W, m and rad.
         lost: whether the object was not found in the last frame.
-        t: of the last frame, s.
+        t: time of the last frame, s.
         appearance: what the table looks like.
         searched: time of the frame that was last searched everywhere, s; None where none was.
     """
@@ -191,8 +255,8 @@ class TrackedPose:
     Attributes:
         pose: (3,) (x, y, theta) of the object, W, m and rad, theta without jumps; NaN where it was
             not seen.
-        covariance: (3, 3) of it, m^2, m rad and rad^2; NaN where it was not seen. It is large along
-            what cannot be seen: the angle of a disc, what the arm covers.
+        covariance: (3, 3) covariance of the pose, m^2, m rad and rad^2; NaN where it was not seen.
+            It is large along what cannot be seen: the angle of a disc, what the arm covers.
         seen: whether the object was found.
         residual: root mean square distance of the edges found from the outline, pixels; NaN where
             it was not seen.
@@ -204,14 +268,28 @@ class TrackedPose:
     residual: float
 
 
+class _Picture(NamedTuple):
+    """A frame without distortion.
+
+    Attributes:
+        color: (height, width, 3) uint8.
+        depth: (height, width), m; None without a depth camera.
+        covered: (height, width) bool, pixels that are known to show something else.
+    """
+
+    color: Color
+    depth: NDArray[np.float32] | None
+    covered: Mask
+
+
 class _View(NamedTuple):
     """What is object in a part of the picture.
 
     Attributes:
         coverage: (h, w) share of each pixel that is object.
-        mask: (h, w) bool.
+        mask: (h, w) bool, pixels that show the object.
         covered: (h, w) bool, pixels that say nothing.
-        corner: (2,) the part's upper left pixel.
+        corner: (2,) x and y of the part's upper left pixel in the whole picture.
     """
 
     coverage: NDArray[np.float32]
@@ -224,13 +302,13 @@ class _Fit(NamedTuple):
     """A registration: the pose, its covariance, and how well it explains the picture.
 
     Attributes:
-        pose: (3,) m and rad.
-        covariance: (3, 3) of it.
-        dilution: by how much less sure it is than with nothing covered, a ratio of standard
-            deviations.
-        share: of the visible boundary that was found.
-        inside: share of the visible silhouette that is foreground.
-        rms: of the edges found, pixels.
+        pose: (3,) (x, y, theta) of the object, W, m and rad.
+        covariance: (3, 3) covariance of the pose, m^2, m rad and rad^2.
+        dilution: how much less sure the pose is than it would be with nothing covered, a ratio of
+            standard deviations in the worst direction.
+        share: share of the visible boundary whose edge was found.
+        inside: share of the points just inside the visible boundary that show the object.
+        rms: root mean square distance of the edges found from the outline, pixels.
     """
 
     pose: Array
@@ -241,21 +319,54 @@ class _Fit(NamedTuple):
     rms: float
 
 
-NOT_SEEN = TrackedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, float("nan"))
+class _LinearizedEdges(NamedTuple):
+    """Edges at n points of the boundary, and how they move with the pose.
+
+    Attributes:
+        pixels: (n, 2) places of the points in the picture, pixels.
+        J: (n, 3) rows n_i' J_i: derivatives of the edges' places along their normals by the pose,
+            pixels/m and pixels/rad.
+        normals: (n, 2) outward unit normals in the picture.
+        sides: (n,) width of the object's side that is seen at each point, pixels; 0 where the top
+            ends there.
+        spacing: mean distance between neighboring points, pixels.
+    """
+
+    pixels: Array
+    J: Array
+    normals: Array
+    sides: Array
+    spacing: float
+
+
+NOT_SEEN = TrackedPose(
+    pose=np.full(3, np.nan),
+    covariance=np.full((3, 3), np.nan),
+    seen=False,
+    residual=float("nan"),
+)
+"""What a frame tells that does not show the object."""
 
 
 class PoseTracker:
-    """Registers a known outline to what a camera sees. It holds no state; `start` and `track` are pure."""
+    """Registers a known outline to what a camera sees.
+
+    It holds no state: `start` and `track` take the state and return the next one.
+    """
 
     def __init__(
-        self, outline: Polygon | ArrayLike, height: float, camera: Camera, options: TrackerOptions | None = None,
+        self,
+        outline: Polygon | ArrayLike,
+        height: float,
+        camera: Camera,
+        options: TrackerOptions | None = None,
         table_top: BaseGeometry | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Takes the object and the camera.
 
         Args:
-            outline: of the object, B: a polygon, or (k, 2) vertices, m.
-            height: of the object, m.
+            outline: outline of the object in B, a polygon or (k, 2) vertices, m.
+            height: height of the object, m.
             camera: with X_WC; the table's top is at z = 0.
             options: see `TrackerOptions`.
             table_top: polygon, W, m, beyond which the floor is seen; None where that is not known.
@@ -266,19 +377,30 @@ class PoseTracker:
             PerceptionError: the height is negative, or the object reaches up to the camera.
         """
         self.outline = make_polygon(outline, "outline")
-        self.height, self.camera, self.options = float(height), camera, options or TrackerOptions()
+        self.height = float(height)
+        self.camera = camera
+        self.options = options or TrackerOptions()
         if not 0 <= self.height < camera.center[2]:
             raise PerceptionError(
                 f"height is {height!r}; expected 0 to {camera.center[2]:g} m, where the camera is"
             )
+        # All of the registration is done without lens distortion, so that straight sides are
+        # straight in the picture.
         self._ideal = camera.undistorted
         self._rays = make_rays(self._ideal)
-        self._off_table, self._off_table_raw = (
-            None if table_top is None else find_off_table(view, table_top)
-            for view in (self._ideal, camera)
-        )
-        turn = self.options.max_turn
-        self._prior = np.diag([self.options.max_step**-2, self.options.max_step**-2, turn**-2])
+
+        # The pixels beside the table, in the picture without distortion and as it was taken: the
+        # first frame is painted over before its distortion is taken out.
+        self._off_table: Mask | None = None
+        self._off_table_raw: Mask | None = None
+        if table_top is not None:
+            self._off_table = find_off_table(self._ideal, table_top)
+            self._off_table_raw = find_off_table(camera, table_top)
+
+        # P of the theory: the information of what can happen between two frames.
+        step_information = self.options.max_step**-2
+        turn_information = self.options.max_turn**-2
+        self._prior = np.diag([step_information, step_information, turn_information])
 
     def start(
         self, frame: Frame, guess: ArrayLike | None = None, unseen: Mask | None = None
@@ -297,27 +419,39 @@ class PoseTracker:
             PerceptionError: an image has another size, no table is in view, or no object that has
                 the outline.
         """
-        color, depth = self._undistort(frame)
-        table = self._cover(frame, unseen)
+        picture = self._undistort(frame, unseen)
+
+        # The table is fitted to a picture in which nothing else than table and object is left: the
+        # arm and the floor would draw the polynomial of its color and its plane away.
+        table = self._paint_table(frame, unseen)
         painted, _, plane, _ = look_at_table(table.color, table.depth, self.camera)
         found = find_foreground(painted, plane)
         appearance = Appearance(
-            to_lab(painted) - found.difference,
-            found.deviation,
-            None if plane is None else -plane.normal / plane.offset,
-            0.0 if plane is None else plane.deviation,
+            table=to_lab(painted) - found.difference,
+            deviation=found.deviation,
+            plane=None if plane is None else -plane.normal / plane.offset,
+            height_deviation=0.0 if plane is None else plane.deviation,
         )
+
+        # A guess is worth a look before the slower search of the whole picture.
         before = None if guess is None else np.array(guess, dtype=np.float64)
-        covered = self._find_covered(unseen)
-        fit = None if before is None else self._find_near(appearance, color, depth, covered, before)
-        fit = fit or self._find_anywhere(appearance, color, depth, covered, before)
+        fit = None
+        if before is not None:
+            fit = self._find_near(appearance, picture, before)
         if fit is None:
-            problem = "no object of this outline is in view; expected the one that the object's file describes"
-            raise PerceptionError(problem, draw_contours(color, found.mask))
-        pose = np.array(
-            [*fit.pose[:2], fit.pose[2] if before is not None else wrap_angle(fit.pose[2])]
-        )
-        return TrackerState(pose, False, frame.t, appearance)
+            fit = self._find_anywhere(appearance, picture, before)
+        if fit is None:
+            raise PerceptionError(
+                "no object of this outline is in view; expected the one that the object's file"
+                " describes",
+                draw_contours(picture.color, found.mask),
+            )
+
+        # A guess also says which turn the angle is counted in; without one it is the first.
+        pose = fit.pose.copy()
+        if before is None:
+            pose[2] = wrap_angle(pose[2])
+        return TrackerState(pose=pose, lost=False, t=frame.t, appearance=appearance)
 
     def track(
         self, state: TrackerState, frame: Frame, unseen: Mask | None = None
@@ -336,259 +470,360 @@ class PoseTracker:
         Raises:
             ImageError: an image has another size than the camera.
         """
-        color, depth = self._undistort(frame)
-        covered = self._find_covered(unseen)
-        fit, searched = (
-            self._find_near(state.appearance, color, depth, covered, state.pose),
-            state.searched,
-        )
-        if fit is None and (
-            searched is None or not 0 <= frame.t - searched < self.options.search_period
-        ):
-            fit, searched = (
-                self._find_anywhere(state.appearance, color, depth, covered, state.pose),
-                frame.t,
-            )
+        picture = self._undistort(frame, unseen)
+
+        # Where it was first; everywhere only if it is gone from there, and not in every frame.
+        fit = self._find_near(state.appearance, picture, state.pose)
+        searched = state.searched
+        if fit is None and self._may_search(searched, frame.t):
+            fit = self._find_anywhere(state.appearance, picture, state.pose)
+            searched = frame.t
         state = replace(state, lost=fit is None, t=frame.t, searched=searched)
         if fit is None:
             return state, NOT_SEEN
+
+        # The angle goes on from the last one, so that a full turn is no jump.
         pose = fit.pose.copy()
         pose[2] = state.pose[2] + wrap_angle(pose[2] - state.pose[2])
         pose.setflags(write=False)
+        state = replace(state, pose=pose)
+
+        # A pose that too little of the object determines is good enough to look there again, but
+        # not to tell others.
         if fit.dilution > self.options.max_dilution:
-            return replace(state, pose=pose), NOT_SEEN
-        return replace(state, pose=pose), TrackedPose(pose, fit.covariance, True, fit.rms)
+            return state, NOT_SEEN
+        return state, TrackedPose(pose=pose, covariance=fit.covariance, seen=True, residual=fit.rms)
 
-    def _undistort(self, frame: Frame) -> tuple[Color, NDArray[np.float32] | None]:
-        """Color and depth without distortion; their sizes are checked."""
+    def _may_search(self, searched: float | None, t: float) -> bool:
+        """Says whether the last search everywhere is long enough ago; a clock set back counts."""
+        if searched is None:
+            return True
+        return not 0 <= t - searched < self.options.search_period
+
+    def _undistort(self, frame: Frame, unseen: Mask | None) -> _Picture:
+        """Takes the distortion out of all images, and checks their sizes."""
         self.camera.check_size(frame.color, "the color image")
-        if frame.depth is None:
-            return self.camera.undistort(frame.color), None
-        self.camera.check_size(frame.depth, "the depth image")
-        return self.camera.undistort(frame.color), self.camera.undistort(frame.depth)
+        color = self.camera.undistort(frame.color)
+        depth = None
+        if frame.depth is not None:
+            self.camera.check_size(frame.depth, "the depth image")
+            depth = self.camera.undistort(frame.depth)
+        covered = np.zeros((self.camera.height, self.camera.width), dtype=bool)
+        if unseen is not None:
+            self.camera.check_size(unseen, "the mask of what is covered")
+            # No uint8, which would be interpolated between pixels.
+            covered = self.camera.undistort(unseen.astype(np.uint16)) > 0
+        return _Picture(color, depth, covered)
 
-    def _cover(self, frame: Frame, unseen: Mask | None) -> Frame:
-        """The frame with the table painted over what covers it, and over the floor: neither has the table's color."""
-        hidden = np.zeros(frame.color.shape[:2], dtype=bool) if unseen is None else unseen
+    def _paint_table(self, frame: Frame, unseen: Mask | None) -> Frame:
+        """Paints the table's colors over what covers it and over the floor."""
+        hidden = np.zeros(frame.color.shape[:2], dtype=bool)
+        if unseen is not None:
+            hidden = unseen
         if self._off_table_raw is not None:
             hidden = hidden | self._off_table_raw
         color, depth = cover_pixels(frame.color, frame.depth, hidden, PAINT_SEED)
         return frame._replace(color=color, depth=depth)
 
-    def _find_covered(self, unseen: Mask | None) -> Mask:
-        """The undistorted mask of what something covers."""
-        if unseen is None:
-            return np.zeros((self.camera.height, self.camera.width), dtype=bool)
-        self.camera.check_size(unseen, "the mask of what is covered")
-        return self.camera.undistort(unseen.astype(np.uint16)) > 0
-
-    def _find_near(
-        self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask, before: Array,
-    ) -> _Fit | None:  # fmt: skip
-        """The object about where it was; None where it is not there."""
-        view = self._look(appearance, color, depth, covered, self._find_window(before))
+    def _find_near(self, appearance: Appearance, picture: _Picture, before: Array) -> _Fit | None:
+        """Finds the object near its last pose (3,); None where it is not there."""
+        view = self._look(appearance, picture, self._find_window(before))
         fit = self._register(view, before)
         return fit if self._accepts(fit, self.options.lost_share) else None
 
     def _find_anywhere(
-        self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask,
-        before: Array | None,
-    ) -> _Fit | None:  # fmt: skip
-        """The object in the whole picture; None where it is nowhere."""
-        whole = (slice(0, color.shape[0]), slice(0, color.shape[1]))
-        view = self._look(appearance, color, depth, covered, whole)
+        self, appearance: Appearance, picture: _Picture, before: Array | None
+    ) -> _Fit | None:
+        """Finds the object in the whole picture; None where it is nowhere."""
+        rows, columns = picture.color.shape[:2]
+        view = self._look(appearance, picture, (slice(0, rows), slice(0, columns)))
         fits = [self._register(view, pose) for pose in self._guess(view, before)]
-        good = [fit for fit in fits if self._accepts(fit, self.options.found_share)]
-        good = [fit for fit in good if fit.dilution <= self.options.max_dilution]
-        return (
-            max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS) if good else None
-        )
+
+        # Without a last pose to lean on, what is visible has to determine the pose.
+        good = [
+            fit
+            for fit in fits
+            if self._accepts(fit, self.options.found_share)
+            and fit.dilution <= self.options.max_dilution
+        ]
+        if not good:
+            return None
+        return max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS)
 
     def _accepts(self, fit: _Fit, share: float) -> bool:
+        """Says whether a fit explains the picture, with at least a share of its edges found."""
         return fit.share >= share and fit.inside >= MIN_INSIDE and fit.rms <= MAX_RMS
 
     def _find_window(self, pose: Array) -> tuple[slice, slice]:
-        """Rows and columns in which the object may be in the next frame."""
-        reach = self._silhouette(pose).buffer(self.options.max_step).bounds
-        corners = np.array([[reach[i], reach[j], 0.0] for i in (0, 2) for j in (1, 3)])
+        """Finds the rows and columns in which the object may be in the next frame."""
+        left, bottom, right, top = self._silhouette(pose).buffer(self.options.max_step).bounds
+        corners = np.array(
+            [[left, bottom, 0.0], [left, top, 0.0], [right, bottom, 0.0], [right, top, 0.0]]
+        )
         pixels = self._ideal.project(corners)
-        low, high = np.nanmin(pixels, axis=0) - MARGIN, np.nanmax(pixels, axis=0) + MARGIN
-        sides = np.array([self.camera.width, self.camera.height])
-        x, y = np.clip(np.array([low, high]), 0, sides - 1).astype(int).T
+        low = np.nanmin(pixels, axis=0) - WINDOW_MARGIN
+        high = np.nanmax(pixels, axis=0) + WINDOW_MARGIN
+        last = np.array([self.camera.width, self.camera.height]) - 1
+        x, y = np.clip(np.array([low, high]), 0, last).astype(int).T
         return slice(y[0], y[1] + 1), slice(x[0], x[1] + 1)
 
     def _look(
-        self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask,
-        window: tuple[slice, slice],
-    ) -> _View:  # fmt: skip
+        self, appearance: Appearance, picture: _Picture, window: tuple[slice, slice]
+    ) -> _View:
         """Tells the object from the table in a part of the picture."""
-        difference = to_lab(color[window]) - appearance.table[window]
-        hidden, plane, high, floor = (
-            covered[window],
-            None,
-            None,
-            np.zeros(difference.shape[:2], dtype=bool),
-        )
-        if depth is not None and appearance.plane is not None:
-            z = np.where(depth[window] > 0, depth[window], np.nan)
-            scale = float(1 / np.linalg.norm(appearance.plane))
-            heights = scale * (1 - z * (self._rays[window] @ appearance.plane))
-            hidden = hidden | (np.nan_to_num(heights) > self.height + CLEARANCE)
-            floor = heights < -FLOOR
-            if self._off_table is not None:
-                floor |= self._off_table[window] & ~dilate(heights > -FLOOR, FLOOR_MARGIN)
+        difference = to_lab(picture.color[window]) - appearance.table[window]
+        hidden = picture.covered[window]
+        floor = np.zeros(difference.shape[:2], dtype=bool)
+        plane = None
+        high = None
+        if picture.depth is not None and appearance.plane is not None:
+            # Heights above the plane n/d that was fitted in the first frame (section 1).
+            depth = picture.depth[window]
+            z = np.where(depth > 0, depth, np.nan)
+            offset = float(1 / np.linalg.norm(appearance.plane))
+            heights = offset * (1 - z * (self._rays[window] @ appearance.plane))
             plane = TablePlane(
-                -appearance.plane * scale, scale, heights, appearance.height_deviation
+                normal=-appearance.plane * offset,
+                offset=offset,
+                heights=heights,
+                deviation=appearance.height_deviation,
             )
             high = find_high(plane)
-        hidden = dilate(hidden, COVER_MARGIN) if hidden.any() else hidden
+
+            # What stands above the object's top covers it, whether or not anybody said so.
+            hidden = hidden | (np.nan_to_num(heights) > self.height + CLEARANCE)
+
+            # The floor has another color than the table and would be taken for object. Beside the
+            # table, depth that is missing is floor, too, but for a rim as wide as depth is blurred.
+            floor = heights < -FLOOR_DEPTH
+            if self._off_table is not None:
+                above_floor = dilate(heights > -FLOOR_DEPTH, FLOOR_MARGIN)
+                floor |= self._off_table[window] & ~above_floor
+
+        if hidden.any():
+            hidden = dilate(hidden, COVER_MARGIN)
+
+        # The score of each pixel and the boundary drawn by color, both of section 1.
         found: Foreground = score_pixels(difference, appearance.deviation, plane, high)
-        mask, coverage = refine_boundary(remove_thin(found.mask & ~hidden & ~floor), found, hidden)
-        return _View(
-            coverage, mask, hidden, np.array([window[1].start, window[0].start], dtype=np.float64)
-        )
+        rough = remove_thin(found.mask & ~hidden & ~floor)
+        mask, coverage = refine_boundary(rough, found, hidden)
+        rows, columns = window
+        corner = np.array([columns.start, rows.start], dtype=np.float64)
+        return _View(coverage=coverage, mask=mask, covered=hidden, corner=corner)
 
     def _silhouette(self, pose: Array) -> Polygon:
+        """Makes the object's silhouette on the table at a pose (3,), W, m."""
         return make_silhouette(self.outline, pose, self.height, self._ideal)
 
     def _guess(self, view: _View, before: Array | None) -> list[Array]:
-        """Poses whose silhouettes look most like the foreground, the best first."""
-        small = cv2.resize((view.mask & ~view.covered).astype(np.float32), None, fx=1 / COARSE, fy=1 / COARSE,
-                           interpolation=cv2.INTER_AREA) > HALF  # fmt: skip
+        """Lists poses whose silhouettes look most like the foreground, the best first."""
+        # Shapes are compared on coarse pixels: many poses are tried, and none need be exact.
+        fine = (view.mask & ~view.covered).astype(np.float32)
+        scale = 1 / COARSENESS
+        small = cv2.resize(fine, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) > HALF
         count, labels, stats, middles = cv2.connectedComponentsWithStats(
             small.astype(np.uint8), connectivity=8
         )
         if count < 2:
             return []
-        tried: list[tuple[float, Array]] = []
-        largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:PIECES]
-        for piece in largest:
-            at = self._ideal.cast(
-                (middles[piece] + HALF) * COARSE - HALF + view.corner, self.height / 2
-            )
-            for theta in np.arange(ANGLES) * (2 * np.pi / ANGLES):
-                pose = np.array([*at, theta])
-                pose[:2] += at - np.array(self._silhouette(pose).centroid.coords[0])
-                tried.append((self._overlap(pose, labels == piece, view.corner), pose))
-        tried.sort(key=lambda entry: -entry[0])
-        best = [pose for overlap, pose in tried[:BEST] if overlap >= MIN_OVERLAP]
-        return best if before is None else [*best, before]
 
-    def _overlap(self, pose: Array, small: Mask, corner: Array) -> float:
-        """Intersection over union of a silhouette and a mask of coarse pixels."""
+        tried: list[tuple[float, Array]] = []
+        largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:MAX_PIECES]
+        for piece in largest:
+            # A piece's middle is about where the object's is, at half of its height.
+            middle = (middles[piece] + HALF) * COARSENESS - HALF + view.corner
+            at = self._ideal.cast(middle, self.height / 2)
+            for theta in np.arange(ANGLES_TRIED) * (2 * np.pi / ANGLES_TRIED):
+                pose = np.array([*at, theta])
+                # The silhouette's centroid, not the body's origin, belongs on the piece's middle.
+                pose[:2] += at - np.array(self._silhouette(pose).centroid.coords[0])
+                overlap = self._calc_overlap(pose, labels == piece, view.corner)
+                tried.append((overlap, pose))
+
+        tried.sort(key=lambda entry: -entry[0])
+        best = [pose for overlap, pose in tried[:MAX_CANDIDATES] if overlap >= MIN_OVERLAP]
+        if before is not None:
+            best.append(before)
+        return best
+
+    def _calc_overlap(self, pose: Array, small: Mask, corner: Array) -> float:
+        """Calculates intersection over union of a silhouette and a mask of coarse pixels."""
         painted = np.zeros(small.shape, np.uint8)
         points = np.array(self._silhouette(pose).exterior.coords)
-        pixels = self._ideal.project(np.column_stack([points, np.zeros(len(points))])) - corner
-        cv2.fillPoly(painted, [np.round((pixels + HALF) / COARSE - HALF).astype(np.int32)], 1)
+        pixels = self._project(points) - corner
+        coarse = np.round((pixels + HALF) / COARSENESS - HALF).astype(np.int32)
+        cv2.fillPoly(painted, [coarse], 1)
         common = np.count_nonzero(painted & small)
-        return common / (np.count_nonzero(painted) + np.count_nonzero(small) - common)
+        either = np.count_nonzero(painted) + np.count_nonzero(small) - common
+        return common / either
 
     def _register(self, view: _View, pose: Array) -> _Fit:
         """Moves the silhouette onto the edges, from coarse to fine."""
-        fit = _Fit(pose, np.full((3, 3), np.nan), np.inf, 0.0, 0.0, np.inf)
-        for reach, step, rounds in SEARCHES:
+        fit = _Fit(
+            pose=pose,
+            covariance=np.full((3, 3), np.nan),
+            dilution=np.inf,
+            share=0.0,
+            inside=0.0,
+            rms=np.inf,
+        )
+        for search in SEARCHES:
+            # Each stage has the prior about where the one before it ended.
             start = fit.pose
-            for _ in range(rounds):
-                fit, moved = self._step(view, fit.pose, start, reach, step)
+            for _ in range(search.rounds):
+                fit, moved = self._improve(view, fit.pose, start, search)
                 if moved < CONVERGED:
                     break
         return fit
 
-    def _step(
-        self, view: _View, pose: Array, start: Array, reach: float, step: float
+    def _improve(
+        self, view: _View, pose: Array, start: Array, search: Search
     ) -> tuple[_Fit, float]:
-        """One step of the least squares, and by how many pixels it moves the outline at most."""
-        points, normals = sample_boundary(self._silhouette(pose), self._spacing(pose))
-        pixels, rows = self._linearize(pose, points, normals)
+        """Takes one step of the least squares.
+
+        Args:
+            view: what is object in the picture.
+            pose: (3,) q, the pose before the step.
+            start: (3,) q_before, the middle of the prior.
+            search: how edges are looked for.
+
+        Returns:
+            The fit after the step, and by how many pixels it moved the outline at most.
+        """
+        # d_i: how far the edges are from the boundary that the pose predicts.
+        points, normals = sample_boundary(self._silhouette(pose), self._calc_spacing())
+        edges = self._linearize(pose, points, normals)
+        places = edges.pixels - view.corner
         offsets, state = measure_edges(
-            view.coverage, view.covered, pixels - view.corner, rows.normals, reach, step
+            view.coverage, view.covered, places, edges.normals, search.reach, search.step
         )
         found = np.isfinite(offsets)
+
+        # How well the pose explains the picture, where it can be judged.
         visible = found | (state != COVERED)
-        inside = sample_image(view.coverage, pixels - view.corner - reach * rows.normals)
+        inside = 0.0
+        if visible.any():
+            coverage = sample_image(view.coverage, places - search.reach * edges.normals)
+            inside = float((coverage[visible] > HALF).mean())
         share = found.sum() / max(1, visible.sum())
-        hold = float((inside[visible] > HALF).mean()) if visible.any() else 0.0
-        J, d = rows.J[found], offsets[found]
-        spread = (
-            max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
-        )
-        weight = np.clip(1 - (d / (TUKEY * spread + self.options.pixel_noise)) ** 2, 0, None) ** 2
-        rms = float(np.sqrt((weight * d**2).sum() / max(weight.sum(), np.finfo(float).tiny)))
-        noise = max(rms, self.options.pixel_noise) ** 2 * max(1.0, SHARED_LENGTH / rows.spacing)
-        information = (J * weight[:, None]).T @ J / noise + self._prior
-        back = start - pose
-        moved = np.linalg.solve(
-            information, (J * weight[:, None]).T @ d / noise + self._prior @ back
-        )
+
+        # w_i: Tukey's weights, with the median for the scatter, as outliers do not move it.
+        J = edges.J[found]
+        d = offsets[found]
+        spread = MIN_SPREAD
+        if len(d):
+            spread = max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(d))))
+        limit = TUKEY * spread + self.options.pixel_noise
+        weight = np.clip(1 - (d / limit) ** 2, 0, None) ** 2
+
+        # sigma^2: neighboring edges share an error, so that only one in a stretch counts.
+        total = max(weight.sum(), np.finfo(float).tiny)
+        rms = float(np.sqrt((weight * d**2).sum() / total))
+        alike = max(1.0, SHARED_LENGTH / edges.spacing)
+        noise = max(rms, self.options.pixel_noise) ** 2 * alike
+
+        # dq: the normal equations, with the prior about the pose before.
+        weighted = J * weight[:, None]
+        information = weighted.T @ J / noise + self._prior
+        gradient = weighted.T @ d / noise + self._prior @ (start - pose)
+        moved = np.linalg.solve(information, gradient)
+
+        # C with the edges found, and C_0 as if all of the boundary had been seen.
         counts = np.zeros(len(found))
         counts[found] = weight
-        covariance = self._calc_covariance(rows, counts, noise)
-        whole = self._calc_covariance(rows, np.ones(len(found)), noise)
-        dilution = calc_dilution(whole, covariance)
-        largest = float(np.abs(rows.J @ moved).max(initial=0.0))
-        return _Fit(pose + moved, covariance, dilution, float(share), hold, rms), largest
+        covariance = self._calc_covariance(edges, counts, noise)
+        whole = self._calc_covariance(edges, np.ones(len(found)), noise)
+        fit = _Fit(
+            pose=pose + moved,
+            covariance=covariance,
+            dilution=calc_dilution(whole, covariance),
+            share=float(share),
+            inside=inside,
+            rms=rms,
+        )
+        return fit, float(np.abs(edges.J @ moved).max(initial=0.0))
 
-    def _calc_covariance(self, rows: "_Rows", weight: Array, noise: float) -> Array:
-        """Of a pose (3, 3), from edges of weights (n,) and a variance, pixels^2, that counts what neighbors share."""
-        count = max(1, round(SHARED_LENGTH / rows.spacing))
-        J = uniform_filter1d(rows.J, count, axis=0, mode="wrap")
-        random = np.linalg.inv((J * weight[:, None]).T @ J / noise + self._prior)
-        shared = np.column_stack([SIDE_ERROR * rows.sides, LIGHT_ERROR * rows.normals])
-        moved = random @ (J * weight[:, None]).T @ shared / noise
+    def _calc_covariance(self, edges: _LinearizedEdges, weight: Array, noise: float) -> Array:
+        """Calculates the covariance (3, 3) of a pose.
+
+        Args:
+            edges: n edges.
+            weight: (n,) their weights.
+            noise: variance of an edge's place that counts what neighbors share, pixels^2.
+
+        Returns:
+            (3, 3) cov, m^2, m rad and rad^2.
+        """
+        # The mean of J over neighbors with the same error: what is finer is not resolved.
+        count = max(1, round(SHARED_LENGTH / edges.spacing))
+        J = uniform_filter1d(edges.J, count, axis=0, mode="wrap")
+        weighted = J * weight[:, None]
+        random = np.linalg.inv(weighted.T @ J / noise + self._prior)
+
+        # The columns e_k: one of the visible sides, two of light along x and y.
+        shared = np.column_stack([SIDE_ERROR * edges.sides, LIGHT_ERROR * edges.normals])
+        moved = random @ weighted.T @ shared / noise
         return np.asarray(random + moved @ moved.T, dtype=np.float64)
 
-    def _spacing(self, pose: Array) -> float:
-        """Of the points of the boundary, m."""
-        length = self.outline.length
-        scale = self._ideal.K[0, 0] / self._ideal.center[2]
-        return max(length / MAX_POINTS, SPACING / scale)
+    def _calc_spacing(self) -> float:
+        """Calculates the distance between two points of the boundary on the table, m."""
+        pixels_a_meter = self._ideal.K[0, 0] / self._ideal.center[2]
+        return max(self.outline.length / MAX_POINTS, MIN_SPACING / pixels_a_meter)
 
-    def _linearize(self, pose: Array, points: Array, normals: Array) -> "tuple[Array, _Rows]":
-        """Pixels of boundary points, their normals in the picture, and how they move along these with the pose."""
+    def _project(self, points: Array) -> Array:
+        """Projects points (n, 2) on the table, W, m, into the picture (n, 2), pixels."""
+        return self._ideal.project(np.column_stack([points, np.zeros(len(points))]))
 
-        def project(p: Array) -> Array:
-            return self._ideal.project(np.column_stack([p, np.zeros(len(p))]))
+    def _linearize(self, pose: Array, points: Array, normals: Array) -> _LinearizedEdges:
+        """Projects boundary points, and finds how they move along their normals with the pose.
 
-        pixels = project(points)
-        along_x = (project(points + [DIFFERENCE, 0.0]) - pixels) / DIFFERENCE
-        along_y = (project(points + [0.0, DIFFERENCE]) - pixels) / DIFFERENCE
+        Args:
+            pose: (3,) pose of the object, W.
+            points: (n, 2) points of the silhouette's boundary on the table, W, m.
+            normals: (n, 2) outward unit normals there, W.
+
+        Returns:
+            The edges expected in the picture.
+        """
+        # Derivatives of the pixels by x and y on the table.
+        pixels = self._project(points)
+        along_x = (self._project(points + [DIFFERENCE, 0.0]) - pixels) / DIFFERENCE
+        along_y = (self._project(points + [0.0, DIFFERENCE]) - pixels) / DIFFERENCE
+
+        # A perspective picture keeps tangents and not normals: the normal in the picture is across
+        # the picture of the tangent, on the side of the outward normal's picture.
         tangents = along_x * -normals[:, 1:] + along_y * normals[:, :1]
         across = np.column_stack([tangents[:, 1], -tangents[:, 0]])
         outward = along_x * normals[:, :1] + along_y * normals[:, 1:]
         across *= np.sign((across * outward).sum(axis=1, keepdims=True))
         across /= np.linalg.norm(across, axis=1, keepdims=True)
-        J_x, J_y = (across * along_x).sum(axis=1), (across * along_y).sum(axis=1)
+
+        # n_i' J_i: a turn moves a point by the arm from the body's origin, turned by 90 degrees.
+        J_x = (across * along_x).sum(axis=1)
+        J_y = (across * along_y).sum(axis=1)
         arm = points - pose[:2]
-        J = np.column_stack([J_x, J_y, J_y * arm[:, 0] - J_x * arm[:, 1]])
-        scale = np.linalg.norm(outward, axis=1)
-        foot, distance = self._ideal.center[:2], self._ideal.center[2]
-        toward = (
-            np.maximum(0.0, ((foot - points) * normals).sum(axis=1))
-            * self.height
-            / (distance - self.height)
+        J_theta = J_y * arm[:, 0] - J_x * arm[:, 1]
+
+        # A side is seen where its normal points to the camera's foot. On the table it is as wide as
+        # a line of sight over the top's edge goes on before it meets the table.
+        foot = self._ideal.center[:2]
+        distance = self._ideal.center[2]
+        toward_foot = np.maximum(0.0, ((foot - points) * normals).sum(axis=1))
+        width = toward_foot * self.height / (distance - self.height)
+        pixels_a_meter = np.linalg.norm(outward, axis=1)
+        return _LinearizedEdges(
+            pixels=pixels,
+            J=np.column_stack([J_x, J_y, J_theta]),
+            normals=across,
+            sides=width * pixels_a_meter,
+            spacing=float(pixels_a_meter.mean()) * self._calc_spacing(),
         )
-        return pixels, _Rows(J, across, toward * scale, float(scale.mean()) * self._spacing(pose))
-
-
-class _Rows(NamedTuple):
-    """Of n edges in the picture.
-
-    Attributes:
-        J: (n, 3) derivatives of their places along their normals by the pose, pixels by m and rad.
-        normals: (n, 2) outward, unit.
-        sides: (n,) widths of the object's sides that are seen at them, pixels; 0 where it is the
-            top that ends there.
-        spacing: of them, pixels.
-    """
-
-    J: Array
-    normals: Array
-    sides: Array
-    spacing: float
 
 
 def calc_dilution(whole: Array, left: Array) -> float:
-    """By how much the standard deviation of some combination of unknowns grows at most, where information is lost.
+    """Calculates by how much the standard deviation of some combination of unknowns grows at most.
+
+    It is sqrt(lambda_max(whole^-1 left)), over all directions.
 
     Args:
         whole: (3, 3) covariance with all information, positive definite.
@@ -601,13 +836,13 @@ def calc_dilution(whole: Array, left: Array) -> float:
 
 
 def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Camera) -> Polygon:
-    """All of the table that a prism hides from a camera.
+    """Makes the silhouette of a prism: all of the table that it hides from a camera.
 
     Args:
-        outline: of the prism, B, m.
-        pose: (3,) of it, W.
-        height: of it, m.
-        camera: above it.
+        outline: outline of the prism in B, m.
+        pose: (3,) pose (x, y, theta) of the prism, W, m and rad.
+        height: height of the prism, m.
+        camera: camera above it, with X_WC.
 
     Returns:
         A polygon on the table's plane, W, m, counterclockwise.
@@ -615,43 +850,65 @@ def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Ca
     bottom = orient(shapely.transform(outline, lambda points: transform(pose, points)))
     if height == 0:
         return bottom
-    foot, distance = camera.center[:2], camera.center[2]
+    # The top's shadow on the table, if the camera were a lamp: the bottom, scaled from its foot.
+    foot = camera.center[:2]
+    distance = camera.center[2]
     scale = distance / (distance - height)
     pieces = [bottom]
     for ring in (bottom.exterior, *bottom.interiors):
         low = np.array(ring.coords)
         high = foot + scale * (low - foot)
-        along, arm = np.diff(low, axis=0), low[:-1] - foot
-        hides = (
-            along[:, 1] * arm[:, 0] - along[:, 0] * arm[:, 1] > 0
-        )  # sides that face the camera hide no more
+
+        # Only sides that face away from the camera hide any of the table beyond the bottom.
+        along = np.diff(low, axis=0)
+        arm = low[:-1] - foot
+        hides = along[:, 1] * arm[:, 0] - along[:, 0] * arm[:, 1] > 0
+
+        # Such sides in a row hide one strip. Where the strip crosses itself, each side's own
+        # quadrilateral is taken.
         ends = np.flatnonzero(np.diff(hides, prepend=False, append=False))
-        for i, j in ends.reshape(-1, 2):  # sides in a row that hide something
+        for i, j in ends.reshape(-1, 2):
             strip = Polygon([*low[i : j + 1], *high[i : j + 1][::-1]])
+            if strip.is_valid:
+                pieces.append(strip)
+                continue
             sides = np.stack([low[i:j], low[i + 1 : j + 1], high[i + 1 : j + 1], high[i:j]], axis=1)
-            pieces += [strip] if strip.is_valid else list(shapely.polygons(sides))
+            pieces += list(shapely.polygons(sides))
+
+    # Slivers apart from the whole come of rounding alone.
     whole = shapely.union_all([piece for piece in pieces if piece.is_valid])
     return orient(max(shapely.get_parts(whole), key=lambda piece: piece.area))
 
 
 def sample_boundary(polygon: Polygon, spacing: float) -> tuple[Array, Array]:
-    """Points (n, 2) on a polygon's rings, about `spacing` m apart, and their outward unit normals (n, 2)."""
-    points, normals = [], []
+    """Samples points on all rings of a polygon, evenly along them.
+
+    Args:
+        polygon: polygon with its exterior counterclockwise and its holes clockwise, m.
+        spacing: distance between two points along a ring, m.
+
+    Returns:
+        (n, 2) points, m, and (n, 2) outward unit normals.
+    """
+    points = []
+    normals = []
     for ring in (polygon.exterior, *polygon.interiors):
         corners = np.array(ring.coords)
         sides = np.diff(corners, axis=0)
         lengths = np.linalg.norm(sides, axis=1)
         ends = np.concatenate([[0.0], np.cumsum(lengths)])
-        at = (np.arange(max(3, round(ends[-1] / spacing))) + HALF) * spacing
+
+        # Distances along the ring, from half a spacing on: no point lies on the first corner. Even
+        # a tiny hole has a few.
+        count = max(3, round(ends[-1] / spacing))
+        at = (np.arange(count) + HALF) * spacing
         at = at[at < ends[-1]]
+
         side = np.clip(np.searchsorted(ends, at, side="right") - 1, 0, len(sides) - 1)
         direction = sides[side] / lengths[side, None]
         points.append(corners[side] + (at - ends[side])[:, None] * direction)
         normals.append(np.column_stack([direction[:, 1], -direction[:, 0]]))
     return np.concatenate(points), np.concatenate(normals)
-
-
-FOUND, MISSING, COVERED = 0, 1, 2
 
 
 def measure_edges(
@@ -667,44 +924,63 @@ def measure_edges(
     Args:
         coverage: (h, w) share of each pixel that is object.
         covered: (h, w) pixels that say nothing.
-        pixels: (n, 2) of the boundary.
-        normals: (n, 2) outward, unit.
-        reach: how far to look both ways, pixels.
-        step: of looking, pixels.
+        pixels: (n, 2) points of the expected boundary, pixels.
+        normals: (n, 2) outward unit normals there, in the picture.
+        reach: how far to look inward and outward, pixels.
+        step: distance between two samples, pixels.
 
     Returns:
         (n,) how far outward the nearest edge is, pixels, NaN where there is none; and (n,) FOUND,
         MISSING or COVERED.
     """
+    # Samples across the boundary, from inside to outside.
     offsets = np.arange(-reach, reach + step / 2, step)
     places = pixels[:, None] + offsets[:, None] * normals[:, None]
     levels = sample_image(coverage, places)
     hidden = sample_image(covered.astype(np.float32), places) > 0
-    falls = (levels[:, :-1] > HALF) & (levels[:, 1:] <= HALF)
+
+    # An edge is where the coverage falls through a half, and both samples show something.
+    before = levels[:, :-1]
+    after = levels[:, 1:]
+    falls = (before > HALF) & (after <= HALF)
     falls &= ~(hidden[:, :-1] | hidden[:, 1:])
-    drop = np.maximum(levels[:, :-1] - levels[:, 1:], np.finfo(np.float32).eps)
-    at = offsets[:-1] + step * (levels[:, :-1] - HALF) / drop
+
+    # Its place is interpolated between them; of several, the nearest to the boundary counts.
+    drop = np.maximum(before - after, np.finfo(np.float32).eps)
+    at = offsets[:-1] + step * (before - HALF) / drop
     at = np.where(falls, at, np.inf)
     best = np.argmin(np.abs(at), axis=1)
     nearest = at[np.arange(len(at)), best]
-    outside = ((places < 0) | (places > np.array(coverage.shape[::-1]) - 1)).any(axis=(1, 2))
-    nearest = np.where(np.isfinite(nearest), nearest, np.nan)
-    unseen = ~np.isfinite(nearest) & (hidden.any(axis=1) | outside)
-    return nearest, np.where(np.isfinite(nearest), FOUND, np.where(unseen, COVERED, MISSING))
+    found = np.isfinite(nearest)
+
+    # Without an edge, a point tells against the pose only if all of its samples could show one.
+    last = np.array(coverage.shape[::-1]) - 1
+    outside = ((places < 0) | (places > last)).any(axis=(1, 2))
+    state = np.full(len(nearest), MISSING)
+    state[hidden.any(axis=1) | outside] = COVERED
+    state[found] = FOUND
+    return np.where(found, nearest, np.nan), state
 
 
 def sample_image(image: NDArray[Any], places: Array) -> NDArray[np.float32]:
-    """Finds the values of an image (height, width) at places (..., 2), linear between pixels; 0 outside."""
+    """Finds an image's values between its pixels, linearly.
+
+    Args:
+        image: (height, width) image of one channel.
+        places: (..., 2) x and y, pixels.
+
+    Returns:
+        (...) values; outside of the image it counts as 0.
+    """
     flat = places.reshape(-1, 1, 2).astype(np.float32)
-    values = [
-        cv2.remap(image.astype(np.float32), flat[i : i + MAX_REMAP], None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
-        for i in range(0, len(flat), MAX_REMAP)
-    ]
+    source = image.astype(np.float32)
+    values = []
+    for i in range(0, len(flat), MAX_REMAP):
+        some = flat[i : i + MAX_REMAP]
+        values.append(
+            cv2.remap(source, some, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
+        )
     return np.concatenate(values).reshape(places.shape[:-1])
-
-
-MAX_REMAP = 32_000
-"""Places that OpenCV looks up in one go."""
 
 
 def track_object(
@@ -715,9 +991,10 @@ def track_object(
     """Finds an object in frame after frame.
 
     Args:
-        tracker: of the object.
-        frames: in order of time; the first shows all of the object.
-        unseen: says of each what something covers; None where nothing is known to.
+        tracker: tracker that knows the object's outline.
+        frames: frames in order of time; the first shows all of the object.
+        unseen: function that says which pixels of a frame something covers; None where nothing is
+            known to.
 
     Yields:
         Each frame, and what it told.
@@ -727,6 +1004,8 @@ def track_object(
     """
     state = None
     for frame in frames:
-        state = tracker.start(frame) if state is None else state
-        state, tracked = tracker.track(state, frame, unseen(frame) if unseen is not None else None)
+        if state is None:
+            state = tracker.start(frame)
+        mask = None if unseen is None else unseen(frame)
+        state, tracked = tracker.track(state, frame, mask)
         yield frame, tracked
