@@ -11,6 +11,9 @@ edges by some pixels, so that along them color speaks louder. The boundary of wh
 drawn anew where the color is half way between the object's and the table's, each the mean nearby; a
 shadow is of the table's. What is too dark for a shadow, such as a side in the dark, lies as far on
 that way as it is from the table, in whatever direction.
+
+Which piece of the foreground is the object is decided in `detection` and `tracking`. The theory is
+in docs/theory/perception.md, section 1.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -28,92 +31,151 @@ Mask = NDArray[np.bool_]
 Cues = Literal["both", "color", "depth"]
 
 LIGHT_WEIGHT = 0.6
-"""Of lightness beside chroma, at the boundary: shadows differ from the table in lightness alone."""
+"""Weight of lightness where the boundary is drawn, with chroma at 1: a shadow differs from the
+table in lightness alone."""
 
 SHADOW = 9.0
-"""Standard deviation of darkening that a shadow brings, units of CIE L*."""
+"""Standard deviation of the darkening that a shadow brings, units of CIE L*."""
 
 MIN_COLOR_DEVIATION = 1.0
-"""Of the table, units of CIE L*a*b*."""
+"""Least standard deviation of the table's color that is assumed, units of CIE L*a*b*: a table that
+is perfectly even would let any speck count."""
 
-COLOR_BIAS, MIN_COLOR_SCORE, MAX_COLOR_SCORE = 9.0, -3.0, 8.0
-HEIGHT_SLOPE, HEIGHT_BIAS, MAX_HEIGHT_SCORE = 1.5, 3.0, 5.0
-"""Of the scores, above."""
+COLOR_BIAS = 9.0
+"""Squared distance of a color from the table's at which it says nothing; more speaks for the
+object, less for the table. Unit: variances of the table's color."""
+
+MIN_COLOR_SCORE = -3.0
+"""Least score that color gives, however well it is the table's."""
+
+MAX_COLOR_SCORE = 8.0
+"""Greatest score that color gives, however far it is from the table's."""
+
+HEIGHT_SLOPE = 1.5
+"""Score that each standard deviation of height gives."""
+
+HEIGHT_BIAS = 3.0
+"""Height at which it says nothing, standard deviations of the table's heights; higher speaks for
+the object, lower for the table."""
+
+MAX_HEIGHT_SCORE = 5.0
+"""Greatest score that height gives, for the object or for the table."""
 
 HIGH = 5.0
-"""Standard deviations of the table's heights above which a pixel is certainly no table."""
+"""A pixel that is more than this many standard deviations above the table is certainly no table."""
 
-EDGE_BAND, EDGE_WEIGHT = 13, 0.25
-"""Width of the band along the edges of what is high, pixels, and the weight of heights in it."""
+EDGE_BAND = 13
+"""Width of the band along the edges of what is high in which heights count for less, pixels: depth
+images miss edges by some pixels."""
+
+EDGE_WEIGHT = 0.25
+"""Weight of the score by height in the band along the edges of what is high."""
 
 RIM = 0.06
-"""Width of the picture's rim, in its sides, taken for table where there is no depth."""
+"""Width of the picture's rim that is taken for table where there is no depth, as a part of the
+picture's sides."""
 
 NEAR_OBJECT = 21
-"""Width about what is high, pixels, that is not taken for table."""
+"""Width of the brush that widens what is taken for object when the table's color is fitted, pixels:
+the object's shadow and reflection are no table."""
 
-RIM_ORDER, ORDER = 2, 3
-"""Of the polynomial of the table's color, from the rim alone and from all of the table."""
+RIM_ORDER = 2
+"""Degree of the polynomial of the table's color where only the picture's rim is known to be
+table; a higher one would bend freely in the middle."""
+
+ORDER = 3
+"""Degree of the polynomial of the table's color once all of the table is known."""
 
 GENEROSITY = (3.0, 2.0, 1.5, 1.0)
-"""Of each round of telling table and foreground apart: standard deviations count for so much more,
-as the first fits are to the rim, or to what is near the object in color."""
+"""Factor on the standard deviations of the table's color in each round of telling table and
+foreground apart. The first fits are to the rim, or to what is near the object in color, and must
+not throw out table that they have not seen."""
 
 FIT_ROUNDS = 10
-"""Of reweighting in a fit."""
+"""Number of reweighted least-squares fits of the table's color."""
+
+FIT_SIDE = 140
+"""The fit of the table's color looks at about the square of this many pixels, evenly over the
+picture."""
 
 OUTLIER = 3.0
-"""Standard deviations from which on a color counts for less in the fit of the table's."""
+"""Scale of the Cauchy weights in the fit of the table's color, standard deviations: a color this
+far off counts half."""
 
 SMOOTHING = 1.2
-"""Of scores, standard deviation in pixels."""
+"""Standard deviation of the blur of scores, pixels."""
 
-OPENING, CLOSING = 3, 5
-"""Widths, pixels, of what is too thin to be object, or a gap."""
+OPENING = 3
+"""What is narrower than this is too thin to be object and is taken away, pixels."""
 
-MIN_HOLE, HOLE_SCORE, HOLE_SHARE = 15, -1.0, 0.5
-"""A hole is filled where it has fewer pixels, or where less than this share of it has a score below
-that."""
+CLOSING = 5
+"""Gaps narrower than this are closed, and high places narrower than this are left out, pixels."""
+
+MIN_HOLE = 15
+"""A hole of fewer pixels than this is filled."""
+
+HOLE_SCORE = -1.0
+"""A pixel with a lower score than this plainly shows the table."""
+
+HOLE_SHARE = 0.5
+"""A hole is filled if less than this share of its pixels plainly shows the table."""
 
 BAND = 6
-"""Pixels about the first boundary within which the final one lies."""
+"""The final boundary lies at most this far from the one before, in each round, pixels."""
 
-INSIDE_RADIUS, OUTSIDE_RADIUS, MEAN_GAP = 7.5, 4.0, 3
-"""Of the means of color nearby: standard deviations of their weights, the table's nearer as shadows
-are narrow; and the strip of that width at the boundary that is left out, pixels."""
+INSIDE_RADIUS = 7.5
+"""Standard deviation of the weights in the object's mean color nearby, pixels."""
 
-TOO_DARK, DARK = 1.5 * SHADOW, 3 * SHADOW
-"""Drops of CIE L* from the table nearby from which on it is more and more, and surely, no
-shadow."""
+OUTSIDE_RADIUS = 4.0
+"""Standard deviation of the weights in the table's mean color nearby, pixels; less than for the
+object, because shadows are narrow."""
 
-BOUNDARY_ROUNDS, BOUNDARY_SMOOTHING = 4, 0.5
-"""Of drawing the boundary; and the standard deviation, in pixels, of what a wider one would round:
-corners, holes."""
+MEAN_GAP = 3
+"""Width of the strip at the boundary that no mean color includes, pixels: its pixels are mixtures
+of both."""
+
+TOO_DARK = 1.5 * SHADOW
+"""A pixel that is darker than the table nearby by more than this may be more than a shadow, units
+of CIE L*."""
+
+DARK = 3 * SHADOW
+"""A pixel that is darker than the table nearby by more than this is surely no shadow, units of CIE
+L*."""
+
+BOUNDARY_ROUNDS = 4
+"""Number of times that the boundary is drawn; each time, the mean colors are taken anew."""
+
+BOUNDARY_SMOOTHING = 0.5
+"""Standard deviation of the blur of the boundary's level, pixels; a wider one would round corners
+and close holes."""
 
 MIN_CONTRAST = 9.0
-"""Squared difference of color at which the boundary is as uncertain as the pixels are noisy."""
+"""Added to the squared difference of the two mean colors, units of CIE L*a*b* squared: where both
+are alike, noise must not decide where the boundary is."""
 
 CONTRADICTION = 0.1
-"""Share of an object from which on color and depth are taken to show different things: of five real
-photographs with their own depth it is up to 0.02, with another's 0.2 and more."""
+"""If color and depth contradict each other about more than this share of an object, they are taken
+to show different things. In five real photographs with their own depth it is up to 0.02, with
+another photograph's depth 0.2 and more."""
 
 HALF_STEP = 0.5
-"""Half of the way from the table's color to the object's; a pixel beyond either counts as
-either."""
+"""Half of the way from the table's color to the object's; a pixel further from the middle counts as
+surely one or the other."""
 
 HEIGHT_SAYS = 0.15
-"""Most that height moves the boundary's level, which is 0.5 of the way from one color to the
-other."""
+"""Most that height moves a pixel along the way from the table's color to the object's, which has
+length 1."""
 
 
 class Foreground(NamedTuple):
-    """What was told apart.
+    """Table and everything else, told apart in a picture.
 
     Attributes:
         mask: (height, width) bool, everything that is no table.
         score: (height, width), above 0 where it is no table.
         difference: (height, width, 3) color less the table's, CIE L*a*b*.
-        deviation: (3,) of the table's color; zeros where color was not looked at.
+        deviation: (3,) standard deviations of the table's color; zeros where color was not looked
+            at.
         heights: what height alone says of the boundary, -HEIGHT_SAYS to HEIGHT_SAYS; zeros without
             depth.
     """
@@ -142,26 +204,32 @@ def find_foreground(color: Color, plane: TablePlane | None, cues: Cues = "both")
     lab = to_lab(color)
     if cues == "depth":
         return score_pixels(np.zeros_like(lab), np.zeros(3), plane, high, cues)
+
+    # What is certainly table to begin with: what is not near anything high, or the picture's rim.
     if high is None:
-        table, order = _make_rim(color.shape[:2]), RIM_ORDER
+        table = _make_rim(color.shape[:2])
+        order = RIM_ORDER
     else:
-        table, order = ~dilate(high, NEAR_OBJECT), ORDER
+        table = ~dilate(high, NEAR_OBJECT)
+        order = ORDER
+
+    # Each round fits the color to what the round before took for table.
     for generosity in GENEROSITY:
         difference, deviation = fit_table_color(lab, table, order)
         found = score_pixels(difference, generosity * deviation, plane, high, cues)
-        table, order = ~dilate(found.mask, NEAR_OBJECT), ORDER
+        table = ~dilate(found.mask, NEAR_OBJECT)
+        order = ORDER
     return found
 
 
 def to_lab(color: Color) -> Image:
-    """CIE L*a*b* of an image (height, width, 3) uint8."""
-    return np.asarray(
-        cv2.cvtColor(color.astype(np.float32) / np.iinfo(np.uint8).max, cv2.COLOR_RGB2LAB)
-    )
+    """Turns an image (height, width, 3) uint8 into CIE L*a*b*, float32."""
+    scaled = color.astype(np.float32) / np.iinfo(np.uint8).max
+    return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB))
 
 
 def find_high(plane: TablePlane) -> Mask:
-    """What certainly stands above the table."""
+    """Finds the pixels that certainly show what stands above the table."""
     high = np.nan_to_num(plane.heights) > HIGH * plane.deviation
     return _morph(high, cv2.MORPH_OPEN, CLOSING)
 
@@ -172,35 +240,37 @@ def fit_table_color(lab: Image, table: Mask, order: int) -> tuple[Image, Array]:
     Args:
         lab: (height, width, 3).
         table: pixels taken for table, most of them rightly.
-        order: of the polynomial.
+        order: degree of the polynomial.
 
     Returns:
-        The picture less it, and (3,) its standard deviations.
+        (height, width, 3) the picture less the table's color, and (3,) the standard deviations of
+        that on the table.
     """
+    # A fraction of the pixels is enough for so few coefficients.
     stride = max(1, round(np.sqrt(lab.shape[0] * lab.shape[1]) / FIT_SIDE))
     some = np.zeros(table.shape, dtype=bool)
     some[::stride, ::stride] = True
     some &= table
     basis = make_basis(lab.shape, order)
-    A, colors = basis[some], lab[some].astype(np.float64)
+    A = basis[some]
+    colors = lab[some].astype(np.float64)
+
     weight = np.ones(len(A))
     fitted: Array = np.zeros((A.shape[1], 3))
     deviation: Array = np.ones(3)
     for _ in range(FIT_ROUNDS):
-        W = (
-            A * weight[:, None]
-        )  # the normal equations: seventy times as fast, and polynomials on [-1, 1] allow them
-        fitted = np.asarray(
-            np.linalg.lstsq(W.T @ W, W.T @ (colors * weight[:, None]))[0], dtype=np.float64
-        )
+        # The normal equations are seventy times as fast as A itself, and polynomials on [-1, 1] are
+        # far enough from singular for them.
+        W = A * weight[:, None]
+        right = W.T @ (colors * weight[:, None])
+        fitted = np.asarray(np.linalg.lstsq(W.T @ W, right)[0], dtype=np.float64)
+
+        # Cauchy's weights: what is not table after all loses its say.
         off = colors - A @ fitted
-        deviation = np.maximum(TO_DEVIATION * np.median(np.abs(off), axis=0), MIN_COLOR_DEVIATION)
+        scatter = TO_DEVIATION * np.median(np.abs(off), axis=0)
+        deviation = np.maximum(scatter, MIN_COLOR_DEVIATION)
         weight = 1 / (1 + ((off / (OUTLIER * deviation)) ** 2).sum(axis=1))
     return (lab - basis @ fitted).astype(np.float32), deviation
-
-
-FIT_SIDE = 140
-"""The fit looks at about this many pixels squared."""
 
 
 def score_pixels(
@@ -214,7 +284,7 @@ def score_pixels(
 
     Args:
         difference: (height, width, 3) color less the table's, CIE L*a*b*.
-        deviation: (3,) of the table's color.
+        deviation: (3,) standard deviations of the table's color.
         plane: the table with the heights above it; None without depth.
         high: where `find_high` says so; None without depth.
         cues: what is looked at.
@@ -224,31 +294,44 @@ def score_pixels(
     """
     score = np.zeros(difference.shape[:2])
     heights = np.zeros_like(score)
+
+    # The first part of s: color.
     if cues != "depth":
         distance = _calc_color_distance(difference, deviation)
         score += np.clip((distance - COLOR_BIAS) / 2, MIN_COLOR_SCORE, MAX_COLOR_SCORE)
+
+    # The second part of s: height, which says nothing where it was not measured.
     if plane is not None and high is not None:
-        says = HEIGHT_SLOPE * (
-            np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS) - HEIGHT_BIAS
-        )
+        relative = np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS)
+        says = HEIGHT_SLOPE * (relative - HEIGHT_BIAS)
         says = np.clip(says, -MAX_HEIGHT_SCORE, MAX_HEIGHT_SCORE)
         heights = HEIGHT_SAYS * np.clip(says / MAX_HEIGHT_SCORE, -1, 1)
         if cues == "both":
+            # Depth images miss edges by some pixels, and color does not.
             band = dilate(high, EDGE_BAND) & ~_erode(high, EDGE_BAND)
             says = np.where(band, EDGE_WEIGHT * says, says)
         score += says
+
+    # Neighbors decide together. Narrow gaps are closed unless the table shows through them.
     smooth = _blur(score, SMOOTHING)
     mask = remove_thin(smooth > 0)
-    mask = fill_holes(_morph(mask, cv2.MORPH_CLOSE, CLOSING) & (smooth >= HOLE_SCORE), smooth)
-    return Foreground(mask, smooth, difference, deviation, heights.astype(np.float32))
+    closed = _morph(mask, cv2.MORPH_CLOSE, CLOSING)
+    mask = fill_holes(closed & (smooth >= HOLE_SCORE), smooth)
+    return Foreground(
+        mask=mask,
+        score=smooth,
+        difference=difference,
+        deviation=deviation,
+        heights=heights.astype(np.float32),
+    )
 
 
 def calc_contradiction(mask: Mask, found: Foreground, plane: TablePlane | None) -> float:
-    """How much of an object color and height contradict each other about.
+    """Calculates about how much of an object color and height contradict each other.
 
     Args:
-        mask: of the object.
-        found: of the picture.
+        mask: (height, width) bool, pixels that show the object.
+        found: foreground of the picture.
         plane: the table with the heights above it; None without depth.
 
     Returns:
@@ -259,28 +342,30 @@ def calc_contradiction(mask: Mask, found: Foreground, plane: TablePlane | None) 
     if plane is None or not mask.any():
         return 0.0
     colored = _calc_color_distance(found.difference, found.deviation) > COLOR_BIAS
-    heights, area = np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS), mask.sum()
-    flat = (
-        (mask & colored & (heights < HEIGHT_BIAS)).sum()
-        if find_high(plane).sum() > CONTRADICTION * area
-        else 0
-    )
-    plain = (
-        (mask & ~colored & (heights > HIGH)).sum()
-        if (mask & colored).sum() > CONTRADICTION * area
-        else 0
-    )
+    heights = np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS)
+    area = mask.sum()
+
+    # Of another color than the table, and as low; said only if depth sees objects at all.
+    flat = 0
+    if find_high(plane).sum() > CONTRADICTION * area:
+        flat = (mask & colored & (heights < HEIGHT_BIAS)).sum()
+
+    # As high as an object, and of the table's color; said only if color sees the object at all.
+    plain = 0
+    if (mask & colored).sum() > CONTRADICTION * area:
+        plain = (mask & ~colored & (heights > HIGH)).sum()
     return float(max(flat, plain) / area)
 
 
 def refine_boundary(
     mask: Mask, found: Foreground, covered: Mask | None = None
 ) -> tuple[Mask, Image]:
-    """Draws one object's boundary where the color is half way between the object's and the table's nearby.
+    """Draws an object's boundary where the color is half way between object and table nearby.
 
     Args:
-        mask: of the object; in one piece, unless something covers it.
-        found: of the picture.
+        mask: (height, width) bool, pixels that show the object; in one piece, unless something
+            covers it.
+        found: foreground of the picture.
         covered: pixels which show something else, such as the arm, and say nothing; None where
             there are none.
 
@@ -289,54 +374,92 @@ def refine_boundary(
     """
     if not found.difference.any():
         return mask, _blur(mask, BOUNDARY_SMOOTHING)
+    # Lightness counts less than chroma: a shadow must not move the boundary.
     colors = found.difference * np.array([LIGHT_WEIGHT, 1, 1], dtype=np.float32)
     level = np.zeros(mask.shape, dtype=np.float32)
-    shown = np.ones_like(mask) if covered is None else ~covered
+    shown = np.ones_like(mask)
+    if covered is not None:
+        shown = ~covered
     table = shown & ~mask
     for _ in range(BOUNDARY_ROUNDS):
-        band = dilate(mask, 2 * BAND + 1) & ~_erode(mask, 2 * BAND + 1)
+        # c_o and c_t: mean colors nearby, of what is surely object and surely table.
         inside = _calc_nearby_mean(colors, _erode(mask, MEAN_GAP) & shown, INSIDE_RADIUS)
         outside = _calc_nearby_mean(colors, ~dilate(mask, MEAN_GAP) & shown, OUTSIDE_RADIUS)
-        along = _calc_along(colors, inside, outside)
-        level = _blur(np.clip(along, -HALF_STEP, HALF_STEP) + found.heights, BOUNDARY_SMOOTHING)
-        level = np.where(band, level, np.where(mask, 1, -1)).astype(np.float32)
-        mask = keep_largest(level > 0) if covered is None else level > 0
+
+        # How far each color is on the way from c_t to c_o; the boundary is at level 0. Far from the
+        # boundary before, nothing changes sides.
+        along = np.clip(_calc_along(colors, inside, outside), -HALF_STEP, HALF_STEP)
+        level = _blur(along + found.heights, BOUNDARY_SMOOTHING)
+        band = dilate(mask, 2 * BAND + 1) & ~_erode(mask, 2 * BAND + 1)
+        sides = np.where(mask, 1, -1)
+        level = np.where(band, level, sides).astype(np.float32)
+        mask = level > 0
+        if covered is None:
+            mask = keep_largest(mask)
+
+    # Where holes were filled or pieces dropped, the level does not say how much is object.
     mask = fill_holes(mask, found.score, table)
-    return mask, np.where(mask == (level > 0), np.clip(level + 0.5, 0, 1), mask).astype(np.float32)
+    coverage = np.clip(level + 0.5, 0, 1)
+    return mask, np.where(mask == (level > 0), coverage, mask).astype(np.float32)
 
 
 def _calc_color_distance(difference: Image, deviation: Array) -> Image:
-    """Squared distance of colors from the table's, in its standard deviations; a wide one where they are darker."""
+    """Calculates the squared distance of colors from the table's, in the table's variances.
+
+    Args:
+        difference: (height, width, 3) color less the table's, CIE L*a*b*.
+        deviation: (3,) standard deviations of the table's color.
+
+    Returns:
+        (height, width) squared distance, with a wide deviation where a pixel is darker.
+    """
     L, a, b = np.moveaxis(difference, -1, 0)
     distance = (a / deviation[1]) ** 2 + (b / deviation[2]) ** 2
-    distance += (L / np.where(L < 0, np.maximum(SHADOW, deviation[0]), deviation[0])) ** 2
+    # tau: shadows change lightness, hardly chroma.
+    tau = np.where(L < 0, np.maximum(SHADOW, deviation[0]), deviation[0])
+    distance += (L / tau) ** 2
     return np.asarray(distance, dtype=np.float32)
 
 
 def keep_largest(mask: Mask) -> Mask:
-    """The largest piece of a mask; nothing of nothing."""
+    """Keeps the largest piece of a mask; nothing of an empty one."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         mask.astype(np.uint8), connectivity=4
     )
-    return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])) if count > 1 else mask
+    if count < 2:
+        return mask
+    return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
 
 
 def fill_holes(mask: Mask, score: Image, table: Mask | None = None) -> Mask:
-    """Fills the holes through which the table is not plainly seen, unless some of it is known to be table."""
+    """Fills the holes of a mask through which the table is not plainly seen.
+
+    Args:
+        mask: (height, width) bool.
+        score: (height, width), below HOLE_SCORE where the table is plainly seen.
+        table: (height, width) bool, pixels that are known to be table: a hole that has one of them
+            stays; None where there are none.
+
+    Returns:
+        The mask with its holes filled.
+    """
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         (~mask).astype(np.uint8), connectivity=4
     )
-    rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     area = stats[:, cv2.CC_STAT_AREA]
     plain = np.bincount(labels[score < HOLE_SCORE], minlength=count)
     filled = (area < MIN_HOLE) | (plain < HOLE_SHARE * area)
-    filled[rim] = False
+
+    # What reaches the picture's rim is no hole.
+    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    filled[np.unique(rim)] = False
     if table is not None:
         filled[labels[table]] = False
     return mask | filled[labels]
 
 
 def _make_rim(shape: tuple[int, ...]) -> Mask:
+    """Makes a mask (height, width) of the picture's rim."""
     rim = np.ones(shape, dtype=bool)
     rows, columns = (round(RIM * side) for side in shape)
     rim[rows:-rows, columns:-columns] = False
@@ -344,26 +467,39 @@ def _make_rim(shape: tuple[int, ...]) -> Mask:
 
 
 def _calc_along(colors: Image, inside: Image, outside: Image) -> Image:
-    """How far colors are from half way between two others, -0.5 at the one outside and 0.5 at the one inside."""
+    """Calculates how far colors are from half way between two others.
+
+    Args:
+        colors: (height, width, 3) colors, lightness weighted.
+        inside: (height, width, 3) c_o, the object's mean color nearby.
+        outside: (height, width, 3) c_t, the table's mean color nearby.
+
+    Returns:
+        (height, width), -0.5 at the color outside and 0.5 at the color inside.
+    """
     step = inside - outside
     square = (step**2).sum(axis=-1) + MIN_CONTRAST
     along = ((colors - (inside + outside) / 2) * step).sum(axis=-1) / square
+
+    # What is too dark for a shadow is object in whatever direction its color lies: a side in the
+    # dark has not the color of the top.
     distance = np.sqrt(((colors - outside) ** 2).sum(axis=-1) / square) - HALF_STEP
     drop = (outside - colors)[..., 0] / LIGHT_WEIGHT
-    return along + np.clip((drop - TOO_DARK) / (DARK - TOO_DARK), 0, 1) * np.maximum(
-        distance - along, 0
-    )
+    no_shadow = np.clip((drop - TOO_DARK) / (DARK - TOO_DARK), 0, 1)
+    return along + no_shadow * np.maximum(distance - along, 0)
 
 
 def _calc_nearby_mean(colors: Image, where: Mask, radius: float) -> Image:
+    """Calculates the mean color of a mask's pixels near each pixel, (height, width, 3)."""
     total = _blur(colors * where[..., None], radius)
-    return total / (_blur(where, radius) + np.finfo(np.float32).eps)[..., None]
+    weight = _blur(where, radius) + np.finfo(np.float32).eps
+    return total / weight[..., None]
 
 
 def _blur(image: NDArray[Any], deviation: float) -> Image:
-    return np.asarray(
-        cv2.GaussianBlur(image.astype(np.float32), (0, 0), deviation), dtype=np.float32
-    )
+    """Blurs an image by a Gaussian of this standard deviation, pixels."""
+    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), deviation)
+    return np.asarray(blurred, dtype=np.float32)
 
 
 def dilate(mask: Mask, width: int) -> Mask:
@@ -377,9 +513,11 @@ def remove_thin(mask: Mask) -> Mask:
 
 
 def _erode(mask: Mask, width: int) -> Mask:
+    """Narrows a mask by half of `width` pixels all around."""
     return _morph(mask, cv2.MORPH_ERODE, width)
 
 
 def _morph(mask: Mask, operation: int, width: int) -> Mask:
+    """Applies one of OpenCV's morphological operations with a round brush of this width, pixels."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     return cv2.morphologyEx(mask.astype(np.uint8), operation, kernel) > 0
