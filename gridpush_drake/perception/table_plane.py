@@ -3,6 +3,9 @@
 Of a plane n.p = d in the camera frame, with the ray r = (x, y, 1) of each pixel, 1/z = (n/d).r:
 linear in 1/z, so that three pixels give a plane, and many a least-squares one. A sensor's slow bias
 over the picture is fitted besides.
+
+What on the table is an object is told in `foreground`. The theory is in docs/theory/perception.md,
+section 1.
 """
 
 from dataclasses import dataclass
@@ -14,35 +17,45 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.frames import MAX_DEPTH, MIN_DEPTH, Color, Depth
 
-SAMPLES, TRIALS = 3000, 300
-"""Pixels that planes are tried on, and planes tried."""
+SAMPLES = 3000
+"""Pixels that planes are tried on; fewer are tried if depth is measured in fewer."""
 
-NEAR, BEHIND = 0.005, 0.012
-"""m: a pixel nearer to the plane than this is of it; one this far behind it speaks against it:
-objects stand on a table, nothing is beneath it."""
+TRIALS = 300
+"""Planes that are tried, each through three of those pixels."""
+
+NEAR = 0.005
+"""A pixel that is nearer to a plane than this counts as lying on it, m."""
+
+BEHIND = 0.012
+"""A pixel that is further than this behind a plane speaks against it, m: objects stand on a table,
+and nothing is beneath it."""
 
 BEHIND_WEIGHT = 2.0
+"""How many pixels on a plane it takes to outweigh one that is behind it."""
 
 MIN_SHARE = 0.2
-"""Of the measured pixels that are of the plane, least."""
+"""Least share of the measured pixels that lie on the table; with less there is no table in view."""
 
 MIN_MEASURED = 0.1
-"""Of the picture that is measured, least."""
+"""Least share of the picture in which depth is measured; with less no table is looked for."""
 
 STRIDE = 3
-"""Of the pixels that a fit looks at."""
+"""Fits look at one pixel of this many; neighboring pixels tell nearly the same."""
 
-REFINEMENTS, SPREAD = 8, 3.0
-"""Least-squares fits, each to the pixels within so many standard deviations of the last."""
+REFINEMENTS = 8
+"""Number of least-squares fits, each to the pixels that are near the fit before."""
+
+SPREAD = 3.0
+"""A pixel further from a fit than this is left out of the next one, standard deviations."""
 
 MIN_DEVIATION = 5e-4
-"""m, of a plane's noise, that is ever assumed."""
+"""Least standard deviation of the heights measured on a table that is assumed, m."""
 
 BIAS_ORDER = 3
-"""Of the polynomial over the picture that takes a sensor's slow bias."""
+"""Degree of the polynomial over the picture that takes a sensor's slow bias."""
 
 TO_DEVIATION = 1.4826
-"""A standard deviation in medians of absolute deviations."""
+"""Standard deviation of a normal distribution over the median of its absolute deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,14 +76,26 @@ class TablePlane:
     deviation: float
 
     def make_pose(self, camera: Camera) -> Array:
-        """(4, 4) X_WC: W's origin is where the optical axis meets the table, x to the right in the image, z up."""
+        """Makes the pose of the camera in a world whose z = 0 is the table.
+
+        Args:
+            camera: camera that saw the table.
+
+        Returns:
+            (4, 4) X_WC: W's origin is where the optical axis meets the table, x to the right in the
+            image, z up.
+        """
+        # W's axes in C: z is the normal, x the image's right without its part along z.
         z = self.normal
         x = np.array([1.0, 0.0, 0.0]) - z[0] * z
         x /= np.linalg.norm(x)
         R_WC = np.array([x, np.cross(z, x), z])
-        axis = np.array([0.0, 0.0, -self.offset / z[2]])
+
+        # W's origin in C, from normal . p_C = -offset on the optical axis.
+        origin = np.array([0.0, 0.0, -self.offset / z[2]])
         X_WC = np.eye(4)
-        X_WC[:3, :3], X_WC[:3, 3] = R_WC, -R_WC @ axis
+        X_WC[:3, :3] = R_WC
+        X_WC[:3, 3] = -R_WC @ origin
         return X_WC
 
 
@@ -79,7 +104,7 @@ def fit_table(depth: Depth, camera: Camera, picture: Color) -> TablePlane:
 
     Args:
         depth: (height, width), m, undistorted; 0 or not finite where it was not measured.
-        camera: that took it, without distortion; its pose is not used.
+        camera: camera that took it, without distortion; its pose is not used.
         picture: what to show where there is no table.
 
     Returns:
@@ -100,6 +125,8 @@ def fit_table(depth: Depth, camera: Camera, picture: Color) -> TablePlane:
         raise ImageError(
             f"the depth image's median is {median:g}; expected {MIN_DEPTH:g} to {MAX_DEPTH:g} m"
         )
+
+    # RANSAC finds which plane is the table, least squares where exactly it is.
     rays = make_rays(camera)[valid]
     z = np.asarray(depth[valid], dtype=np.float64)
     plane, share = _find_plane(rays, z)
@@ -109,23 +136,38 @@ def fit_table(depth: Depth, camera: Camera, picture: Color) -> TablePlane:
             picture,
         )
     plane = _refine(rays[::STRIDE], z[::STRIDE], plane)
+
+    # Heights above it: 1 - z (n/d).r is 0 on the plane, and 1/|n/d| the camera's distance.
     scale = 1 / np.linalg.norm(plane)
     heights = np.full(depth.shape, np.nan)
     heights[valid] = scale * (1 - z * (rays @ plane))
     heights, deviation = _take_bias(heights)
-    return TablePlane(-plane * scale, float(scale), heights, deviation)
+    return TablePlane(
+        normal=-plane * scale, offset=float(scale), heights=heights, deviation=deviation
+    )
 
 
 def make_rays(camera: Camera) -> Array:
-    """(height, width, 3) directions in C, z = 1, of all pixels."""
+    """Makes the rays r of all pixels: (height, width, 3) directions in C with z = 1."""
     rows, columns = np.mgrid[: camera.height, : camera.width]
     return camera.rays(np.stack([columns, rows], axis=-1).astype(np.float64))
 
 
 def make_basis(shape: tuple[int, ...], order: int) -> Array:
-    """(height, width, m) monomials of total degree up to `order` over the picture, its sides at -1 and 1."""
-    # Powers are taken of a row and a column only, which is a hundred times less than of every pixel.
-    y, x = (np.linspace(-1, 1, side) for side in shape[:2])
+    """Makes the monomials of a polynomial over a picture.
+
+    Args:
+        shape: height and width of the picture, and anything after them.
+        order: degree of the polynomial.
+
+    Returns:
+        (height, width, m) monomials of total degree up to `order`, with the picture's sides at -1
+        and 1.
+    """
+    # Powers are taken of a row and a column only, which is a hundred times less work than of every
+    # pixel.
+    y = np.linspace(-1, 1, shape[0])
+    x = np.linspace(-1, 1, shape[1])
     powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
     basis = np.empty((len(y), len(x), len(powers)))
     for at, (i, j) in enumerate(powers):
@@ -134,15 +176,31 @@ def make_basis(shape: tuple[int, ...], order: int) -> Array:
 
 
 def _find_plane(rays: Array, z: Array) -> tuple[Array, float]:
-    """The plane n/d that most pixels are of and fewest behind, and its share."""
+    """Finds the plane on which most pixels lie, and fewest behind it (RANSAC).
+
+    Args:
+        rays: (k, 3) rays of the measured pixels.
+        z: (k,) depth of each, m.
+
+    Returns:
+        (3,) n/d, 1/m, and the share of pixels on it.
+    """
+    # A sample of the pixels, so that every trial costs the same.
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(z), min(SAMPLES, len(z)), replace=False)
-    rays, z = rays[chosen], z[chosen]
+    rays = rays[chosen]
+    z = z[chosen]
+
+    # A plane through three pixels each, from 1/z = (n/d).r; three on a line determine none.
     triples = rng.integers(len(z), size=(TRIALS, 3))
     systems = rays[triples]
     usable = np.abs(np.linalg.det(systems)) > np.finfo(float).eps
-    planes = np.linalg.solve(systems[usable], 1 / z[triples][usable][..., None])[..., 0]
-    heights = (1 - z * (planes @ rays.T)) / np.linalg.norm(planes, axis=1, keepdims=True)
+    inverse_depth = 1 / z[triples][usable]
+    planes = np.linalg.solve(systems[usable], inverse_depth[..., None])[..., 0]
+
+    # The top of a large box has many pixels on it, too, and the table behind it.
+    lengths = np.linalg.norm(planes, axis=1, keepdims=True)
+    heights = (1 - z * (planes @ rays.T)) / lengths
     near = (np.abs(heights) < NEAR).mean(axis=1)
     behind = (heights < -BEHIND).mean(axis=1)
     best = int(np.argmax(near - BEHIND_WEIGHT * behind))
@@ -150,10 +208,22 @@ def _find_plane(rays: Array, z: Array) -> tuple[Array, float]:
 
 
 def _refine(rays: Array, z: Array, plane: Array) -> Array:
+    """Refines a plane n/d (3,) by least squares over the pixels near it.
+
+    Args:
+        rays: (k, 3) rays of pixels.
+        z: (k,) depth of each, m.
+        plane: (3,) the plane to begin with, 1/m.
+
+    Returns:
+        (3,) the plane, 1/m.
+    """
     limit = NEAR
     for _ in range(REFINEMENTS):
         heights = (1 - z * (rays @ plane)) / np.linalg.norm(plane)
         near = np.abs(heights) < limit
+
+        # Rows are weighted by z, so that what is least is 1 - z (n/d).r, which goes with height.
         weighted = rays[near] * z[near, None]
         plane = np.linalg.solve(weighted.T @ weighted, weighted.sum(axis=0))
         deviation = TO_DEVIATION * float(np.median(np.abs(heights[near])))
@@ -162,16 +232,29 @@ def _refine(rays: Array, z: Array, plane: Array) -> Array:
 
 
 def _take_bias(heights: Array) -> tuple[Array, float]:
-    """Heights without the table's slow undulation, and their standard deviation on the table."""
+    """Takes the table's slow undulation, the sensor's bias, out of heights.
+
+    Args:
+        heights: (height, width) above the plane, m; NaN where depth was not measured.
+
+    Returns:
+        (height, width) heights without it, m, and their standard deviation on the table, m.
+    """
     basis = make_basis(heights.shape, BIAS_ORDER)
     some = heights[::STRIDE, ::STRIDE]
-    A = basis[::STRIDE, ::STRIDE][np.isfinite(some)]
-    some = some[np.isfinite(some)]
-    limit, off, deviation = NEAR, some, 0.0
+    measured = np.isfinite(some)
+    A = basis[::STRIDE, ::STRIDE][measured]
+    some = some[measured]
+
+    # Objects are left out because they are further from the fit than the table's noise.
+    limit = NEAR
+    off = some
+    deviation = 0.0
     for _ in range(REFINEMENTS):
         near = np.abs(off) < limit
         bias = np.linalg.solve(A[near].T @ A[near], A[near].T @ some[near])
         off = some - A @ bias
-        deviation = max(TO_DEVIATION * float(np.median(np.abs(off[near]))), MIN_DEVIATION)
+        scatter = TO_DEVIATION * float(np.median(np.abs(off[near])))
+        deviation = max(scatter, MIN_DEVIATION)
         limit = min(NEAR, SPREAD * deviation)
     return heights - basis @ bias, deviation
