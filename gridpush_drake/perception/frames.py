@@ -1,4 +1,7 @@
-"""What a camera gives: frames of color and depth, and the files they are read from."""
+"""What a camera gives: frames of color and depth, and the files they are read from.
+
+How the camera sees is in `camera`; nothing here takes distortion out of an image.
+"""
 
 import csv
 import math
@@ -18,27 +21,38 @@ Color = NDArray[np.uint8]
 Depth = NDArray[np.float32]
 
 MAX_IMAGE_SIZE = 256 * MEGABYTE
-"""Of an image file, bytes."""
+"""Largest image file that is read, bytes; a larger one is refused before it fills the memory."""
 
 MILLIMETERS = 1e3
-"""In a meter."""
+"""Millimeters in a meter."""
 
-MIN_DEPTH, MAX_DEPTH = 0.05, 20.0
-"""m, of a depth image's median; beyond, its unit is another."""
+MIN_DEPTH = 0.05
+"""Least median of a depth image, m; with less its unit is taken to be another."""
+
+MAX_DEPTH = 20.0
+"""Greatest median of a depth image, m; with more its unit is taken to be another."""
 
 MIN_MEASURED = 0.01
-"""Least share of a depth image that must be measured."""
+"""Least share of a depth image that must be measured; with less it is taken for something else."""
 
 COLOR_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-COLOR_MARK, DEPTH_MARK = "_color", "_depth"
-"""At the end of a file's name in a folder of frames, before the ending."""
+"""Endings of the files in a folder of frames that are taken for images; others are left alone."""
+
+COLOR_MARK = "_color"
+"""End of the name of a color image in a folder of frames, before the ending; may be left out."""
+
+DEPTH_MARK = "_depth"
+"""End of the name of a depth image in a folder of frames, before the ending."""
 
 TIMES = "times.csv"
+"""Name of the file in a folder of frames that says when each was taken."""
+
 TIMES_FORM = "lines NAME,t after the line name,t"
+"""Form of that file, in messages."""
 
 
 class Frame(NamedTuple):
-    """One look.
+    """The images of one moment.
 
     Attributes:
         color: (height, width, 3) uint8, red, green, blue.
@@ -57,7 +71,7 @@ def read_color(path: Path | str, camera: Camera) -> Color:
 
     Args:
         path: PNG, JPEG or any other image that OpenCV reads.
-        camera: that took it.
+        camera: camera that took it.
 
     Returns:
         (height, width, 3) uint8, red, green, blue.
@@ -75,7 +89,7 @@ def read_depth(path: Path | str, camera: Camera) -> Depth:
 
     Args:
         path: the file.
-        camera: that took it.
+        camera: camera that took it.
 
     Returns:
         (height, width) float32, m; 0 where it was not measured.
@@ -86,21 +100,34 @@ def read_depth(path: Path | str, camera: Camera) -> Depth:
     """
     image = _decode(path, "a depth image", cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype not in (np.uint16, np.float32):
-        found = f"{1 if image.ndim == 2 else image.shape[2]} channels of {image.dtype}"
+        channels = 1 if image.ndim == 2 else image.shape[2]
         raise ImageError(
-            f"{path}: has {found}; expected a depth image: 16 bit in mm, or 32 bit float in m"
+            f"{path}: has {channels} channels of {image.dtype}; expected a depth image: 16 bit in"
+            " mm, or 32 bit float in m"
         )
     _check_size(path, camera, image)
-    scale, unit = (MILLIMETERS, "mm") if image.dtype == np.uint16 else (1.0, "m")
-    depth = np.nan_to_num(image.astype(np.float32) / np.float32(scale), posinf=0.0, neginf=0.0)
+
+    # Whole numbers are millimeters, as depth cameras write them.
+    if image.dtype == np.uint16:
+        scale = MILLIMETERS
+        unit = "mm"
+    else:
+        scale = 1.0
+        unit = "m"
+    meters = image.astype(np.float32) / np.float32(scale)
+    depth = np.nan_to_num(meters, posinf=0.0, neginf=0.0)
+
+    # An image of another kind or unit would give poses that are wrong in silence.
     measured = depth[depth > 0]
     if len(measured) < MIN_MEASURED * depth.size:
+        share = len(measured) / depth.size
         raise ImageError(
-            f"{path}: is measured in {len(measured) / depth.size:.1%} of its pixels; expected a depth image"
+            f"{path}: is measured in {share:.1%} of its pixels; expected a depth image"
         )
     median = float(np.median(measured)) * scale
-    if not MIN_DEPTH * scale <= median <= MAX_DEPTH * scale:
-        low, high = MIN_DEPTH * scale, MAX_DEPTH * scale
+    low = MIN_DEPTH * scale
+    high = MAX_DEPTH * scale
+    if not low <= median <= high:
         raise ImageError(f"{path}: its median is {median:g}; expected {unit}, {low:g} to {high:g}")
     return depth
 
@@ -112,7 +139,7 @@ def read_frames(path: Path | str, camera: Camera) -> Iterator[Frame]:
         path: a video (its own frame rate is the clock), or a folder: NAME.png or NAME.jpg, or
             NAME_color.png with NAME_depth.png, in the order of their names; `times.csv` (name,t)
             gives their times, s.
-        camera: that took them.
+        camera: camera that took them.
 
     Yields:
         The frames, in order of time.
@@ -133,6 +160,7 @@ def write_picture(path: Path | str, picture: Color, force: bool = False) -> None
 
 
 def _decode(path: Path | str, what: str, flags: int) -> NDArray[Any]:
+    """Reads an image file by OpenCV; `what` is expected, in messages."""
     data = np.frombuffer(read_bytes(path, what, ImageError, MAX_IMAGE_SIZE), np.uint8)
     try:
         image = cv2.imdecode(data, flags) if len(data) else None
@@ -146,6 +174,7 @@ def _decode(path: Path | str, what: str, flags: int) -> NDArray[Any]:
 
 
 def _check_size(path: Path | str, camera: Camera, image: NDArray[Any]) -> None:
+    """Raises ImageError, with the file's name, where an image has another size than the camera."""
     try:
         camera.check_size(image)
     except ImageError as error:
@@ -153,6 +182,7 @@ def _check_size(path: Path | str, camera: Camera, image: NDArray[Any]) -> None:
 
 
 def _read_video(path: Path, camera: Camera) -> Iterator[Frame]:
+    """Reads the frames of a video, whose frame rate is the clock; see `read_frames`."""
     if not is_file(path):
         raise ImageError(
             f"{path}: cannot be read: no such file; expected a video, or a folder of images"
@@ -166,7 +196,8 @@ def _read_video(path: Path, camera: Camera) -> Iterator[Frame]:
             if not there:
                 break
             _check_size(path, camera, image)
-            yield Frame(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB)), None, count / rate)
+            color = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+            yield Frame(color=color, depth=None, t=count / rate)
             count += 1
         if not count:
             raise ImageError(
@@ -177,6 +208,7 @@ def _read_video(path: Path, camera: Camera) -> Iterator[Frame]:
 
 
 def _read_folder(path: Path, camera: Camera) -> Iterator[Frame]:
+    """Reads the frames of a folder of images, in the order of their names; see `read_frames`."""
     images = sorted(
         p
         for p in path.iterdir()
@@ -199,21 +231,23 @@ def _read_folder(path: Path, camera: Camera) -> Iterator[Frame]:
                 f"{path / TIMES}: {name} is at {times[name]} s, not later than the image before it"
             )
         before = times[name]
-        depth = image.with_name(f"{name}{DEPTH_MARK}.png")
-        yield Frame(
-            read_color(image, camera), read_depth(depth, camera) if is_file(depth) else None, before
-        )
+        color = read_color(image, camera)
+        depth = None
+        depth_file = image.with_name(f"{name}{DEPTH_MARK}.png")
+        if is_file(depth_file):
+            depth = read_depth(depth_file, camera)
+        yield Frame(color=color, depth=depth, t=before)
 
 
 def _read_times(path: Path) -> dict[str, float]:
-    rows = list(
-        csv.reader(read_text(path, f"the images' times: {TIMES_FORM}", ImageError).splitlines())
-    )
+    """Reads when each image of a folder was taken, s, by the image's name without its mark."""
+    text = read_text(path, f"the images' times: {TIMES_FORM}", ImageError)
+    rows = list(csv.reader(text.splitlines()))
     times = {}
     for line, row in enumerate(rows[1:], start=2):
         try:
-            name, text = row
-            times[Path(name.strip()).stem.removesuffix(COLOR_MARK)] = float(text)
+            name, time = row
+            times[Path(name.strip()).stem.removesuffix(COLOR_MARK)] = float(time)
         except ValueError:
             raise ImageError(
                 f"{path}, line {line}: is {','.join(row)!r}; expected {TIMES_FORM}"

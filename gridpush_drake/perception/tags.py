@@ -341,7 +341,7 @@ def find_tag_corners(gray: NDArray[np.uint8]) -> dict[int, Array]:
 
 
 def _refine(image: NDArray[np.uint8], corners: Array) -> Array:
-    """Refines a tag's corners (4, 2): straight lines through the edges of its four sides meet there.
+    """Refines a tag's corners (4, 2): lines through the edges of its four sides meet there.
 
     An edge is where the image is half way from the black of the border to the white about it. A
     side along which too few are found leaves its corners as they are.
