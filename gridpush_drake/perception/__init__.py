@@ -1,4 +1,4 @@
-"""What a camera above the table sees: the object, its outline and height, and its pose in each frame.
+"""What a camera above the table sees: an object, its outline and height, and its pose over time.
 
 Images come in as arrays: color (height, width, 3) uint8 in the order red, green, blue; depth
 (height, width) float32, m along the camera's z axis, registered to the color image, 0 or not finite

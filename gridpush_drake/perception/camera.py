@@ -132,8 +132,8 @@ class Camera(Frozen):
             return
         X = self._freeze("X_WC", self.X_WC, (4, 4))
         R = X[:3, :3]
-        orthogonal = np.abs(R.T @ R - np.eye(3)).max() <= ROTATION_TOLERANCE
-        rigid = orthogonal and np.linalg.det(R) > 0
+        off = np.abs(R.T @ R - np.eye(3)).max()
+        rigid = off <= ROTATION_TOLERANCE and np.linalg.det(R) > 0
         if not (rigid and (X[3] == (0, 0, 0, 1)).all()):
             raise CameraError(
                 "X_WC is no rigid transform; expected [R p; 0 0 0 1] with a rotation R"
@@ -233,8 +233,10 @@ class Camera(Frozen):
         else:
             # pixel = (fx x + s y + cx, fy y + cy), solved for y first.
             K = self.K
-            y = (places[..., 1] - K[1, 2]) / K[1, 1]
-            x = (places[..., 0] - K[0, 2] - K[0, 1] * y) / K[0, 0]
+            u = places[..., 0]
+            v = places[..., 1]
+            y = (v - K[1, 2]) / K[1, 1]
+            x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
             xy = np.stack([x, y], axis=-1)
         ones = np.ones((*xy.shape[:-1], 1))
         return np.concatenate([xy, ones], axis=-1)
@@ -522,7 +524,8 @@ def _read_transform(data: dict[str, Any], name: str) -> Array:
         angle = radians(_number(rotation, "angle_deg", 0.0, f"{above}."))
         if not axis.any():
             raise CameraError(f"{above}.axis is zero; expected a direction")
-        X[:3, :3] = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        vector = angle * axis / np.linalg.norm(axis)
+        X[:3, :3] = Rotation.from_rotvec(vector).as_matrix()
     elif kind != "Identity":
         raise CameraError(f"{above} is {shorten(rotation)}; expected !Rpy or !AngleAxis")
     return X

@@ -393,9 +393,10 @@ def find_off_table(camera: Camera, table_top: BaseGeometry) -> Mask:
     Returns:
         (height, width) bool, True where the table is not.
     """
-    pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
-    xy = camera.cast(pixels)
-    return ~np.asarray(shapely.contains_xy(table_top, xy[..., 0], xy[..., 1]))
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    xy = camera.cast(np.stack([columns, rows], axis=-1))
+    on_table = shapely.contains_xy(table_top, xy[..., 0], xy[..., 1])
+    return ~np.asarray(on_table)
 
 
 def draw_outline(
@@ -426,7 +427,8 @@ def draw_outline(
         levels.append((height, GREEN))
     for z, tint in levels:
         for ring in (outline.exterior, *outline.interiors):
-            points = np.column_stack([np.array(ring.coords), np.full(len(ring.coords), z)])
+            xy = np.array(ring.coords)
+            points = np.column_stack([xy, np.full(len(xy), z)])
             draw(points, True, tint)
 
     # The body frame's axes lie on the top, where they hide no part of the outline.
@@ -592,7 +594,8 @@ def _find_parts(
             kept.append(int(k))
 
     # Every pixel goes to the nearest part in color, and single ones to what is about them.
-    nearest = np.argmin(np.linalg.norm(lab[:, None] - centers[kept], axis=-1), axis=1)
+    distances = np.linalg.norm(lab[:, None] - centers[kept], axis=-1)
+    nearest = np.argmin(distances, axis=1)
     image = np.zeros(mask.shape, np.uint8)
     image[mask] = nearest + 1
     image = np.asarray(cv2.medianBlur(image, PART_SMOOTHING), dtype=np.uint8)
@@ -610,5 +613,6 @@ def _find_parts(
         pieces = shapely.get_parts(shapely.intersection(shapely.make_valid(shape), outline))
         pieces = [piece for piece in pieces if isinstance(piece, Polygon)]
         if pieces:
-            parts[len(parts) + 1] = MultiPolygon(pieces) if len(pieces) > 1 else pieces[0]
+            whole = MultiPolygon(pieces) if len(pieces) > 1 else pieces[0]
+            parts[len(parts) + 1] = whole
     return parts

@@ -247,7 +247,8 @@ def fit_table_color(lab: Image, table: Mask, order: int) -> tuple[Image, Array]:
         that on the table.
     """
     # A fraction of the pixels is enough for so few coefficients.
-    stride = max(1, round(np.sqrt(lab.shape[0] * lab.shape[1]) / FIT_SIDE))
+    rows, columns = lab.shape[:2]
+    stride = max(1, round(np.sqrt(rows * columns) / FIT_SIDE))
     some = np.zeros(table.shape, dtype=bool)
     some[::stride, ::stride] = True
     some &= table
@@ -263,13 +264,15 @@ def fit_table_color(lab: Image, table: Mask, order: int) -> tuple[Image, Array]:
         # far enough from singular for them.
         W = A * weight[:, None]
         right = W.T @ (colors * weight[:, None])
-        fitted = np.asarray(np.linalg.lstsq(W.T @ W, right)[0], dtype=np.float64)
+        solution, *_ = np.linalg.lstsq(W.T @ W, right)
+        fitted = np.asarray(solution, dtype=np.float64)
 
         # Cauchy's weights: what is not table after all loses its say.
         off = colors - A @ fitted
         scatter = TO_DEVIATION * np.median(np.abs(off), axis=0)
         deviation = np.maximum(scatter, MIN_COLOR_DEVIATION)
-        weight = 1 / (1 + ((off / (OUTLIER * deviation)) ** 2).sum(axis=1))
+        relative = off / (OUTLIER * deviation)
+        weight = 1 / (1 + (relative**2).sum(axis=1))
     return (lab - basis @ fitted).astype(np.float32), deviation
 
 
@@ -348,12 +351,14 @@ def calc_contradiction(mask: Mask, found: Foreground, plane: TablePlane | None) 
     # Of another color than the table, and as low; said only if depth sees objects at all.
     flat = 0
     if find_high(plane).sum() > CONTRADICTION * area:
-        flat = (mask & colored & (heights < HEIGHT_BIAS)).sum()
+        low = heights < HEIGHT_BIAS
+        flat = (mask & colored & low).sum()
 
     # As high as an object, and of the table's color; said only if color sees the object at all.
     plain = 0
     if (mask & colored).sum() > CONTRADICTION * area:
-        plain = (mask & ~colored & (heights > HIGH)).sum()
+        tall = heights > HIGH
+        plain = (mask & ~colored & tall).sum()
     return float(max(flat, plain) / area)
 
 
@@ -383,14 +388,18 @@ def refine_boundary(
     table = shown & ~mask
     for _ in range(BOUNDARY_ROUNDS):
         # c_o and c_t: mean colors nearby, of what is surely object and surely table.
-        inside = _calc_nearby_mean(colors, _erode(mask, MEAN_GAP) & shown, INSIDE_RADIUS)
-        outside = _calc_nearby_mean(colors, ~dilate(mask, MEAN_GAP) & shown, OUTSIDE_RADIUS)
+        surely_object = _erode(mask, MEAN_GAP) & shown
+        surely_table = ~dilate(mask, MEAN_GAP) & shown
+        inside = _calc_nearby_mean(colors, surely_object, INSIDE_RADIUS)
+        outside = _calc_nearby_mean(colors, surely_table, OUTSIDE_RADIUS)
 
         # How far each color is on the way from c_t to c_o; the boundary is at level 0. Far from the
         # boundary before, nothing changes sides.
-        along = np.clip(_calc_along(colors, inside, outside), -HALF_STEP, HALF_STEP)
+        along = _calc_along(colors, inside, outside)
+        along = np.clip(along, -HALF_STEP, HALF_STEP)
         level = _blur(along + found.heights, BOUNDARY_SMOOTHING)
-        band = dilate(mask, 2 * BAND + 1) & ~_erode(mask, 2 * BAND + 1)
+        width = 2 * BAND + 1
+        band = dilate(mask, width) & ~_erode(mask, width)
         sides = np.where(mask, 1, -1)
         level = np.where(band, level, sides).astype(np.float32)
         mask = level > 0
@@ -399,8 +408,9 @@ def refine_boundary(
 
     # Where holes were filled or pieces dropped, the level does not say how much is object.
     mask = fill_holes(mask, found.score, table)
-    coverage = np.clip(level + 0.5, 0, 1)
-    return mask, np.where(mask == (level > 0), coverage, mask).astype(np.float32)
+    agrees = mask == (level > 0)
+    coverage = np.where(agrees, np.clip(level + 0.5, 0, 1), mask)
+    return mask, coverage.astype(np.float32)
 
 
 def _calc_color_distance(difference: Image, deviation: Array) -> Image:
@@ -416,7 +426,9 @@ def _calc_color_distance(difference: Image, deviation: Array) -> Image:
     L, a, b = np.moveaxis(difference, -1, 0)
     distance = (a / deviation[1]) ** 2 + (b / deviation[2]) ** 2
     # tau: shadows change lightness, hardly chroma.
-    tau = np.where(L < 0, np.maximum(SHADOW, deviation[0]), deviation[0])
+    light_deviation = deviation[0]
+    shadow_deviation = np.maximum(SHADOW, light_deviation)
+    tau = np.where(L < 0, shadow_deviation, light_deviation)
     distance += (L / tau) ** 2
     return np.asarray(distance, dtype=np.float32)
 
@@ -428,7 +440,8 @@ def keep_largest(mask: Mask) -> Mask:
     )
     if count < 2:
         return mask
-    return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    area = stats[1:, cv2.CC_STAT_AREA]
+    return labels == 1 + int(np.argmax(area))
 
 
 def fill_holes(mask: Mask, score: Image, table: Mask | None = None) -> Mask:
@@ -451,8 +464,8 @@ def fill_holes(mask: Mask, score: Image, table: Mask | None = None) -> Mask:
     filled = (area < MIN_HOLE) | (plain < HOLE_SHARE * area)
 
     # What reaches the picture's rim is no hole.
-    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    filled[np.unique(rim)] = False
+    for rim in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        filled[rim] = False
     if table is not None:
         filled[labels[table]] = False
     return mask | filled[labels]
@@ -479,11 +492,13 @@ def _calc_along(colors: Image, inside: Image, outside: Image) -> Image:
     """
     step = inside - outside
     square = (step**2).sum(axis=-1) + MIN_CONTRAST
-    along = ((colors - (inside + outside) / 2) * step).sum(axis=-1) / square
+    middle = (inside + outside) / 2
+    along = ((colors - middle) * step).sum(axis=-1) / square
 
     # What is too dark for a shadow is object in whatever direction its color lies: a side in the
     # dark has not the color of the top.
-    distance = np.sqrt(((colors - outside) ** 2).sum(axis=-1) / square) - HALF_STEP
+    squared_distance = ((colors - outside) ** 2).sum(axis=-1)
+    distance = np.sqrt(squared_distance / square) - HALF_STEP
     drop = (outside - colors)[..., 0] / LIGHT_WEIGHT
     no_shadow = np.clip((drop - TOO_DARK) / (DARK - TOO_DARK), 0, 1)
     return along + no_shadow * np.maximum(distance - along, 0)

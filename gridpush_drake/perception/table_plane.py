@@ -168,10 +168,15 @@ def make_basis(shape: tuple[int, ...], order: int) -> Array:
     # pixel.
     y = np.linspace(-1, 1, shape[0])
     x = np.linspace(-1, 1, shape[1])
-    powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+    powers = []
+    for i in range(order + 1):
+        for j in range(order + 1 - i):
+            powers.append((i, j))
     basis = np.empty((len(y), len(x), len(powers)))
     for at, (i, j) in enumerate(powers):
-        np.multiply(x[None, :] ** i, y[:, None] ** j, out=basis[..., at])
+        columns = x[None, :] ** i
+        rows = y[:, None] ** j
+        np.multiply(columns, rows, out=basis[..., at])
     return basis
 
 
@@ -196,7 +201,8 @@ def _find_plane(rays: Array, z: Array) -> tuple[Array, float]:
     systems = rays[triples]
     usable = np.abs(np.linalg.det(systems)) > np.finfo(float).eps
     inverse_depth = 1 / z[triples][usable]
-    planes = np.linalg.solve(systems[usable], inverse_depth[..., None])[..., 0]
+    solved = np.linalg.solve(systems[usable], inverse_depth[..., None])
+    planes = solved[..., 0]
 
     # The top of a large box has many pixels on it, too, and the table behind it.
     lengths = np.linalg.norm(planes, axis=1, keepdims=True)
@@ -220,7 +226,8 @@ def _refine(rays: Array, z: Array, plane: Array) -> Array:
     """
     limit = NEAR
     for _ in range(REFINEMENTS):
-        heights = (1 - z * (rays @ plane)) / np.linalg.norm(plane)
+        inverse_depth = rays @ plane
+        heights = (1 - z * inverse_depth) / np.linalg.norm(plane)
         near = np.abs(heights) < limit
 
         # Rows are weighted by z, so that what is least is 1 - z (n/d).r, which goes with height.
@@ -243,7 +250,8 @@ def _take_bias(heights: Array) -> tuple[Array, float]:
     basis = make_basis(heights.shape, BIAS_ORDER)
     some = heights[::STRIDE, ::STRIDE]
     measured = np.isfinite(some)
-    A = basis[::STRIDE, ::STRIDE][measured]
+    A = basis[::STRIDE, ::STRIDE]
+    A = A[measured]
     some = some[measured]
 
     # Objects are left out because they are further from the fit than the table's noise.
@@ -252,7 +260,8 @@ def _take_bias(heights: Array) -> tuple[Array, float]:
     deviation = 0.0
     for _ in range(REFINEMENTS):
         near = np.abs(off) < limit
-        bias = np.linalg.solve(A[near].T @ A[near], A[near].T @ some[near])
+        rows = A[near]
+        bias = np.linalg.solve(rows.T @ rows, rows.T @ some[near])
         off = some - A @ bias
         scatter = TO_DEVIATION * float(np.median(np.abs(off[near])))
         deviation = max(scatter, MIN_DEVIATION)

@@ -83,7 +83,8 @@ class DetectedTag:
         """
         if self.X_WT is None:
             raise CameraError(NOT_KNOWN)
-        return np.array([*self.X_WT[:2, 3], atan2(self.X_WT[1, 0], self.X_WT[0, 0])])
+        theta = atan2(self.X_WT[1, 0], self.X_WT[0, 0])
+        return np.array([*self.X_WT[:2, 3], theta])
 
 
 def detect_tags(
@@ -187,14 +188,23 @@ class TagBoard:
     def extent(self) -> tuple[float, float]:
         """Width and height of what is printed, m."""
         step = self.size + self.gap
-        return self.columns * step - self.gap, self.rows * step - self.gap
+        width = self.columns * step - self.gap
+        height = self.rows * step - self.gap
+        return width, height
 
     @property
     def corners(self) -> dict[int, Array]:
         """(4, 3) corners of each tag by number, W, m, clockwise from its upper left."""
         width, height = self.extent
         step = self.size + self.gap
-        unit_square = np.array([[0, 0, 0], [1, 0, 0], [1, -1, 0], [0, -1, 0]], dtype=np.float64)
+        unit_square = np.array(
+            [
+                [0.0, 0.0, 0.0],
+                [1.0, 0.0, 0.0],
+                [1.0, -1.0, 0.0],
+                [0.0, -1.0, 0.0],
+            ]
+        )
         square = self.size * unit_square
         found = {}
         for i in range(self.columns * self.rows):
@@ -333,11 +343,18 @@ def find_tag_corners(gray: NDArray[np.uint8]) -> dict[int, Array]:
     if ids is None:
         return {}
     numbers = [int(number) for number in np.ravel(ids)]
-    quads = [_refine(image, np.asarray(quad, dtype=np.float64).reshape(4, 2)) for quad in corners]
+    quads = []
+    for corner in corners:
+        quad = np.asarray(corner, dtype=np.float64).reshape(4, 2)
+        quads.append(_refine(image, quad))
 
     # The larger ones come last, and so stay in the dictionary.
+    def calc_extent(tag: tuple[int, Array]) -> float:
+        _, quad = tag
+        return float(np.ptp(quad, axis=0).max())
+
     tags = zip(numbers, quads, strict=True)
-    return dict(sorted(tags, key=lambda tag: float(np.ptp(tag[1], axis=0).max())))
+    return dict(sorted(tags, key=calc_extent))
 
 
 def _refine(image: NDArray[np.uint8], corners: Array) -> Array:
@@ -373,7 +390,8 @@ def _refine(image: NDArray[np.uint8], corners: Array) -> Array:
 
         # The line through them, as its normal and a point.
         edge = points[found] + offsets[found, None] * normal
-        slope, level = np.polyfit((edge - a) @ tangent, (edge - a) @ normal, 1)
+        arm = edge - a
+        slope, level = np.polyfit(arm @ tangent, arm @ normal, 1)
         direction = tangent + slope * normal
         line_normal = np.array([direction[1], -direction[0]])
         lines.append((line_normal, a + level * normal))
@@ -383,14 +401,22 @@ def _refine(image: NDArray[np.uint8], corners: Array) -> Array:
     before = np.roll(np.array(lines), 1, axis=0)
     meets = []
     for (one, p), (other, q) in zip(before, lines, strict=True):
-        meets.append(np.linalg.solve([one, other], [one @ p, other @ q]))
+        sides = [one, other]
+        meets.append(np.linalg.solve(sides, [one @ p, other @ q]))
     return np.array(meets)
 
 
 def _make_square(size: float) -> Array:
     """Makes the corners (4, 3) of a tag in its own frame, m, clockwise from the upper left."""
     half = size / 2
-    return np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
+    return np.array(
+        [
+            [-half, half, 0],
+            [half, half, 0],
+            [half, -half, 0],
+            [-half, -half, 0],
+        ]
+    )
 
 
 def _solve_pose(corners: Array, camera: Camera, size: float) -> Array:
@@ -412,9 +438,9 @@ def _lay_level(corners: Array, camera: Camera, size: float, height: float) -> Ar
     # turns its corners toward them.
     middle = p_W.mean(axis=0)
     arm = p_W - middle
-    across = (square[:, 0] * arm[:, 1] - square[:, 1] * arm[:, 0]).sum()
-    along = (square * arm).sum()
-    theta = atan2(across, along)
+    across = square[:, 0] * arm[:, 1] - square[:, 1] * arm[:, 0]
+    along = square * arm
+    theta = atan2(across.sum(), along.sum())
     c = np.cos(theta)
     s = np.sin(theta)
     X_WT = np.eye(4)

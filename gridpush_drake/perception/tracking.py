@@ -484,7 +484,8 @@ class PoseTracker:
 
         # The angle goes on from the last one, so that a full turn is no jump.
         pose = fit.pose.copy()
-        pose[2] = state.pose[2] + wrap_angle(pose[2] - state.pose[2])
+        before = state.pose[2]
+        pose[2] = before + wrap_angle(pose[2] - before)
         pose.setflags(write=False)
         state = replace(state, pose=pose)
 
@@ -556,16 +557,23 @@ class PoseTracker:
 
     def _find_window(self, pose: Array) -> tuple[slice, slice]:
         """Finds the rows and columns in which the object may be in the next frame."""
-        left, bottom, right, top = self._silhouette(pose).buffer(self.options.max_step).bounds
+        reach = self._silhouette(pose).buffer(self.options.max_step)
+        x_low, y_low, x_high, y_high = reach.bounds
         corners = np.array(
-            [[left, bottom, 0.0], [left, top, 0.0], [right, bottom, 0.0], [right, top, 0.0]]
+            [
+                [x_low, y_low],
+                [x_low, y_high],
+                [x_high, y_low],
+                [x_high, y_high],
+            ]
         )
-        pixels = self._ideal.project(corners)
+        pixels = self._project(corners)
         low = np.nanmin(pixels, axis=0) - WINDOW_MARGIN
         high = np.nanmax(pixels, axis=0) + WINDOW_MARGIN
         last = np.array([self.camera.width, self.camera.height]) - 1
-        x, y = np.clip(np.array([low, high]), 0, last).astype(int).T
-        return slice(y[0], y[1] + 1), slice(x[0], x[1] + 1)
+        left, top = np.clip(low, 0, last).astype(int)
+        right, bottom = np.clip(high, 0, last).astype(int)
+        return slice(top, bottom + 1), slice(left, right + 1)
 
     def _look(
         self, appearance: Appearance, picture: _Picture, window: tuple[slice, slice]
@@ -581,7 +589,8 @@ class PoseTracker:
             depth = picture.depth[window]
             z = np.where(depth > 0, depth, np.nan)
             offset = float(1 / np.linalg.norm(appearance.plane))
-            heights = offset * (1 - z * (self._rays[window] @ appearance.plane))
+            inverse_depth = self._rays[window] @ appearance.plane
+            heights = offset * (1 - z * inverse_depth)
             plane = TablePlane(
                 normal=-appearance.plane * offset,
                 offset=offset,
@@ -628,15 +637,17 @@ class PoseTracker:
             return []
 
         tried: list[tuple[float, Array]] = []
-        largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:MAX_PIECES]
-        for piece in largest:
+        area = stats[1:, cv2.CC_STAT_AREA]
+        largest = np.argsort(-area)[:MAX_PIECES]
+        for piece in 1 + largest:
             # A piece's middle is about where the object's is, at half of its height.
             middle = (middles[piece] + HALF) * COARSENESS - HALF + view.corner
             at = self._ideal.cast(middle, self.height / 2)
             for theta in np.arange(ANGLES_TRIED) * (2 * np.pi / ANGLES_TRIED):
                 pose = np.array([*at, theta])
                 # The silhouette's centroid, not the body's origin, belongs on the piece's middle.
-                pose[:2] += at - np.array(self._silhouette(pose).centroid.coords[0])
+                centroid = self._silhouette(pose).centroid
+                pose[:2] += at - np.array(centroid.coords[0])
                 overlap = self._calc_overlap(pose, labels == piece, view.corner)
                 tried.append((overlap, pose))
 
@@ -651,7 +662,8 @@ class PoseTracker:
         painted = np.zeros(small.shape, np.uint8)
         points = np.array(self._silhouette(pose).exterior.coords)
         pixels = self._project(points) - corner
-        coarse = np.round((pixels + HALF) / COARSENESS - HALF).astype(np.int32)
+        coarse = (pixels + HALF) / COARSENESS - HALF
+        coarse = np.round(coarse).astype(np.int32)
         cv2.fillPoly(painted, [coarse], 1)
         common = np.count_nonzero(painted & small)
         either = np.count_nonzero(painted) + np.count_nonzero(small) - common
@@ -802,7 +814,9 @@ class PoseTracker:
         J_x = (across * along_x).sum(axis=1)
         J_y = (across * along_y).sum(axis=1)
         arm = points - pose[:2]
-        J_theta = J_y * arm[:, 0] - J_x * arm[:, 1]
+        along_turn_x = -arm[:, 1]
+        along_turn_y = arm[:, 0]
+        J_theta = J_y * along_turn_y + J_x * along_turn_x
 
         # A side is seen where its normal points to the camera's foot. On the table it is as wide as
         # a line of sight over the top's edge goes on before it meets the table.
@@ -868,12 +882,14 @@ def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Ca
         # quadrilateral is taken.
         ends = np.flatnonzero(np.diff(hides, prepend=False, append=False))
         for i, j in ends.reshape(-1, 2):
-            strip = Polygon([*low[i : j + 1], *high[i : j + 1][::-1]])
+            there = low[i : j + 1]
+            back = high[i : j + 1][::-1]
+            strip = Polygon([*there, *back])
             if strip.is_valid:
                 pieces.append(strip)
                 continue
-            sides = np.stack([low[i:j], low[i + 1 : j + 1], high[i + 1 : j + 1], high[i:j]], axis=1)
-            pieces += list(shapely.polygons(sides))
+            sides = [low[i:j], low[i + 1 : j + 1], high[i + 1 : j + 1], high[i:j]]
+            pieces += list(shapely.polygons(np.stack(sides, axis=1)))
 
     # Slivers apart from the whole come of rounding alone.
     whole = shapely.union_all([piece for piece in pieces if piece.is_valid])
@@ -904,9 +920,11 @@ def sample_boundary(polygon: Polygon, spacing: float) -> tuple[Array, Array]:
         at = (np.arange(count) + HALF) * spacing
         at = at[at < ends[-1]]
 
-        side = np.clip(np.searchsorted(ends, at, side="right") - 1, 0, len(sides) - 1)
+        side = np.searchsorted(ends, at, side="right") - 1
+        side = np.clip(side, 0, len(sides) - 1)
         direction = sides[side] / lengths[side, None]
-        points.append(corners[side] + (at - ends[side])[:, None] * direction)
+        along = at - ends[side]
+        points.append(corners[side] + along[:, None] * direction)
         normals.append(np.column_stack([direction[:, 1], -direction[:, 0]]))
     return np.concatenate(points), np.concatenate(normals)
 
@@ -956,8 +974,9 @@ def measure_edges(
     # Without an edge, a point tells against the pose only if all of its samples could show one.
     last = np.array(coverage.shape[::-1]) - 1
     outside = ((places < 0) | (places > last)).any(axis=(1, 2))
+    unseen = hidden.any(axis=1) | outside
     state = np.full(len(nearest), MISSING)
-    state[hidden.any(axis=1) | outside] = COVERED
+    state[unseen] = COVERED
     state[found] = FOUND
     return np.where(found, nearest, np.nan), state
 
