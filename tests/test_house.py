@@ -92,7 +92,7 @@ gym                11.8         0     50     5.7      9    38
 identification     10.6         0     30     5.4     14    43
 multibody           9.1         0     11     1.4     10    51
 objects            10.8         0     16     0.3      4    36
-perception         12.7         0     41     2.3     25    30
+perception         11.1        60      0     0.0      0     0
 planning           10.4         0     25     4.4      3    44
 pushes             10.9         0     16     2.0      3    37
 report              9.7         0     30     1.3      6    35

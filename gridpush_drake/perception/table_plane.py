@@ -260,8 +260,7 @@ def _take_bias(heights: Array) -> tuple[Array, float]:
     deviation = 0.0
     for _ in range(REFINEMENTS):
         near = np.abs(off) < limit
-        rows = A[near]
-        bias = np.linalg.solve(rows.T @ rows, rows.T @ some[near])
+        bias = np.linalg.solve(A[near].T @ A[near], A[near].T @ some[near])
         off = some - A @ bias
         scatter = TO_DEVIATION * float(np.median(np.abs(off[near])))
         deviation = max(scatter, MIN_DEVIATION)
