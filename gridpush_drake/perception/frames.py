@@ -196,7 +196,7 @@ def _read_video(path: Path, camera: Camera) -> Iterator[Frame]:
             if not there:
                 break
             _check_size(path, camera, image)
-            color = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+            color = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
             yield Frame(color=color, depth=None, t=count / rate)
             count += 1
         if not count:
