@@ -27,7 +27,7 @@ MM = 1e3
 """Millimeters in a meter."""
 
 RANK_TOLERANCE = 1e-9
-"""Relative size below which a direction counts as none."""
+"""Relative length below which a direction that is left over counts as none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +46,10 @@ class Identifiability:
         learned_share: (n,) share of each cell's prior variance that the pushes took away, 0 to 1.
         mass_min: (n,) kg, the least mass each cell may have, given the friction bounds and the
             total mass.
-        mass_max: (n,) kg, the greatest.
+        mass_max: (n,) kg, the greatest mass each cell may have.
         center_of_mass_box: (2, 2) rows min and max of the centers of mass that agree with k, taken
             for exact, and the bounds, m.
-        statements: the same in sentences, for a report.
+        statements: all this in sentences, for a report.
     """
 
     relative_friction: Array
@@ -68,8 +68,9 @@ class Identifiability:
         """How much is known, in a line."""
         x, y = self.center_of_friction * MM
         return (
-            f"Identifiability: {self.learned_directions} of {len(self.relative_friction)} combinations of the cells' "
-            f"friction are known, center of friction at ({x:.1f}, {y:.1f}) mm"
+            f"Identifiability: {self.learned_directions} of {len(self.relative_friction)} "
+            "combinations of the cells' friction are known, "
+            f"center of friction at ({x:.1f}, {y:.1f}) mm"
         )
 
     def _repr_html_(self) -> str:
@@ -87,7 +88,7 @@ def calc_identifiability(
     Args:
         obj: the object, with its friction bounds in `obj.prior`.
         params: the estimate, whose total mass scales the mass bounds.
-        posterior: of the logarithms of the cells' friction.
+        posterior: what is known of the logarithms of the cells' friction.
         force: the scale that measured forces give; None where there are none.
 
     Returns:
@@ -95,36 +96,53 @@ def calc_identifiability(
     """
     share = posterior.calc_share()
     share_covariance = posterior.calc_share_covariance()
-    center = share @ obj.p_BC
-    prior, after = posterior.prior_covariance[CELLS, CELLS], posterior.covariance[CELLS, CELLS]
+
+    # What the pushes showed of the friction: which combinations, and of each cell by itself.
+    prior = posterior.prior_covariance[CELLS, CELLS]
+    after = posterior.covariance[CELLS, CELLS]
     null_space = _calc_null_space(prior, after)
-    learned_share = np.clip(1 - np.diag(after) / np.diag(prior), 0.0, 1.0)
-    mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj, force)
-    box = calc_center_of_mass_box(share, obj)
-    mean_friction = None if force is None else force.calc_mean_friction_bounds(obj)
-    wide, box = (
-        box,
-        box if mean_friction is None else _calc_box_of_known_scale(share, obj, *mean_friction),
-    )
     learned = obj.n - len(null_space)
-    covariance = obj.p_BC.T @ share_covariance @ obj.p_BC
-    statements = _describe(
-        obj, learned, learned_share, np.sqrt(np.maximum(np.diag(covariance), 0.0)), wide
-    )
+    learned_share = np.clip(1 - np.diag(after) / np.diag(prior), 0.0, 1.0)
+
+    # c = sum_i x_i p_i is linear in the shares.
+    center = share @ obj.p_BC
+    center_covariance = obj.p_BC.T @ share_covariance @ obj.p_BC
+    center_std = np.sqrt(np.maximum(np.diag(center_covariance), 0.0))
+
+    # Mass by itself is known only within what the friction bounds leave. Measured forces narrow
+    # that, if they agree with the mass that was told.
+    mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj, force)
+    wide = calc_center_of_mass_box(share, obj)
+    box = wide
+    mean_friction = None if force is None else force.calc_mean_friction_bounds(obj)
+    if mean_friction is not None:
+        box = _calc_box_of_known_scale(share, obj, *mean_friction)
+
+    statements = _describe(obj, learned, learned_share, center_std, wide)
     if force is not None:
+        # The first statement is that the common scale is not known: with forces it is.
         statements = (_describe_force(obj, force, wide, box), *statements[1:])
     return Identifiability(
-        share, np.sqrt(np.maximum(np.diag(share_covariance), 0.0)), center, covariance, learned, null_space,
-        learned_share, mass_min, mass_max, box, statements,
-    )  # fmt: skip
+        relative_friction=share,
+        relative_friction_std=np.sqrt(np.maximum(np.diag(share_covariance), 0.0)),
+        center_of_friction=center,
+        center_of_friction_covariance=center_covariance,
+        learned_directions=learned,
+        null_space=null_space,
+        learned_share=learned_share,
+        mass_min=mass_min,
+        mass_max=mass_max,
+        center_of_mass_box=box,
+        statements=statements,
+    )
 
 
 def calc_farthest_center(p: Array, mass_min: Array, mass_max: Array) -> Array:
-    """Farthest that the center of mass can be along an axis: max sum m_i p_i / sum m_i, mass_min <= m <= mass_max.
+    """Calculates how far the center of mass can be along an axis, each mass within its bounds.
 
-    A linear-fractional program: every cell on the far side of a cut is as heavy, and on the near
-    side as light, as can be; the cut runs through the optimum itself, so that trying every cell's
-    coordinate finds it.
+    That is the greatest sum m_i p_i / sum m_i, mass_min <= m <= mass_max: a linear-fractional
+    program. Every cell on the far side of a cut is as heavy, and on the near side as light, as can
+    be. The cut runs through the optimum itself, so that trying every cell's coordinate finds it.
 
     Args:
         p: (n,) the cells' coordinates along the axis, m.
@@ -135,7 +153,10 @@ def calc_farthest_center(p: Array, mass_min: Array, mass_max: Array) -> Array:
         (S,) m.
     """
     order = np.argsort(p)
-    p, light, heavy = p[order], mass_min[:, order], mass_max[:, order]
+    p = p[order]
+    light = mass_min[:, order]
+    heavy = mass_max[:, order]
+    # Column j is the cut before cell j: cells below it are light, the others heavy.
     mass = _sum_up(light) + _sum_down(heavy)
     moment = _sum_up(light * p) + _sum_down(heavy * p)
     return np.asarray((moment / mass).max(axis=1))
@@ -151,7 +172,9 @@ def calc_center_of_mass_box(share: Array, obj: GridObject) -> Array:
     Returns:
         (2, 2) rows least and greatest, columns x and y, m, body frame.
     """
-    light, heavy = share[None] / obj.prior.friction_max, share[None] / obj.prior.friction_min
+    light = share[None] / obj.prior.friction_max
+    heavy = share[None] / obj.prior.friction_min
+    # The least is the farthest on the mirrored axis.
     farthest = [
         [sign * calc_farthest_center(sign * p, light, heavy)[0] for p in obj.p_BC.T]
         for sign in (-1.0, 1.0)
@@ -160,36 +183,48 @@ def calc_center_of_mass_box(share: Array, obj: GridObject) -> Array:
 
 
 def _sum_up(values: Array) -> Array:
-    """(S, n+1) sums of the first 0..n values."""
+    """Sums (S, n+1) of the first 0, 1, .., n values of each row (S, n)."""
     return np.concatenate([np.zeros((len(values), 1)), np.cumsum(values, axis=1)], axis=1)
 
 
 def _sum_down(values: Array) -> Array:
-    """(S, n+1) sums of the last n..0 values."""
+    """Sums (S, n+1) of the last n, n-1, .., 0 values of each row (S, n)."""
     return _sum_up(values[:, ::-1])[:, ::-1]
 
 
 def _calc_box_of_known_scale(share: Array, obj: GridObject, lowest: float, highest: float) -> Array:
-    """The box where the mean coefficient t of an object of known mass M is between two values: linear programs.
+    """Calculates the box of centers of mass where the mean friction coefficient is known.
 
-    max a·p,    sum a_i = 1,    x_i t / mu_max <= a_i <= x_i t / mu_min,    a_i = m_i / M.
+    Each side is a linear program in a_i = m_i / M and the mean coefficient t (section 10):
+
+        max a·p,    sum a_i = 1,    x_i t / mu_max <= a_i <= x_i t / mu_min
+
+    Args:
+        share: (n,) x, summing to one.
+        obj: the object, with its friction bounds and its mass M.
+        lowest: the least t.
+        highest: the greatest t.
+
+    Returns:
+        (2, 2) rows least and greatest, columns x and y, m, body frame.
     """
-    n, identity = obj.n, np.eye(obj.n)
-    A = np.block([
-        [identity, -(share / obj.prior.friction_min)[:, None]],
-        [-identity, (share / obj.prior.friction_max)[:, None]],
-    ])  # fmt: skip
+    # The unknowns are (a, t). First a_i - x_i t / mu_min <= 0, then x_i t / mu_max - a_i <= 0.
+    n = obj.n
+    identity = np.eye(n)
+    heaviest = [identity, -(share / obj.prior.friction_min)[:, None]]
+    lightest = [-identity, (share / obj.prior.friction_max)[:, None]]
+    A = np.block([heaviest, lightest])
     bounds = [(0.0, 1.0)] * n + [(lowest, highest)]
     box = np.empty((2, 2))
     for axis, p in enumerate(obj.p_BC.T):
         for row, sign in enumerate((1.0, -1.0)):
             found = linprog(
                 np.append(sign * p, 0.0),
-                A,
-                np.zeros(2 * n),
-                [np.append(np.ones(n), 0.0)],
-                [1.0],
-                bounds,
+                A_ub=A,
+                b_ub=np.zeros(2 * n),
+                A_eq=[np.append(np.ones(n), 0.0)],
+                b_eq=[1.0],
+                bounds=bounds,
             )
             box[row, axis] = sign * found.fun
     return box
@@ -198,47 +233,78 @@ def _calc_box_of_known_scale(share: Array, obj: GridObject, lowest: float, highe
 def _calc_mass_bounds(
     share: Array, total_mass: float, obj: GridObject, force: ForceScale | None
 ) -> tuple[Array, Array]:
-    """Each cell's least and greatest mass: it rubs the most (least) it may and all others the least (most).
+    """Calculates each cell's least and greatest mass, kg.
 
-    With forces, its friction by itself bounds its mass; where the object's mass is not known, that
-    alone does.
+    A cell is lightest if its friction coefficient is the greatest it may be and that of all others
+    the least, and heaviest the other way round. With measured forces, its friction by itself bounds
+    its mass, too; where the object's mass is not known, that alone does.
     """
-    low, high = obj.prior.friction_min, obj.prior.friction_max
-    if force is not None and (
-        obj.prior.total_mass is None or force.calc_mean_friction_bounds(obj) is not None
-    ):
+    low = obj.prior.friction_min
+    high = obj.prior.friction_max
+    unknown = obj.prior.total_mass is None
+    # Forces that contradict the mass told are not used.
+    if force is not None and (unknown or force.calc_mean_friction_bounds(obj) is not None):
+        # Section 10: as for the whole object, with x_i K in place of K.
         lightest, heaviest = force.calc_mass_bounds(obj)
-        if obj.prior.total_mass is None:
+        if unknown:
             return share * lightest, share * heaviest
         least, most = _calc_mass_bounds(share, total_mass, obj, None)
         return np.maximum(least, share * lightest), np.minimum(most, share * heaviest)
+    # Section 2: m_i is proportional to x_i / mu_i, and all masses add up to the total.
     least = (share / high) / (share / high + (1 - share) / low)
     most = (share / low) / (share / low + (1 - share) / high)
     return total_mass * least, total_mass * most
 
 
 def _calc_null_space(prior: Array, after: Array) -> Array:
-    """Directions of log k whose prior variance the pushes did not reduce by LEARNED_SHARE, the common scale first."""
+    """Finds the directions of log k that the pushes left open.
+
+    Args:
+        prior: (n, n) covariance of log k before the pushes.
+        after: (n, n) covariance after them.
+
+    Returns:
+        An orthonormal basis (m, n) of the directions whose prior variance the pushes did not reduce
+        by LEARNED_SHARE, the common scale first.
+    """
     n = len(prior)
     ratio, directions, root, _ = compare_covariances(prior, after)
     unknown = (root @ directions[:, ratio > 1 - LEARNED_SHARE]).T
+
+    # QR keeps the first row, and makes the others orthogonal to it. What is nothing but the
+    # common scale is left with next to no length, and is dropped.
     scale = np.full((1, n), 1 / np.sqrt(n))
     basis, triangle = np.linalg.qr(np.concatenate([scale, unknown]).T)
     keep = np.abs(np.diag(triangle)) > RANK_TOLERANCE * np.abs(triangle).max()
-    return (basis[:, keep] * np.where(basis[:1, keep] < 0, -1.0, 1.0)).T
+
+    # The sign of a direction means nothing: the first cell's is positive.
+    signs = np.where(basis[:1, keep] < 0, -1.0, 1.0)
+    return (basis[:, keep] * signs).T
 
 
 def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array) -> str:
-    """What the forces added, in place of what poses alone do not show."""
+    """Says what the measured forces show that poses alone do not.
+
+    Args:
+        obj: the object.
+        force: the scale that the forces give.
+        wide: (2, 2) box of possible centers of mass without forces, m.
+        box: (2, 2) box of possible centers of mass with them, m.
+    """
     known = (
-        f"The forces of {force.pushes} pushes show the common scale of the friction, which poses do not: the table "
-        f"holds the whole object with {force.friction:.2f} N, give or take "
-        f"{force.friction * force.relative_std:.2f} N (one standard deviation). "
+        f"The forces of {force.pushes} pushes show the common scale of the friction, "
+        f"which poses do not: the table holds the whole object with {force.friction:.2f} N, "
+        f"give or take {force.friction * force.relative_std:.2f} N (one standard deviation). "
     )
     if force.against:
-        known += f"Left out are the forces of {force.against} pushes that point against the pusher's motion. "
+        known += (
+            f"Left out are the forces of {force.against} pushes "
+            "that point against the pusher's motion. "
+        )
     lightest, heaviest = force.calc_mass_bounds(obj)
-    low, high, mass = obj.prior.friction_min, obj.prior.friction_max, obj.prior.total_mass
+    low = obj.prior.friction_min
+    high = obj.prior.friction_max
+    mass = obj.prior.total_mass
     between = (
         f"with friction coefficients from {low:g} to {high:g} "
         f"the object weighs {lightest:.3g} to {heaviest:.3g} kg"
@@ -247,19 +313,20 @@ def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array)
         return f"{known}Hence {between}."
     mean = force.calc_mean_friction_bounds(obj)
     if mean is None:
-        return f"{known}That contradicts what was told: {between}, not {mass:g} kg; the forces are not used."
-    sizes = [
-        f"{x:.0f} mm by {y:.0f} mm"
-        for x, y in (np.diff(each, axis=0)[0] * MM for each in (wide, box))
-    ]
+        return (
+            f"{known}That contradicts what was told: {between}, not {mass:g} kg; "
+            "the forces are not used."
+        )
     return (
-        f"{known}As it weighs {mass:g} kg, the mean friction coefficient is between {mean[0]:.3f} and {mean[1]:.3f}, "
-        f"and the box of possible centers of mass is {sizes[1]}; without forces it would be {sizes[0]}."
+        f"{known}As it weighs {mass:g} kg, the mean friction coefficient is "
+        f"between {mean[0]:.3f} and {mean[1]:.3f}, "
+        f"and the box of possible centers of mass is {_describe_size(box)}; "
+        f"without forces it would be {_describe_size(wide)}."
     )
 
 
 def _describe_patterns(obj: GridObject, patterns: int, cells: int) -> str:
-    """How many independent combinations of the cells the pushes determined, and how many cells profit from it."""
+    """Says how many combinations of the cells the pushes determined, and how many cells profit."""
     if patterns < 1:
         return (
             f"The pushes determined nothing of how the friction is spread over the {obj.n} cells."
@@ -273,27 +340,44 @@ def _describe_patterns(obj: GridObject, patterns: int, cells: int) -> str:
     )
 
 
+def _describe_size(box: Array) -> str:
+    """Says how wide and how high a box (2, 2), m, is."""
+    x, y = np.diff(box, axis=0)[0] * MM
+    return f"{x:.0f} mm by {y:.0f} mm"
+
+
 def _describe(
     obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array
 ) -> tuple[str, ...]:
+    """Says in sentences what slow pushes observed by their poses show, and what they cannot.
+
+    Args:
+        obj: the object.
+        learned: number of combinations of the cells' log friction that the pushes determined.
+        learned_share: (n,) share of each cell's prior variance that they took away.
+        center_std: (2,) standard deviation of the center of friction, m.
+        box: (2, 2) box of possible centers of mass, m.
+    """
     total = (
         "that they add up to the known total mass"
         if obj.prior.total_mass
         else "a total mass that was not measured"
     )
     known_cells = int((learned_share >= LEARNED_SHARE).sum())
-    width, height = np.diff(box, axis=0)[0] * MM
-    low, high = obj.prior.friction_min, obj.prior.friction_max
+    low = obj.prior.friction_min
+    high = obj.prior.friction_max
     return (
-        "Not identifiable from these data: the common scale of the friction. Slow pushes observed by their poses look "
-        "the same when every cell rubs twice as hard.",
-        "Not identifiable from these data: mass and friction of a cell apart. Only their product, relative to the "
-        "other cells', acts on a slow push; the masses shown suppose that all cells have the same friction "
-        f"coefficient, and {total}.",
+        "Not identifiable from these data: the common scale of the friction. "
+        "Slow pushes observed by their poses look the same when every cell rubs twice as hard.",
+        "Not identifiable from these data: mass and friction of a cell apart. "
+        "Only their product, relative to the other cells', acts on a slow push; "
+        "the masses shown suppose that all cells have the same friction coefficient, "
+        f"and {total}.",
         _describe_patterns(obj, learned, known_cells),
-        f"The center of friction is known to {MM * center_std[0]:.1f} mm in x and {MM * center_std[1]:.1f} mm in y "
-        "(one standard deviation).",
-        f"Were the friction of each cell exactly as estimated, friction coefficients anywhere from {low:g} to {high:g} "
-        f"would still leave the center of mass anywhere in a box of {width:.0f} mm by {height:.0f} mm; with equal "
-        "coefficients it is at the center of friction.",
+        f"The center of friction is known to {MM * center_std[0]:.1f} mm in x "
+        f"and {MM * center_std[1]:.1f} mm in y (one standard deviation).",
+        "Were the friction of each cell exactly as estimated, friction coefficients anywhere "
+        f"from {low:g} to {high:g} would still leave the center of mass anywhere "
+        f"in a box of {_describe_size(box)}; "
+        "with equal coefficients it is at the center of friction.",
     )

@@ -1,4 +1,8 @@
-"""Predicting a log's pushes with a model, and how far off that is, push by push and over the whole log."""
+"""Predicting a log's pushes with a model, and how far off that is.
+
+Errors are told push by push and over the whole log; `predict_spread` says beforehand how large they
+may be (`docs/theory/identification.md`, sections 4 and 5). Nothing is learned here.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,18 +26,18 @@ from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 P90 = 0.9
-"""Share of the errors that are below the last figure of a summary."""
+"""Share of the pushes whose errors are below the last figure of a summary."""
 
 DOUBTFUL = 0.2
-"""Of how far the object moves, an error of the pushes learned from that is too large for their
-model."""
+"""Largest error of the pushes learned from, as a share of how far the object moves. A model with a
+larger error explains little."""
 
 CONTRADICTED = 4.0
-"""Standard deviations of the center of friction from a center of mass, beyond which the pushes
-contradict that."""
+"""Distance, in standard deviations, of the center of friction from the center of mass that was
+told, beyond which the pushes contradict that center of mass."""
 
 INTERVAL = 0.9
-"""Probability of a predicted interval."""
+"""Probability with which an error is within a predicted interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +45,11 @@ class Prediction:
     """One push, predicted.
 
     Attributes:
-        name: of the push.
+        name: name of the push.
         times: (T+1,) s from its beginning.
         poses: (T+1, 3) predicted q = (x, y, theta), m and rad, world frame.
         at_observations: (K, 3) predicted poses at the times the log observed one.
-        status: of the simulation.
+        status: how the simulation ended.
     """
 
     name: str
@@ -72,8 +76,8 @@ class PoseError:
     """How far a predicted pose is from an observed one.
 
     Attributes:
-        position: |dxy| of the body frame's origin, m.
-        angle: |dtheta|, rad.
+        position: distance |dxy| of the body frame's origins, m.
+        angle: |dtheta|, the short way round, rad.
         cell: mean distance of the cells' centers, m (the paper's ADD).
     """
 
@@ -82,7 +86,7 @@ class PoseError:
     cell: float
 
     def combined(self, radius: float) -> float:
-        """|dxy| + radius |dtheta|, m."""
+        """Position and angle in one number: |dxy| + radius |dtheta|, m."""
         return self.position + radius * self.angle
 
 
@@ -102,7 +106,8 @@ def predict(
         log: pushes, with or without later observations.
         regime: takes the place of the one in `physics`. "auto", the default, is the one that suits
             the log's fastest push, for all of them.
-        physics: of the simulations, such as `Identification.physics`; `Physics()` by default.
+        physics: physics of the simulations, such as `Identification.physics`; `Physics()` by
+            default.
 
     Returns:
         One prediction a push.
@@ -120,9 +125,10 @@ class Spread:
     """How far a push's predicted final pose may be off.
 
     Attributes:
-        name: of the push.
-        std: (3,) of the cells' centroid, x and y, m, world frame, and of theta, rad.
-        cell_error: below which the cell error is with probability INTERVAL, m.
+        name: name of the push.
+        std: (3,) standard deviations of the cells' centroid, x and y, m, world frame, and of theta,
+            rad.
+        cell_error: m; with probability INTERVAL the cell error is below it.
     """
 
     name: str
@@ -133,65 +139,86 @@ class Spread:
         """Name and how far off the end may be, in a line."""
         x, y, theta = self.std
         return (
-            f"Spread of {self.name!r}: ± {x * MM:.1f} mm, ± {y * MM:.1f} mm, ± {theta * DEGREES:.1f}°; cell error "
-            f"below {self.cell_error * MM:.1f} mm with probability {INTERVAL:g}"
+            f"Spread of {self.name!r}: "
+            f"± {x * MM:.1f} mm, ± {y * MM:.1f} mm, ± {theta * DEGREES:.1f}°; "
+            f"cell error below {self.cell_error * MM:.1f} mm with probability {INTERVAL:g}"
         )
 
 
 def predict_spread(
     model: Identification, log: PushLog, physics: Physics | None = None
 ) -> list[Spread]:
-    """Predicts how far the final poses of a log's pushes may be off: J S J^T + Sigma, S what is left open of z.
+    """Predicts how far the final poses of a log's pushes may be off.
 
-    The error is Student's t, with the freedom that the pushes learned from leave it, and
-    `interval_scale` as wide.
+    Their covariance is J S J^T + Sigma, S that of z after the pushes learned from. The error is
+    Student's t, with the freedom that these pushes leave it, and `interval_scale` times as wide.
 
     Args:
         model: what was learned, with its posterior, and the noise that its pushes showed.
         log: pushes, with or without later observations.
-        physics: of the simulations; the model's by default.
+        physics: physics of the simulations; the model's by default.
 
     Returns:
         One spread a push.
     """
-    obj, noise = model.obj, model.noise
+    obj = model.obj
+    noise = model.noise
+
+    # Residuals are in the axes of the observed pose. With a final pose whose angle is zero, they
+    # are in the world's; where it is does not matter to their derivatives.
     ends = [
         ObservedPush(
-            seen.name, seen.push, seen.pose, np.array([seen.push.duration]), np.zeros((1, 3))
+            name=seen.name,
+            push=seen.push,
+            pose=seen.pose,
+            t_observed=np.array([seen.push.duration]),
+            poses_observed=np.zeros((1, 3)),
         )
         for seen in log
-    ]  # in the axes of the pose given as the final one, here the world's
-    problem = PushProblem(
-        obj, PushLog(tuple(ends), table=log.table), model.params, physics or model.physics
-    )
+    ]
+    log_of_ends = PushLog(tuple(ends), table=log.table)
+    problem = PushProblem(obj, log_of_ends, model.params, physics or model.physics)
     linear = problem.linearize(model.posterior.mean)
-    scale2, freedom, found = model.interval_scale**2, noise.calc_freedom(len(model.push_names)), []
+
+    scale2 = model.interval_scale**2
+    freedom = noise.calc_freedom(len(model.push_names))
+    found = []
     for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):
-        covariance = J @ model.posterior.covariance @ J.T + noise.calc_covariance(
-            inputs, model.noise_scale
-        )
+        left_open = J @ model.posterior.covariance @ J.T
+        covariance = left_open + noise.calc_covariance(inputs, model.noise_scale)
         covariance *= scale2
+        # The third residual is rho dtheta.
         std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
-        found.append(Spread(seen.name, std, calc_norm_quantile(covariance, freedom)))
+        cell_error = calc_norm_quantile(covariance, freedom)
+        found.append(Spread(name=seen.name, std=std, cell_error=cell_error))
     return found
 
 
 def calc_norm_quantile(covariance: Array, freedom: float = NORMAL) -> float:
-    """Quantile INTERVAL of |r|, r Student's t, |r|² taken for a scaled F with the normal's first two moments."""
+    """Calculates the quantile INTERVAL of |r|, where r has Student's t distribution.
+
+    Args:
+        covariance: (p, p) of r at infinite freedom, m².
+        freedom: degrees of freedom; normal by default.
+
+    Returns:
+        The quantile, m.
+    """
+    # |r|² is taken for a scaled F, with as many numbers as give it the normal's first two moments.
     values = np.linalg.eigvalsh(covariance)
     numbers = values.sum() ** 2 / (values**2).sum()
     return float(np.sqrt(values.sum() * f.ppf(INTERVAL, numbers, freedom)))
 
 
 def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) -> PoseError:
-    """Compares two poses (3,), x, y in m and theta in rad; the angle is taken the short way round."""
+    """Compares two poses (3,), x, y in m and theta in rad, the angle the short way round."""
     difference = np.asarray(predicted, dtype=np.float64) - np.asarray(observed, dtype=np.float64)
     angle = abs(wrap_angle(difference[2]))
     cells = obj.cells_at(predicted) - obj.cells_at(observed)
     return PoseError(
-        float(np.hypot(difference[0], difference[1])),
-        float(angle),
-        float(np.linalg.norm(cells, axis=-1).mean()),
+        position=float(np.hypot(difference[0], difference[1])),
+        angle=float(angle),
+        cell=float(np.linalg.norm(cells, axis=-1).mean()),
     )
 
 
@@ -202,10 +229,15 @@ def _predict_push(
     physics: Physics,
     table: Array | None,
 ) -> Prediction:
+    """Predicts one push; the regime of the physics is not "auto"."""
     timed = TimedPush.of(push, physics.regime, table)
     motion = timed.simulate(obj, params, physics)
     return Prediction(
-        push.name, motion.times, motion.poses, motion.poses[timed.rows], motion.status
+        name=push.name,
+        times=motion.times,
+        poses=motion.poses,
+        at_observations=motion.poses[timed.rows],
+        status=motion.status,
     )
 
 
@@ -214,13 +246,13 @@ class ErrorSummary:
     """One kind of error over several pushes.
 
     Attributes:
-        name: which.
-        mean: in m or rad, as are the other two.
-        median: half the pushes are below.
-        p90: nine in ten are below.
-        pushes: how many.
-        unit: to show it in, "mm" or "°".
-        scale: of that unit: so many of it make a m or a rad.
+        name: kind of the error, such as "position".
+        mean: mean over the pushes, m or rad.
+        median: error that half the pushes are below, m or rad.
+        p90: error that nine in ten pushes are below, m or rad.
+        pushes: number of pushes.
+        unit: unit to show the error in, "mm" or "°".
+        scale: how many of that unit make a meter or a radian.
     """
 
     name: str
@@ -247,7 +279,7 @@ def calc_final_errors(
 def summarize_errors(
     obj: GridObject, predictions: Sequence[Prediction], log: PushLog
 ) -> list[ErrorSummary]:
-    """Sums up the errors of final poses: position, angle, cell, and combined: |dxy| + rho |dtheta|.
+    """Sums up the errors of final poses: position, angle, cell, and combined, |dxy| + rho |dtheta|.
 
     Args:
         obj: the object; rho is its radius of gyration.
@@ -267,21 +299,29 @@ def summarize_errors(
     }
     return [
         ErrorSummary(
-            name, float(np.mean(values)), float(np.median(values)), float(np.quantile(values, P90)), len(values),
-            unit, scale,
+            name=name,
+            mean=float(np.mean(values)),
+            median=float(np.median(values)),
+            p90=float(np.quantile(values, P90)),
+            pushes=len(values),
+            unit=unit,
+            scale=scale,
         )
         for name, (values, unit, scale) in kinds.items()
         if values
-    ]  # fmt: skip
+    ]
 
 
 def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, float]:
-    """Mean cell error, m, of the final poses of the pushes learned from: with uniform parameters, and as learned."""
+    """Calculates how far off the final poses of the pushes learned from are predicted.
+
+    Returns:
+        Mean cell errors, m: with uniform parameters, as before any push, and as learned.
+    """
     used = _select_used(result, log)
-    before, after = (
-        calc_mean_cell_error(result.obj, params, used, result.physics)
-        for params in (CellParameters.uniform(result.obj), result.params)
-    )
+    uniform = CellParameters.uniform(result.obj)
+    before = calc_mean_cell_error(result.obj, uniform, used, result.physics)
+    after = calc_mean_cell_error(result.obj, result.params, used, result.physics)
     return before, after
 
 
@@ -307,40 +347,52 @@ def explain_poor_fit(
         obj: the object.
         params: the model.
         used: the pushes that it was learned from, without what was refused of them.
-        physics: of the simulations; its regime is not "auto".
+        physics: physics of the simulations; its regime is not "auto".
     """
     if not len(used):
         return None
-    moved = [
-        np.linalg.norm(np.diff(obj.cells_at([seen.pose, seen.final_pose]), axis=0), axis=2).mean()
-        for seen in used
-    ]
+
+    # How far the pushes moved the object's cells on average: what a model without any skill, by
+    # which nothing moves, would be off by.
+    moved = []
+    for seen in used:
+        cells = obj.cells_at([seen.pose, seen.final_pose])
+        moved.append(np.linalg.norm(np.diff(cells, axis=0), axis=2).mean())
     mean = float(np.mean(moved))
+
+    # By how much the model is off, in the same measure.
     predictions = [_predict_push(obj, params, seen, physics, used.table) for seen in used]
     errors = calc_final_errors(obj, predictions, used)
     error = float(np.mean([each.cell for each in errors if each is not None]))
     if error <= DOUBTFUL * mean:
         return None
     return (
-        f"This model explains these pushes poorly: it is off by {error * MM:.1f} mm on average, while the object moves "
-        f"by {mean * MM:.1f} mm. Is object_theta in rad and counterclockwise, are all poses in one frame, and are all "
-        f"pushes of {obj.name} and its outline right?"
+        f"This model explains these pushes poorly: it is off by {error * MM:.1f} mm on average, "
+        f"while the object moves by {mean * MM:.1f} mm. "
+        "Is object_theta in rad and counterclockwise, are all poses in one frame, "
+        f"and are all pushes of {obj.name} and its outline right?"
     )
 
 
 def doubt_center(result: Identification) -> str | None:
-    """Says that the center of friction is too far from the center of mass told; None where that agrees."""
-    told, z = CenterOfMass.of_prior(result.obj.prior), result.posterior.mean
+    """Says that the center of friction is too far from the center of mass that was told.
+
+    Returns:
+        The sentences; None where both agree, or no center of mass was told.
+    """
+    told = CenterOfMass.of_prior(result.obj.prior)
+    z = result.posterior.mean
     if told is None:
         return None
+    # In standard deviations: frictions that scatter move the center of friction, too (section 4).
     off, _ = told.linearize(result.obj, z, told.make_whitening(result.obj, z)[0])
     if np.linalg.norm(off) < CONTRADICTED:
         return None
     x, y = told.at
     distance = float(np.linalg.norm(result.identifiability.center_of_friction - told.at))
     return (
-        f"The pushes put the center of friction {distance * MM:.1f} mm from the center of mass that was told, "
-        f"[{x:g}, {y:g}] m. Is center_of_mass.at right?"
+        f"The pushes put the center of friction {distance * MM:.1f} mm "
+        f"from the center of mass that was told, [{x:g}, {y:g}] m. Is center_of_mass.at right?"
     )
 
 
@@ -349,12 +401,12 @@ def calc_mean_cell_error(
 ) -> float:
     """Mean cell error of a log's final poses, m; NaN where it has no push."""
     errors = calc_final_errors(obj, predict(obj, params, log, physics=physics), log)
-    return (
-        float(np.mean([error.cell for error in errors if error is not None])) if len(log) else nan
-    )
+    if not len(log):
+        return nan
+    return float(np.mean([error.cell for error in errors if error is not None]))
 
 
 def _select_used(result: Identification, log: PushLog) -> PushLog:
-    """The pushes learned from, without what was refused of them."""
+    """Selects the pushes learned from, without what was refused of them."""
     used = remove_outliers(log, result.outliers)
     return used.subset([i for i, seen in enumerate(used) if seen.name in result.push_names])
