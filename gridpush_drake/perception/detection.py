@@ -461,8 +461,8 @@ def _choose_object(
     if not large:
         raise NoObjectError("no object is in view; expected one on the table", color)
 
-    # The plainest piece is the object. Others count only if they are no unevenness of the table,
-    # for nobody should have to clean a table of its own stains.
+    # The plainest piece is the object. Others count only if they stand out from the table: faint
+    # ones are the table's own unevenness.
     plainest = max(large, key=lambda i: score[labels == i].sum())
     large = [i for i in large if i == plainest or np.median(score[labels == i]) >= CERTAIN]
     chosen = np.isin(labels, large)

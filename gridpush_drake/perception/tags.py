@@ -36,7 +36,8 @@ SIDE_POINTS = 24
 """Points along a side of a tag at which its edge is looked for; a side needs half of them."""
 
 SIDE_ENDS = 0.12
-"""Share of a tag's side at each end that is left out, because a lens rounds corners."""
+"""Share of a tag's side at each end that is left out: near a corner the neighboring side's edge
+blurs into it."""
 
 EDGE_REACH = 0.6
 """How far across a tag's side its edge is looked for, bits of the tag; a whole bit further is the
