@@ -274,4 +274,7 @@ def test_one_hypothesis_is_enough(alone) -> None:
     log = make_pokes(obj, truth, 3, 5, noise=NOISE)
     found = identify(obj, log, ensemble=MapEnsemble(hypotheses=(alone,)))
     assert [one.name for one in found.hypotheses] == [alone.name]
-    assert found.status == "learned" and np.isfinite(found.posterior.covariance).all()
+    # On its corners alone the object explains its pushes poorly, and that is what is said.
+    poor = isinstance(alone, RigidBottom)
+    assert found.status == ("explains_little" if poor else "learned")
+    assert np.isfinite(found.posterior.covariance).all()
