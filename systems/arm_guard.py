@@ -82,6 +82,9 @@ finger's. After longer it may only not be farther away than `MAX_OBJECT_SPEED` a
 AT_REST = 1e-9
 """Velocity of a commanded joint, rad/s or m/s, below which rounding errors alone are left."""
 
+TRAVEL_ROUNDING = 1e-8
+"""m, of ways that are compared: the tip's bends are measured in straight pieces."""
+
 PUSHER_STATE_SIZE = 6
 
 ROUNDING = 1e-9
@@ -295,12 +298,16 @@ class Retreat(Unchanging):
     Attributes:
         way: where it goes; None until it has braked.
         gone: how long it has gone along the way, s.
+        traveled: how far the tip has been commanded to go back, m.
+        ended: whether it brakes for good, as it would go farther than it may otherwise.
         worst: greatest torque or force so far, as a share of what is allowed.
         relieved: whether torques and forces have been within their limits since.
     """
 
     way: WayBack | None = None
     gone: float = 0.0
+    traveled: float = 0.0
+    ended: bool = False
     worst: float = 0.0
     relieved: bool = False
 
@@ -762,7 +769,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         retreat = now.retreat
         if inputs.stop == BY_SILENCE:  # no command goes out any more: the robot's driver brakes
             now = replace(now, velocity=np.zeros_like(now.velocity))
-        if retreat is None:
+        if retreat is None or retreat.ended:
             now = self._brake(now)
         elif retreat.way is None:
             now = self._brake(now)
@@ -806,31 +813,44 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         )
 
     def _go_back(self, now: GuardState, retreat: Retreat, way: WayBack) -> GuardState:
-        """With the next command along the way back."""
+        """With the next command along the way back.
+
+        The commands may cut a bend of the way, or run a little wide of it. So that the tip goes no
+        farther than it may all the same, each command leaves room to brake after it.
+        """
         assert now.position is not None and now.velocity is not None
+        limits = self.limits
         gone = min(retreat.gone + self._period, way.duration)
-        target = way.calc_position(gone)
         position, velocity = follow(
             position=now.position,
             velocity=now.velocity,
             before=way.calc_position(retreat.gone),
-            target=target,
-            speed=RETREAT_SPEED_SHARE * self.limits.speed,
-            acceleration=self.limits.acceleration,
+            target=way.calc_position(gone),
+            speed=RETREAT_SPEED_SHARE * limits.speed,
+            acceleration=limits.acceleration,
             period=self._period,
         )
+        # how far the tip has gone by then, and would go until it has braked
+        braking_time = float(np.max(np.abs(velocity) / limits.acceleration))
+        tip = self._calc_tip(position)
+        step = float(np.linalg.norm(tip - self._calc_tip(now.position)))
+        rest = self._calc_tip(position + velocity * braking_time / 2)
+        traveled = retreat.traveled + step
+        if traveled + float(np.linalg.norm(rest - tip)) > limits.retreat + TRAVEL_ROUNDING:
+            return self._brake(replace(now, retreat=replace(retreat, ended=True)))
         if retreat.gone >= way.duration and np.abs(velocity).max() < AT_REST:
             velocity = np.zeros_like(velocity)
-        return replace(
-            now, position=position, velocity=velocity, retreat=replace(retreat, gone=gone)
-        )
+        retreat = replace(retreat, gone=gone, traveled=traveled)
+        return replace(now, position=position, velocity=velocity, retreat=retreat)
 
     def _judge_rest(self, now: GuardState, inputs: GuardInputs) -> GuardState:
         """With the mode in which a stopped arm is."""
         assert now.position is not None and now.velocity is not None
         retreat = now.retreat
-        going_back = retreat is not None and (
-            retreat.way is None or retreat.gone < retreat.way.duration
+        going_back = (
+            retreat is not None
+            and not retreat.ended
+            and (retreat.way is None or retreat.gone < retreat.way.duration)
         )
         if now.velocity.any() or going_back:
             return replace(now, at_rest_since=np.nan)
