@@ -84,7 +84,7 @@ room              nodes  comments  pairs  packed  vague  long
 (files)            11.1         0     20     0.3      8    43
 bench              10.2         0     36     6.2     12    41
 cli                 7.7         0     15     1.6      4    47
-display            10.4         0     26     0.3      5    51
+display            10.0         0     10     0.3      3    44
 dynamics           10.3        25      2     1.8      0     2
 dynamics/kernels   11.1        25      2     0.5      0     1
 geometry           14.5         0     40     0.3      5    51

@@ -65,20 +65,35 @@ GROUND = (0.925, 0.933, 0.945)
 ZOOM = 1.25
 """By which the recording's view is drawn nearer."""
 
-PAPER, TEXT, FRAME = (255, 255, 255), (35, 39, 46), (255, 255, 255)
-"""Colors below the scene, of letters, and about the close-up, RGB."""
+PAPER = (255, 255, 255)
+"""Color below the scene, RGB."""
+
+TEXT = (35, 39, 46)
+"""Color of letters, RGB."""
+
+FRAME = (255, 255, 255)
+"""Color of the line about the close-up, RGB."""
 
 EDGE = 14
 """Room at the left and the right of caption and legend, pixels."""
 
-CAPTION_HEIGHT, CAPTION_FONT = 34, 18
-"""Height of the caption and of its letters, pixels."""
+CAPTION_HEIGHT = 34
+"""Height of the caption, pixels."""
 
-LEGEND_FONT, LINE = 13, 18
-"""Height of the legend's letters, and from one line of it to the next, pixels."""
+CAPTION_FONT = 18
+"""Height of the caption's letters, pixels."""
 
-SCALE_WIDTH, BAR_HEIGHT = 250, 12
-"""Of the color scale, and of its bar, pixels."""
+LEGEND_FONT = 13
+"""Height of the legend's letters, pixels."""
+
+LINE = 18
+"""From one line of the legend to the next, pixels."""
+
+SCALE_WIDTH = 250
+"""Width of the color scale, pixels."""
+
+BAR_HEIGHT = 12
+"""Height of the color scale's bar, pixels."""
 
 SYMBOL = (16, 10)
 """Width and height of what stands before a line of the legend, pixels."""
@@ -185,7 +200,8 @@ def write_film(
     check_film(path, force)
     page = read_text(recording, "a recording", StationError, MAX_PAGE)
     duration, pictures = draw_frames(page, max(2, round(seconds * FRAMES_PER_SECOND)))
-    phases, legend = read_phases(page), draw_legend(read_legend(page), SIZE[0])
+    phases = read_phases(page)
+    legend = draw_legend(read_legend(page), SIZE[0])
     times = [duration * i / (len(pictures) - 1) for i in range(len(pictures) - 1)]
     times.append(math.inf)  # the last picture shows what was done last
     frames = [
@@ -264,12 +280,14 @@ def add_strip(picture: Image.Image, words: str, legend: Image.Image | None = Non
 
 def draw_legend(legend: dict[str, Any], width: int) -> Image.Image | None:
     """Draws a legend, `width` pixels wide, the color scale at the left; None where it says nothing."""
-    scale, marks = legend["scale"], legend["marks"]
+    scale = legend["scale"]
+    marks = legend["marks"]
     if scale is None and not marks:
         return None
     lines = max(len(marks), 3)  # the scale takes three
     picture = Image.new("RGB", (width, LINE * lines + EDGE // 2), PAPER)
-    drawing, font = ImageDraw.Draw(picture), ImageFont.load_default(LEGEND_FONT)
+    drawing = ImageDraw.Draw(picture)
+    font = ImageFont.load_default(LEGEND_FONT)
     left = EDGE
     if scale is not None:
         _draw_scale(drawing, font, scale)
@@ -283,7 +301,7 @@ def draw_legend(legend: dict[str, Any], width: int) -> Image.Image | None:
 
 
 def _draw_scale(drawing: ImageDraw.ImageDraw, font: Any, scale: dict[str, Any]) -> None:
-    """The title, the bar of colors, and the values below it."""
+    """Draws the title, the bar of colors, and the values below it."""
     drawing.text((EDGE, LINE // 2), scale["title"], TEXT, font, anchor="lm")
     colors = np.array([ImageColor.getrgb(color) for color in scale["colors"]])
     for x in range(SCALE_WIDTH):
@@ -298,7 +316,7 @@ def _draw_scale(drawing: ImageDraw.ImageDraw, font: Any, scale: dict[str, Any]) 
 def _draw_symbol(
     drawing: ImageDraw.ImageDraw, place: tuple[int, int], mark: dict[str, Any]
 ) -> None:
-    """A dot, a line or an area in a mark's color; `place` is the middle of its left side."""
+    """Draws a dot, a line or an area in a mark's color; `place` is the middle of its left side."""
     x, y = place
     width, height = SYMBOL
     color = ImageColor.getrgb(mark["color"])
@@ -314,10 +332,13 @@ def _draw_symbol(
 
 
 def _frame_inset(picture: Image.Image, inset: dict[str, float]) -> None:
-    """A line about the close-up, which the page has as a box of its own."""
-    left, top = round(inset["left"]), round(inset["height"] - inset["bottom"] - inset["high"])
-    right, bottom = left + round(inset["wide"]), top + round(inset["high"])
-    ImageDraw.Draw(picture).rectangle([left - 2, top - 2, right + 1, bottom + 1], None, FRAME, 2)
+    """Draws a line about the close-up, which the page has as a box of its own."""
+    left = round(inset["left"])
+    top = round(inset["height"] - inset["bottom"] - inset["high"])
+    right = left + round(inset["wide"])
+    bottom = top + round(inset["high"])
+    edges = [left - 2, top - 2, right + 1, bottom + 1]
+    ImageDraw.Draw(picture).rectangle(edges, outline=FRAME, width=2)
 
 
 def _pack(frames: Sequence[Image.Image], kind: str) -> bytes:

@@ -38,13 +38,17 @@ def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) 
 
     The 8 n vertices come by corner, then by cell (the first n are all cells' first corners).
     """
-    side, cell = share * obj.cell_size, np.arange(obj.n)
-    box = _drop_floor(
-        trimesh.creation.box(bounds=[[-side / 2, -side / 2, 0.0], [side / 2, side / 2, height]])
-    )
+    half = share * obj.cell_size / 2
+    low = [-half, -half, 0.0]
+    high = [half, half, height]
+    box = _drop_floor(trimesh.creation.box(bounds=[low, high]))
+    # The box, once about the middle of every cell.
     p_BC = np.column_stack([obj.p_BC, np.zeros(obj.n)])
-    vertices = (box.vertices[:, None] + p_BC).reshape(-1, 3)
-    faces = (box.faces[None] * obj.n + cell[:, None, None]).reshape(-1, 3)
+    vertices = box.vertices[:, None] + p_BC
+    cell = np.arange(obj.n)
+    faces = box.faces[None] * obj.n + cell[:, None, None]
+    vertices = vertices.reshape(-1, 3)
+    faces = faces.reshape(-1, 3)
     return Trimesh(vertices, faces, process=False)
 
 
@@ -57,8 +61,9 @@ def make_outline_prism(obj: GridObject, height: float) -> Trimesh:
 
 def make_outline_edge(obj: GridObject, height: float, width: float) -> Trimesh:
     """Makes a flat band about an object's outline, half inside and half outside; body frame, at z = `height`, m."""
-    band = obj.outline.buffer(width / 2).difference(obj.outline.buffer(-width / 2))
-    return _make_plate(band, height)
+    outside = obj.outline.buffer(width / 2)
+    inside = obj.outline.buffer(-width / 2)
+    return _make_plate(outside.difference(inside), height)
 
 
 def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> Trimesh:
@@ -69,7 +74,8 @@ def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> Trimes
 def make_ring(covariance: ArrayLike, center: ArrayLike, height: float, width: float) -> Trimesh:
     """Makes the edge of the ellipse of `make_disc`, as a flat band that reaches `width`, m, outwards."""
     outer = _make_ellipse(covariance, center, width)
-    return _make_plate(outer.difference(_make_ellipse(covariance, center)), height)
+    inner = _make_ellipse(covariance, center)
+    return _make_plate(outer.difference(inner), height)
 
 
 def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) -> Trimesh:
@@ -77,15 +83,23 @@ def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) ->
 
     The head is three times as wide and long, at most the whole arrow.
     """
-    tail, point = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    tail = np.asarray(start, dtype=np.float64)
+    point = np.asarray(end, dtype=np.float64)
     length = float(np.linalg.norm(point - tail))
     along = (point - tail) / length
     across = np.array([-along[1], along[0]])
-    neck, half = length - min(3 * width, length), width / 2
-    head = [(neck, -3 * half), (length, 0.0), (neck, 3 * half)]
-    shaft = [(0.0, -half), (neck, -half), *head, (neck, half), (0.0, half)]
-    outline = shaft if neck > 0.0 else head
-    return _make_plate(Polygon([tail + s * along + t * across for s, t in outline]), height)
+    half = width / 2
+    neck = length - min(3 * width, length)
+    # Corners as distances along the arrow and across it, counterclockwise.
+    outline = [
+        (neck, -3 * half),
+        (length, 0.0),
+        (neck, 3 * half),
+    ]
+    if neck > 0.0:
+        outline = [(0.0, -half), (neck, -half), *outline, (neck, half), (0.0, half)]
+    corners = [tail + s * along + t * across for s, t in outline]
+    return _make_plate(Polygon(corners), height)
 
 
 def _make_plate(area: Polygon | MultiPolygon, height: float) -> Trimesh:
