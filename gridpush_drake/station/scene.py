@@ -21,7 +21,6 @@ from pydrake.multibody.plant import MultibodyPlant
 from gridpush_drake.errors import ObjectError, ScenarioError
 from gridpush_drake.files import is_file
 from gridpush_drake.multibody.ground_truth import calc_support, sample_ground_truth
-from gridpush_drake.multibody.parser import check_directives
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -95,7 +94,8 @@ def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
 
     Args:
         parser: `MakeParser(plant)`.
-        scenario: its `directives`.
+        scenario: its `directives`, whose files `find_robot` has checked when the scenario was
+            resolved.
 
     Returns:
         What was added.
@@ -103,7 +103,6 @@ def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
     Raises:
         ScenarioError: a directive cannot be carried out.
     """
-    check_directives(scenario.directives, parser.package_map())
     directives = ModelDirectives(directives=scenario.directives)
     try:
         return ProcessModelDirectives(directives, parser)
