@@ -51,8 +51,9 @@ def print_notice(text: str) -> None:
 
 
 def print_json(document: dict[str, Any]) -> None:
-    """Prints one JSON document on standard output."""
-    print(to_json(document))
+    """Prints one JSON document on standard output; with escapes where that does not take all letters."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    print(to_json(document, ascii_only=not encoding.lower().startswith("utf")))
 
 
 def print_found(document: dict[str, Any], lines: Iterable[str], as_json: bool) -> None:
@@ -64,9 +65,9 @@ def print_found(document: dict[str, Any], lines: Iterable[str], as_json: bool) -
             print_line(line)
 
 
-def to_json(document: dict[str, Any]) -> str:
+def to_json(document: dict[str, Any], ascii_only: bool = False) -> str:
     """A document as JSON; numbers that are not finite become null, arrays lists, and whatever else its text."""
-    return json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False)
+    return json.dumps(_plain(document), indent=2, ensure_ascii=ascii_only, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:

@@ -15,7 +15,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import Timer, current_thread, main_thread
 from types import FrameType
-from typing import Any, TextIO
+from typing import Any
+
+from gridpush_drake.cli.output import discard_output
 
 SIGNALS = (
     signal.SIGINT,
@@ -139,69 +141,10 @@ def is_hangup(number: int) -> bool:
     return number == getattr(signal, "SIGHUP", None)
 
 
-def discard_output(number: int) -> None:
-    """Sends nowhere what is still written to a file descriptor."""
-    with suppress(OSError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, number)
-        os.close(nowhere)
-
-
 def say_interrupted() -> None:
     """Says on standard error what an interrupted user wants to know, where anybody can still read it."""
     with suppress(OSError):
         print("gridpush: interrupted; no file was left half-written", file=sys.stderr, flush=True)
-
-
-class LosableOutput:
-    """A stream that nobody may be able to read any more: a failed write is told once, and never raised.
-
-    Terminals that are lost refuse what is written to them (EIO), as pipes do that nobody reads
-    (EPIPE) and disks that are full. What moves an arm must go on all the same.
-    """
-
-    def __init__(self, stream: TextIO, tell: Callable[[OSError], None]) -> None:
-        """Writes to a stream, and calls `tell` with the error of the first write that fails."""
-        self._stream, self._tell, self._lost = stream, tell, False
-
-    def write(self, text: str) -> int:
-        """Writes text; returns its length, whether it could be written or not."""
-        if not self._lost:
-            try:
-                return self._stream.write(text)
-            except OSError as error:
-                self._lose(error)
-        return len(text)
-
-    def flush(self) -> None:
-        """Writes what was kept back."""
-        if not self._lost:
-            try:
-                self._stream.flush()
-            except OSError as error:
-                self._lose(error)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def _lose(self, error: OSError) -> None:
-        self._lost = True
-        with suppress(OSError, ValueError):
-            discard_output(self._stream.fileno())  # what is kept back would fail again at exit
-        self._tell(error)
-
-
-@contextmanager
-def losable_outputs(tell: Callable[[OSError], None]) -> Iterator[None]:
-    """Lets standard output and standard error be lost meanwhile; see `LosableOutput`."""
-    before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (LosableOutput(stream, tell) for stream in before)
-    try:
-        yield
-    finally:
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-        sys.stdout, sys.stderr = before
 
 
 def _is_terminal(number: int) -> bool:

@@ -19,6 +19,7 @@ from gridpush_drake.cli.interrupts import (
     watch_interrupts,
 )
 from gridpush_drake.cli.lazy_group import LazyCommand, LazyGroup
+from gridpush_drake.cli.output import safe_output
 from gridpush_drake.errors import GridPushError, ObjectWarning, PushLogWarning
 
 EXIT_BAD_INPUT = 2
@@ -168,6 +169,16 @@ def main(args: list[str] | None = None) -> None:
     Args:
         args: instead of the process's own; the process is then taken to go on after the command.
     """
+    with safe_output() as output:
+        code = _run_watched(args)
+        output.flush()
+        if output.problem:
+            code = code or _fail(f"standard output {output.problem}; what was to be said is lost")
+    sys.exit(code)
+
+
+def _run_watched(args: list[str] | None) -> int | None:
+    """Runs the command line, with signals handled; returns the exit code, None for 0."""
     graceful = not GRACEFUL.isdisjoint(sys.argv[1:2] if args is None else args[:1])
     with watch_interrupts(last=args is None, graceful=graceful) as interrupts:
         try:
@@ -180,7 +191,7 @@ def main(args: list[str] | None = None) -> None:
     if code in SIGNAL_CODES or ended:
         code = interrupts.code or code
         say_interrupted()
-    sys.exit(code)
+    return code
 
 
 def _run(args: list[str] | None) -> int | None:

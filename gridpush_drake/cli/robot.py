@@ -17,9 +17,9 @@ from gridpush_drake.cli.interrupts import (
     EXIT_INTERRUPTED,
     SIGNALED,
     is_hangup,
-    losable_outputs,
     set_handlers,
 )
+from gridpush_drake.cli.output import losable_outputs
 from gridpush_drake.cli.twin import (
     DEFAULT_URL,
     LcmUrl,

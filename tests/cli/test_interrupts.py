@@ -10,7 +10,8 @@ import time
 
 import pytest
 
-from gridpush_drake.cli.interrupts import LosableOutput, losable_outputs, set_handlers
+from gridpush_drake.cli.interrupts import set_handlers
+from gridpush_drake.cli.output import LosableOutput, losable_outputs, safe_output
 from gridpush_drake.cli.robot import _stopping
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="POSIX signals and terminals")
@@ -119,6 +120,19 @@ def test_print_and_progress_go_through_it(capsys, monkeypatch):
     assert sys.stderr is before
     assert [error.errno for error in errors] == [errno.EIO]
     assert capsys.readouterr().out == "on standard output\n"
+
+
+def test_a_command_that_loses_its_output_is_told_within_the_command_line_too(monkeypatch):
+    def refuse(text):
+        raise OSError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+    errors = []
+    monkeypatch.setattr(sys.stdout, "write", refuse)
+    with safe_output() as output, losable_outputs(errors.append):
+        print("unheard")
+        print("unheard")
+    assert [error.errno for error in errors] == [errno.EPIPE]
+    assert output.problem == "cannot be written: Broken pipe"
 
 
 class Link:

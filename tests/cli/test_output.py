@@ -1,0 +1,90 @@
+"""A command does its work wherever its words go, and says in one line where they cannot be written."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gridpush_drake.objects.grid_object import GridObject
+
+COMMAND = [sys.executable, "-m", "gridpush_drake.cli.main"]
+
+
+def run(arguments, **options):
+    """Runs a process of its own, as only that has standard files."""
+    return subprocess.run([*COMMAND, *map(str, arguments)], **options)
+
+
+@pytest.fixture
+def picture(tmp_path):
+    """A command that prints a line and writes a file: its arguments, and the file."""
+    GridObject.from_outline([[0, 0], [0.1, 0], [0, 0.1]], name="Hämmerchen").write_yaml(
+        tmp_path / "object.yaml"
+    )
+    return [
+        "show",
+        tmp_path / "object.yaml",
+        "--out",
+        tmp_path / "object.png",
+    ], tmp_path / "object.png"
+
+
+def expect_one_line(done, said):
+    assert done.returncode == 2
+    assert done.stderr == f"gridpush: error: standard output {said}; what was to be said is lost\n"
+
+
+def test_a_full_disk_loses_only_the_words(picture):
+    arguments, file = picture
+    with Path("/dev/full").open("w") as full:
+        done = run(arguments, stdout=full, stderr=subprocess.PIPE, text=True)
+    expect_one_line(done, "cannot be written: No space left on device")
+    assert file.exists()
+
+
+def test_a_closed_pipe_loses_only_the_words(picture):
+    arguments, file = picture
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = run(arguments, stdout=write, stderr=subprocess.PIPE, text=True)
+    finally:
+        os.close(write)
+    expect_one_line(done, "cannot be written: Broken pipe")
+    assert file.exists()
+
+
+def test_a_closed_standard_output_loses_only_the_words_and_no_file_takes_its_place(picture):
+    arguments, file = picture
+    words = " ".join(f"'{word}'" for word in [*COMMAND, *arguments])
+    done = subprocess.run(["sh", "-c", f"{words} >&-"], stderr=subprocess.PIPE, text=True)
+    expect_one_line(done, "is closed")
+    assert file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_full_or_closed_standard_error_ends_nothing(picture):
+    arguments, file = picture
+    words = " ".join(f"'{word}'" for word in [*COMMAND, *arguments])
+    with Path("/dev/full").open("w") as full:
+        assert run(["show", "no such object"], stderr=full).returncode == 2
+    done = subprocess.run(["sh", "-c", f"{words} 2>&-"], stdout=subprocess.PIPE, text=True)
+    assert done.returncode == 0
+    assert file.exists()
+
+
+@pytest.mark.parametrize("json_wanted", [False, True])
+def test_letters_that_the_encoding_lacks_are_escaped(picture, json_wanted):
+    arguments, file = picture
+    done = run(
+        [*arguments, *(["--json"] if json_wanted else [])], capture_output=True, text=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert file.exists()
+    if json_wanted:
+        assert json.loads(done.stdout)["object"] == "Hämmerchen"
+    else:
+        assert "H\\xe4mmerchen" in done.stdout
