@@ -174,7 +174,8 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             seed: of everything random.
             warm_start: whether learning begins where it ended the last time (default method only).
                 The answer is the same to a fraction of its standard deviation; without, it is the
-                offline one bit for bit.
+                offline one bit for bit, on the same machine (another processor may take other BLAS
+                kernels).
             physics: friction law, spin, gravity and tolerances of the simulations; `Physics()` by
                 default.
             pusher_radius: of the tip, m; by default the prior's, or DEFAULT_PUSHER_RADIUS. Where

@@ -101,7 +101,9 @@ def make_identifier(
         pusher_radius=obj.prior.pusher_radius,
         max_learning_pushes=learning.max_pushes,
         table=make_surface(table_top).corners if isinstance(table_top, Polygon) else None,
-        warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
+        # A warm start gains little. Without it `gridpush identify` finds the same from the log, bit
+        # for bit on the same machine (another processor may take other BLAS kernels).
+        warm_start=False,
         record=RecordOptions(pose_delay=calc_pose_age(scenario.camera)),
         answer_delay=scenario.simulation.answer_delay,
     )
