@@ -1,10 +1,16 @@
 """`--budget SECONDS`: tests that would begin later are skipped, and say so; CI runs slow ones while there is time."""
 
+import signal
 from time import monotonic
 
 import pytest
 
 BEGIN = monotonic()
+
+
+def pytest_configure():
+    """A suite that is run under nohup inherits an ignored SIGHUP; the tests of signals need it."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_addoption(parser):
