@@ -14,6 +14,11 @@ INSTALLED = {"cv2": "opencv-python-headless", "pydrake": "drake", "yaml": "pyyam
 """Names under which packages are imported that are installed under another."""
 
 
+pytestmark = pytest.mark.skipif(
+    not DOCS.is_dir(), reason="a wheel's tests have no docs beside them"
+)
+
+
 @pytest.fixture
 def site(monkeypatch):
     for package in ("sphinx", "latex2mathml"):
