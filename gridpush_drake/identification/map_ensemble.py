@@ -464,14 +464,14 @@ def _propose(hypothesis: LoadHypothesis, setting: Setting) -> list[tuple[str, Lo
 
 
 def _find_fields(candidates: Sequence[Candidate]) -> list[int]:
-    """Indices of the smooth fields, by increasing amplitude; of all candidates if there are none."""
-    fields = [i for i, one in enumerate(candidates) if isinstance(one.hypothesis, SmoothField)]
-    return fields or list(range(len(candidates)))
+    """Indices of the smooth fields, by increasing amplitude."""
+    return [i for i, one in enumerate(candidates) if isinstance(one.hypothesis, SmoothField)]
 
 
 def _find_best(candidates: Sequence[Candidate]) -> int:
-    """Index of the most probable of the smooth fields."""
-    return max(_find_fields(candidates), key=lambda i: candidates[i].log_evidence)
+    """Index of the most probable of the smooth fields; of all candidates if there are none."""
+    fields = _find_fields(candidates) or range(len(candidates))
+    return max(fields, key=lambda i: candidates[i].log_evidence)
 
 
 def _calc_distance_to_middle(one: SmoothField) -> float:
@@ -487,7 +487,7 @@ def _begin_with_tilts(
     That is where it leaves much unexplained, or a push ends far off, or its neighbors are much
     worse.
     """
-    fields = [i for i, one in enumerate(candidates) if isinstance(one.hypothesis, SmoothField)]
+    fields = _find_fields(candidates)
     if not fields:
         return
     best = _find_best(candidates)
@@ -512,7 +512,7 @@ def _begin_with_tilts(
 
 def _follow_best(candidates: list[Candidate], fit_one: Callable[..., MapFit]) -> None:
     """Fits the other smooth fields anew from where their neighbor ended, where that is better."""
-    fields = [i for i, one in enumerate(candidates) if isinstance(one.hypothesis, SmoothField)]
+    fields = _find_fields(candidates)
     if not fields:
         return
     place = fields.index(_find_best(candidates))
