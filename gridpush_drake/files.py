@@ -3,7 +3,8 @@
 import os
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -19,6 +20,9 @@ MAX_TEXT_SIZE = 64 * MEGABYTE
 
 TEMPORARY_PREFIX = ".gridpush-"
 """Of a file that is being written; short, so that any name the file system takes can be written."""
+
+MAX_BESIDE = 1000
+"""How many folders beside a missing one are tried."""
 
 MAX_SHOWN, SHOWN_END = 200, 40
 """Characters of a path that a message shows whole; of each end of a longer one."""
@@ -201,6 +205,47 @@ def make_folder(path: Path | str) -> None:
         raise OutputError(
             f"{shorten_path(path)}: cannot be made a folder: {_describe(error)}"
         ) from error
+
+
+@contextmanager
+def output_folder(path: Path | str) -> Iterator[None]:
+    """Makes a folder for output, and takes it away again, with those above it that it made, where nothing came of it.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+    path = Path(path)
+    made = [folder for folder in (path, *path.parents) if not exists(folder)]
+    make_folder(path)
+    try:
+        yield
+    except BaseException:
+        for folder in made:
+            with suppress(OSError):  # as something is in it
+                folder.rmdir()
+        raise
+
+
+def make_folder_beside(path: Path | str) -> Path:
+    """Makes a new folder for what cannot be written where it should be: beside that, else among temporary files.
+
+    Raises:
+        OutputError: neither can be made.
+    """
+    path = Path(path)
+    for number in range(1, MAX_BESIDE + 1):
+        beside = path.with_name(f"{path.name}-{number}")
+        try:
+            beside.mkdir()
+        except FileExistsError:
+            continue
+        except OSError:
+            break
+        return beside
+    try:
+        return Path(tempfile.mkdtemp(prefix=f"{path.name}-"))
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written, nor anything else: {error}") from error
 
 
 def shorten_path(path: Path | str) -> str:

@@ -3,7 +3,7 @@
 What a worker was doing that ended, or was killed, is done again by another. An interrupted run goes
 on from the file in which the results of finished jobs are kept. It is JSON lines: first the
 settings, then a line for each finished job. Each line is written at once and whole; a last line
-that was cut off is dropped when the file is read.
+that was cut off is dropped when the file is read, and a file whose first line was is begun anew.
 """
 
 import hashlib
@@ -36,6 +36,12 @@ FOLDER = Path("gridpush_bench")
 
 SOURCES, NO_SOURCES = (".py", ".yaml", ".sdf", ".urdf"), "cli"
 """Endings of the package's files that results depend on, and its folder that none does."""
+
+HEAD = b'{"bench": "'
+"""First bytes of every file of results."""
+
+MAX_HEAD = 2**20
+"""Most bytes that a file's first line is read for; the settings take far less."""
 
 DIGITS = 12
 """Of a hash, enough to tell two files from each other."""
@@ -128,9 +134,18 @@ def open_results(
         path = FOLDER / f"{bench}-{hash_content(_to_line(head))}.jsonl"
     else:
         path = check_writable(path, force=True)
-    if path.exists() and not force:
+    if path.exists() and not force and not _is_cut(path):
         return Results(path, _read(path, head), None)
     return Results(path, {}, head)
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether a file of results ends before its first line does: the disk was full, or the machine went off."""
+    with path.open("rb") as file:
+        line = file.readline(MAX_HEAD)
+    return (
+        not line.endswith(b"\n") and len(line) < MAX_HEAD and line[: len(HEAD)] == HEAD[: len(line)]
+    )
 
 
 def _read(path: Path, head: dict[str, Any]) -> dict[str, Any]:

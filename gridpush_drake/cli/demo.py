@@ -9,8 +9,8 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_progress, print_json, print_line, print_notice
 from gridpush_drake.cli.interrupts import EXIT_INTERRUPTED
 from gridpush_drake.display.live_page import LivePage
-from gridpush_drake.errors import StationError
-from gridpush_drake.files import make_folder
+from gridpush_drake.errors import OutputError, StationError
+from gridpush_drake.files import make_folder_beside, output_folder
 from gridpush_drake.station.camera import check_renderer
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
@@ -115,29 +115,41 @@ def demo(
     if camera is None and scenario_file is None:
         scenario.camera.use(_choose_camera())
     resolved = resolve(scenario, scenario_file, told=told)
-    make_folder(out)
-    options.check_outputs(force, *(out / name for name in chosen.files))
-    page = LivePage(port)
-    options.compile_kernels()
-    print_notice(f"Watch it at {page.url}")
-    if open_browser:
-        typer.launch(page.url)
-    with count_progress("the robot", chosen.count_steps(scenario)) as report_step:
-        record = chosen.run(resolved, page, realtime_rate, report_step)
-    print_notice(f"Writing to {out} ...")
-    written = write_files(chosen, out, scenario, record, page.meshcat, force)
+    with output_folder(out):
+        options.check_outputs(force, *(out / name for name in chosen.files))
+        page = LivePage(port)
+        options.compile_kernels()
+        print_notice(f"Watch it at {page.url}")
+        if open_browser:
+            typer.launch(page.url)
+        with count_progress("the robot", chosen.count_steps(scenario)) as report_step:
+            record = chosen.run(resolved, page, realtime_rate, report_step)
+        folder = _find_place(out, chosen, force)
+        print_notice(f"Writing to {folder} ...")
+        written = write_files(chosen, folder, scenario, record, page.meshcat, force)
     summary = chosen.summarize(record)
     if json:
         print_json({**summary, "written": [str(path) for path in written]})
     else:
         print_summary(chosen, summary, written)
-    report = out / chosen.files[0]
+    report = folder / chosen.files[0]
     if open_browser and report in written:
         typer.launch(str(report.resolve()))
     if summary["status"] == "interrupted":
         raise typer.Exit(EXIT_INTERRUPTED)
     if not summary.get("done", True):
         raise typer.Exit(EXIT_NOT_DONE)
+
+
+def _find_place(out: Path, task: TaskKind, force: bool) -> Path:
+    """The folder for what a run came to: `out`, or a new one beside it where that was taken meanwhile."""
+    try:
+        options.check_outputs(force, *(out / name for name in task.files))
+    except OutputError as error:
+        beside = make_folder_beside(out)
+        print_notice(f"{error}. What was done is kept in {beside} instead.")
+        return beside
+    return out
 
 
 def print_summary(task: TaskKind, summary: dict[str, Any], written: list[Path]) -> None:

@@ -166,6 +166,27 @@ def test_other_settings_are_refused_or_begun_anew(tmp_path, monkeypatch):
         open_results(path, "doubling", {"seed": 1})
 
 
+@pytest.mark.parametrize("kept", [0, 1, 8, 30, -1])
+def test_a_file_whose_first_line_was_cut_off_is_begun_anew(tmp_path, kept):
+    path, jobs = tmp_path / "kept.jsonl", make_jobs(tmp_path, [3])
+    run_jobs(double, jobs, describe, Execution(0, None, open_results(path, "doubling", {})))
+    whole = path.read_bytes()
+    path.write_bytes(whole.splitlines()[0][:kept])
+    results = open_results(path, "doubling", {})
+    assert not results.lines
+    run_jobs(double, jobs, describe, Execution(0, None, results))
+    assert path.read_bytes() == whole
+
+
+@pytest.mark.parametrize("content", ["{", "a note", '{"object": "bench"}'])
+def test_another_file_of_one_line_is_kept(tmp_path, content):
+    path = tmp_path / "kept.jsonl"
+    path.write_text(content + " ")
+    with pytest.raises(GridPushError, match=r"kept\.jsonl: is no file of results"):
+        open_results(path, "doubling", {})
+    assert path.read_text() == content + " "
+
+
 @pytest.mark.parametrize("content", ["{}\n", "no JSON\n", "\n", '{"bench": "doubling"}\n[]\n'])
 def test_another_file_is_refused(tmp_path, content):
     path = tmp_path / "kept.jsonl"

@@ -238,6 +238,56 @@ def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, r
     outcome = gridpush("demo", "--task", task, "--out", tmp_path / "demo", *more)
     assert taken == [kind]
     assert ("libegl1" in outcome.err) == (not renders)
+    assert not (tmp_path / "demo").exists()
+
+
+@pytest.mark.parametrize("folder", ["demo", "deep/er/demo", "there/demo"])
+def test_one_that_fails_leaves_no_empty_folder(gridpush, tmp_path, monkeypatch, folder):
+    def fail(*_):
+        raise GridPushError("no further")
+
+    (tmp_path / "there" / "demo").mkdir(parents=True)
+    monkeypatch.setattr(TaskKind, "run", fail)
+    assert gridpush("demo", "--camera", "ideal", "--out", tmp_path / folder).code == 2
+    assert [path.relative_to(tmp_path).as_posix() for path in sorted(tmp_path.rglob("*"))] == [
+        "there",
+        "there/demo",
+    ]
+
+
+@pytest.mark.parametrize("taken", ["removed", "replaced", "occupied", "file"])
+def test_one_whose_place_is_taken_meanwhile_keeps_what_it_made_beside_it(
+    gridpush, tmp_path, monkeypatch, taken
+):
+    out = tmp_path / "demo"
+    (tmp_path / "demo-1").mkdir()
+
+    def take(*_):
+        if taken in ("removed", "replaced"):
+            out.rmdir()
+        if taken == "replaced":
+            out.write_text("a file")
+        if taken == "occupied":
+            (out / "report.html").mkdir()
+        if taken == "file":
+            (out / "model.yaml").write_text("another's")
+
+    def write(task, folder, *_):
+        (folder / "report.html").write_text("what was done")
+        return [folder / "report.html"]
+
+    monkeypatch.setattr(TaskKind, "run", take)
+    monkeypatch.setattr(demo, "write_files", write)
+    monkeypatch.setattr(TASKS[TaskName.pregrasp], "summarize", lambda record: {"status": "held"})
+    outcome = gridpush("demo", "--camera", "ideal", "--out", out, "--json")
+    assert outcome.code == 0
+    kept = tmp_path / "demo-2"
+    assert f"What was done is kept in {kept} instead." in outcome.err
+    assert str(out) in outcome.err
+    assert (kept / "report.html").read_text() == "what was done"
+    assert json.loads(outcome.out)["written"] == [str(kept / "report.html")]
+    if taken == "file":
+        assert (out / "model.yaml").read_text() == "another's"
 
 
 def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
