@@ -604,9 +604,14 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             if inputs.stop == BY_USER:
                 return [Fault(StopKind.USER, STOPPED_BY_USER)]
             return [Fault(StopKind.DONE, WORK_DONE)]
-        if inputs.stop == BY_SILENCE or age > allowed - ROUNDING:
-            text = f"the robot has sent no status for {1e3 * max(age, allowed):.0f} ms"
-            return [Fault(StopKind.SILENCE, f"{text}; {1e3 * allowed:.0f} ms are allowed")]
+        text = "the robot has sent no status for"
+        if inputs.stop == BY_SILENCE:
+            # the Context's time has stood still meanwhile, and cannot tell for how long
+            reason = f"{text} longer than the {1e3 * allowed:.0f} ms that are allowed"
+            return [Fault(StopKind.SILENCE, reason)]
+        if age > allowed - ROUNDING:
+            reason = f"{text} {1e3 * max(age, allowed):.0f} ms; {1e3 * allowed:.0f} ms are allowed"
+            return [Fault(StopKind.SILENCE, reason)]
         return []
 
     def _find_not_finite(self, inputs: GuardInputs, with_desired: bool) -> list[Fault]:
@@ -862,8 +867,9 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         silent = time - seen.came > self.limits.status_age - ROUNDING or inputs.stop == BY_SILENCE
         there = False
         if seen.credible and seen.position is not None:
-            off = np.abs(seen.position - place).max()
-            there = bool(off <= self.limits.following_error)
+            # what is on the port now counts, too, even if its time shows that it is no new status
+            off = np.abs(np.array([seen.position, inputs.measured]) - place)
+            there = bool((off <= self.limits.following_error).all())
         slow = time - seen.slow_since >= HOLD_TIME - ROUNDING
         mode = now.status.mode
         if slow and there and not silent:

@@ -97,8 +97,9 @@ class Watch:
 
         self.lcm = DrakeLcm(URL)
         self.statuses: list[tuple[float, list[float], list[float]]] = []
-        self.commands: list[tuple[float, list[float]]] = []
+        self.commands: list[list[float]] = []
         self.poses: list[list[float]] = []
+        self.commands_since_status = 0
 
         def take_status(data: bytes) -> None:
             message = lcmt_iiwa_status.decode(data)
@@ -108,9 +109,11 @@ class Watch:
                 message.joint_velocity_estimated,
             )
             self.statuses.append(row)
+            self.commands_since_status = 0
 
         def take_command(data: bytes) -> None:
-            self.commands.append((time.monotonic(), lcmt_iiwa_command.decode(data).joint_position))
+            self.commands_since_status += 1
+            self.commands.append(lcmt_iiwa_command.decode(data).joint_position)
 
         self.lcm.Subscribe("IIWA_STATUS", take_status)
         self.lcm.Subscribe("IIWA_COMMAND", take_command)
@@ -264,13 +267,11 @@ def lose_twin(folder: Path) -> dict:
     robot = start_robot(folder, "robot")
     watch.until_pushing()
     twin.kill()
-    killed = time.monotonic()
     twin.communicate()
     watch.until(lambda: robot.poll() is not None, "the end")
     told["robot"] = end(robot, "robot", folder)
-    q = np.array([position for _, position in watch.commands])
-    told["commands_for"] = RATE * (watch.commands[-1][0] - killed)
-    told["largest_step"] = float(np.abs(np.diff(q, axis=0)).max())
+    told["commands_after_last_status"] = watch.commands_since_status
+    told["largest_step"] = float(np.abs(np.diff(watch.commands, axis=0)).max())
 
     again = start("twin", folder)
     seen = len(watch.statuses)

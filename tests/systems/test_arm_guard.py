@@ -551,7 +551,9 @@ def test_told_of_a_silence_it_stays_at_what_it_commanded_last_and_calls_that_no_
     last = bench.positions[-1]
     status = bench.step(fresh=False, follows=False, stop=[BY_SILENCE])
     assert status.mode == GuardMode.UNCONFIRMED
-    assert "the robot has sent no status for 50 ms" in status.reason
+    assert status.reason == (
+        "the robot has sent no status for longer than the 50 ms that are allowed"
+    )
     np.testing.assert_array_equal(bench.positions[-1], last)
 
 
@@ -761,6 +763,13 @@ class Story:
     episodes=[
         make_episode("clock ahead", begin=69, size=1.0),
         make_episode("blocked", begin=89),
+    ],
+)
+@example(  # joints somewhere else, in a status without a time, at an arm that has not moved yet
+    motion={"amplitude": (0.0, 0.0), "frequency": 1.0, "noise": 0.0},
+    episodes=[
+        make_episode("wrong joints", begin=5, size=1.0),
+        make_episode("nan", begin=5, port="time_measured"),
     ],
 )
 def test_whatever_goes_wrong_the_commands_keep_what_is_promised(motion, episodes):

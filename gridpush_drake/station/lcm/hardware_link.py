@@ -451,20 +451,35 @@ class HardwareLink:
         self._base += late
         return now + ARM_PERIOD
 
-    def _give_up(self, context: Context) -> None:
-        """Stops the arm over a robot that is not heard of: its driver has brought it to rest, and nothing moves it."""
+    def _give_up(self, context: Context, jumped: bool = False) -> None:
+        """Stops the arm over a robot that is not heard of, or whose clock has jumped.
+
+        Its driver has brought it to rest, and from now on no command moves it.
+        """
         assert self._station is not None
         self._station.RequestStop(context, BY_SILENCE)
-        unusable = self._arm.describe_unusable()
-        if not self._silent and unusable:
-            self._note_cause(f"Since the last usable status {unusable}")
+        if self._silent:
+            return
         self._silent = True
+        if not jumped:
+            # the guard cannot tell this: its time goes on only with the robot's
+            told = (
+                f"No usable status of the robot came for {self._waited:.2f} s; no command went out "
+                "meanwhile, and none will: the robot's driver brings the arm to rest"
+            )
+            if self._stop:  # the work was over anyway
+                self.note(told)
+            else:
+                self._note_cause(told)
+        unusable = self._arm.describe_unusable()
+        if unusable:
+            self._note_cause(f"Since the last usable status {unusable}")
 
     def _note_clock_jump(self, context: Context) -> None:
         """Stops the arm over a robot whose clock has jumped: no command went out while that was found out."""
         if not self._silent:
             self._note_cause(f"The robot's clock jumped by {self._arm.jump:.3f} s")
-        self._give_up(context)
+        self._give_up(context, jumped=True)
 
     def _note_cause(self, cause: str) -> None:
         self.report.causes.append(cause)
