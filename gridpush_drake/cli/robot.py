@@ -78,9 +78,10 @@ def robot(
 
     Exit code 1 where the task was not done, 128 + its number after a signal: 130 after Ctrl-C.
     """
-    chosen, scenario = TASKS[task], read_robot_scenario(scenario_file, object_file, seed)
+    chosen = TASKS[task]
+    scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
     scenario.simulation.answer_delay = None  # a real arm waits for nobody
-    resolved = resolve(scenario, scenario_file)
+    resolved = resolve(scenario, scenario_file, told=obj)
     if scenario.camera.kind == "rgbd" and object_file is None:
         raise ScenarioError(
             "--object: missing; with camera.kind rgbd, expected the file that gridpush tracker wrote"

@@ -43,8 +43,8 @@ def tracker(
     force: options.Force = False,
 ) -> None:
     """Find an object in a camera's LCM pictures and tell `gridpush robot` where it is; Ctrl-C ends it."""
-    scenario = read_robot_scenario(scenario_file, object_file, None)
-    resolved = resolve(scenario, scenario_file)
+    scenario, obj = read_robot_scenario(scenario_file, object_file, None)
+    resolved = resolve(scenario, scenario_file, told=obj)
     if object_file is None:
         check_writable(out, force)
     given = None if object_file is None else resolved.obj

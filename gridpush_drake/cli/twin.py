@@ -8,6 +8,7 @@ import typer
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.cli.console import print_notice
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.station.lcm.hardware_link import open_lcm
 from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.lcm.twin_camera import PictureProcess
@@ -15,6 +16,7 @@ from gridpush_drake.station.lcm.twin_link import TwinLink
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scene import use_object
 from gridpush_drake.systems.arm_guard import GuardMode
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
@@ -71,8 +73,8 @@ def twin(
     realtime_rate: RealtimeRate = 1.0,
 ) -> None:
     """Simulate a robot that speaks its driver's LCM messages, for `gridpush robot` to move; Ctrl-C ends it."""
-    scenario = read_robot_scenario(scenario_file, object_file, seed)
-    resolved = resolve(scenario, scenario_file)
+    scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
+    resolved = resolve(scenario, scenario_file, told=obj)
     link = TwinLink(open_lcm(lcm), resolved.robot)
     diagram = MakeTwin(resolved, link.bus, listens=False)
     simulator = Simulator(diagram)
@@ -123,11 +125,23 @@ def twin(
 
 def read_robot_scenario(
     scenario_file: Path | None, object_file: str | None, seed: int | None
-) -> PushScenario:
-    """The scenario that twin and robot agree on, with what the command line says instead."""
+) -> tuple[PushScenario, GridObject | None]:
+    """Reads the scenario that twin, tracker and robot agree on.
+
+    Args:
+        scenario_file: the scenario's file or name; None for `DEFAULT_SCENARIO`.
+        object_file: the object's file or name, instead of the scenario's object. If the file says
+            how high the object is, the object in the scene is that high.
+        seed: instead of the scenario's; None to keep that.
+
+    Returns:
+        The scenario, and the object for `resolve` if `object_file` names one, else None.
+
+    Raises:
+        ScenarioError: the scenario's or the object's file cannot be read, or holds what will not do.
+    """
     scenario = read_scenario(scenario_file or DEFAULT_SCENARIO)
-    if object_file is not None:
-        scenario.object = object_file
+    obj = None if object_file is None else use_object(scenario, object_file)
     if seed is not None:
         scenario.seed = seed
-    return scenario
+    return scenario, obj

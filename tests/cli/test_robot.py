@@ -1,5 +1,10 @@
 import pytest
+from pydrake.lcm import DrakeLcm
 
+from gridpush_drake.cli.twin import read_robot_scenario
+from gridpush_drake.station.lcm.twin import MakeTwin
+from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.scenario import PushScenario
 from tests.helpers.renderer import require_renderer
 from tests.helpers.two_processes import SEEN_SCENARIO, find_obstacle, run_in_namespace
 
@@ -31,6 +36,23 @@ def test_by_pictures_the_robot_must_be_told_which_object_the_tracker_follows(ref
         tmp_path / "seen.yaml",
         says=["--object: missing", "gridpush tracker"],
     )
+
+
+@pytest.mark.parametrize(
+    ("line", "height"),
+    [("height: 0.042\n", 0.042), ("", PushScenario().object_height)],
+    ids=["its file's height", "the scenario's height"],
+)
+def test_the_object_in_the_scene_has_the_height_that_its_file_gives(tmp_path, line, height):
+    path = tmp_path / "block.yaml"
+    sides = "outline: [[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]]\n"
+    path.write_text(f"name: block\n{line}{sides}")
+    scenario, obj = read_robot_scenario(None, str(path), 5)
+    resolved = resolve(scenario, told=obj)
+    assert scenario.seed == 5
+    assert resolved.obj.name == "block"
+    twin = MakeTwin(resolved, DrakeLcm(""))
+    assert twin.world.object_in_plant.height == height
 
 
 def check_stop(story):
