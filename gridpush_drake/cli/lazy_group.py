@@ -20,7 +20,7 @@ class LazyCommand(NamedTuple):
 
     Attributes:
         target: "MODULE:NAME" of a function, or of a `typer.Typer` that has commands of its own.
-        help: the first paragraph of the command's own help.
+        help: the first paragraph of the command's own help; a test compares the two.
     """
 
     target: str
@@ -46,7 +46,7 @@ class LazyGroup(TyperGroup):
         """Lists the commands of the table; none of them is imported.
 
         Args:
-            settings: those of `TyperGroup`.
+            settings: the arguments of `TyperGroup`, which Typer passes.
         """
         super().__init__(**settings)
         self._settings = settings

@@ -42,7 +42,7 @@ def test_replaces_no_file_that_it_reads(refuses, model, block, pushes, tmp_path,
             "--out",
             out,
             "--force",
-            says=[out, "is read, too; expected another file"],
+            says=[out, "is also read by this command; expected another file"],
         )
     assert (pushes.read_bytes(), source.read_bytes()) == before
 
@@ -62,7 +62,10 @@ def test_says_which_radius_it_takes(gridpush, block, pushes, tmp_path):
         gridpush("predict", path, pushes, "--out", tmp_path / f"{path.stem}.csv").err
         for path in (block, tmp_path / "plain.yaml")
     ]
-    assert said == ["", "block: no pusher.radius in its file; 0.005 m is taken for the pusher's\n"]
+    assert said == [
+        "",
+        "block: its file has no pusher.radius; the pusher's radius is assumed to be 0.005 m\n",
+    ]
 
 
 def test_prints_one_json_document(gridpush, model, pushes, tmp_path):
