@@ -282,7 +282,7 @@ def test_one_whose_place_is_taken_meanwhile_keeps_what_it_made_beside_it(
     outcome = gridpush("demo", "--camera", "ideal", "--out", out, "--json")
     assert outcome.code == 0
     kept = tmp_path / "demo-2"
-    assert f"What was done is kept in {kept} instead." in outcome.err
+    assert f"The files of this run are kept in {kept} instead." in outcome.err
     assert str(out) in outcome.err
     assert (kept / "report.html").read_text() == "what was done"
     assert json.loads(outcome.out)["written"] == [str(kept / "report.html")]

@@ -50,7 +50,7 @@ def test_replaces_no_file_that_it_reads(refuses, model, block, pushes, tmp_path,
 def test_predicts_with_an_objects_prior_and_says_so(gridpush, block, pushes, tmp_path):
     outcome = gridpush("predict", block, pushes, "--out", tmp_path / "predicted.csv")
     assert outcome.code == 0
-    assert "an object, not a model: predicted with its prior" in outcome.out
+    assert "an object, not a model: its mass and friction are assumed to be spread" in outcome.out
 
 
 def test_says_which_radius_it_takes(gridpush, block, pushes, tmp_path):
