@@ -176,7 +176,7 @@ def main(args: list[str] | None = None) -> None:
         # Output that is still kept back may be refused only now, and the exit code has to tell
         output.flush()
         if output.problem:
-            lost = f"standard output {output.problem}; what the command printed there is lost"
+            lost = f"standard output {output.problem}; what was printed there is lost"
             code = code or _fail(lost)
     sys.exit(code)
 
