@@ -301,9 +301,9 @@ class _TipFinder:
             return np.array([np.interp(frame.t, self.times, self.places[:, i]) for i in range(3)])
         tags = detect_tags(frame.color, self.camera, self.size, self.height)
         self.seen |= tags.keys()
-        if self.tag not in tags:
+        X_WT = tags[self.tag].X_WT if self.tag in tags else None
+        if X_WT is None:
             return np.full(3, np.nan)
-        X_WT = tags[self.tag].X_WT
         return X_WT[:3, :3] @ self.offset + X_WT[:3, 3]
 
     def check(self, video: Path, rows: list[Any]) -> None:
