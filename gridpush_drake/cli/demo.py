@@ -16,7 +16,8 @@ from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene import use_object
-from gridpush_drake.station.tasks import TASKS, TaskKind, TaskName, write_files
+from gridpush_drake.station.task_kind import TaskKind, write_files
+from gridpush_drake.station.tasks import TASKS, TaskName
 
 EXIT_NOT_DONE = 1
 """Exit code if the command worked as it should, but the robot did not reach its goal."""

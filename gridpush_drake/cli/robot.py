@@ -39,7 +39,8 @@ from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import StationTask
-from gridpush_drake.station.tasks import TASKS, TaskKind, TaskName, write_files
+from gridpush_drake.station.task_kind import TaskKind, write_files
+from gridpush_drake.station.tasks import TASKS, TaskName
 from gridpush_drake.systems.messages import PushCommand
 
 LOG = "robot.log"

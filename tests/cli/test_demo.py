@@ -20,7 +20,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station import scenario_file
 from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.tasks import TASKS, TaskKind, TaskName
+from gridpush_drake.station.task_kind import TaskKind
+from gridpush_drake.station.tasks import TASKS, TaskName
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
 from tests.helpers.renderer import require_renderer
 
