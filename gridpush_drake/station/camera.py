@@ -42,7 +42,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import DetectedObject
 from gridpush_drake.perception.tracking import PoseTracker, TrackerOptions
-from gridpush_drake.station.scenario import CameraConfig, PushScenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_camera import CameraConfig
 from gridpush_drake.systems.object_detector import Detection, ObjectDetector, ObjectNaming
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor

@@ -25,7 +25,8 @@ from gridpush_drake.station.camera import calc_pose_age, make_camera
 from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import CameraConfig, PushScenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_camera import CameraConfig
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, read_scenario
 from gridpush_drake.station.task import TaskStatus
 from tests.helpers.renderer import require_renderer
