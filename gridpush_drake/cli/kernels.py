@@ -1,8 +1,4 @@
-"""Loads the compiled kernels before a command needs them, or compiles them.
-
-Kernels are the functions in which pushes are simulated. Where they have to be compiled and there is
-a second core, a second process compiles half of them.
-"""
+"""Compiled kernels, loaded or made before a command needs them; on two processes where there is much to compile."""
 
 import os
 import subprocess
@@ -22,28 +18,28 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 
 APART = "from gridpush_drake.cli.kernels import compile_apart; compile_apart()"
-"""Python code that the second process runs."""
+"""What the second process does."""
 
 PATIENCE = 60.0
-"""Time that the second process is waited for once this one is done, s. Then it is ended: whatever
-it has not compiled is compiled when it is first needed."""
+"""s that the second process is waited for once the first is done; then it is ended, as it is not
+needed."""
 
 
 def compile_all() -> None:
-    """Loads the kernels that commands need, and compiles those that are not in the cache."""
+    """Loads the kernels that commands need; compiles those that are not in the cache, on two processes."""
     with _working_apart(needed=not is_compiled()):
         compile_rollouts()
     compile_margins()
 
 
 def compile_apart() -> None:
-    """Compiles the second process's part: what a rollout needs last, and what it does not need."""
+    """The second process's part: what the rollout needs last, and what is no part of it."""
     compile_columns()
     compile_margins()
 
 
 def compile_margins() -> None:
-    """Loads or compiles the kernels of planning a grasp, by calculating one stability margin."""
+    """Calculates one stability margin: loads the kernels of planning a grasp, or compiles them."""
     obj = make_square()
     masses = PlausibleMassSet.of_masses(obj, CellParameters.uniform(obj))
     calc_stability_margin(masses, [0.0, 0.0, 0.0], SupportSurface.round([0.0, 0.0], 1.0))
@@ -51,13 +47,9 @@ def compile_margins() -> None:
 
 @contextmanager
 def _working_apart(needed: bool) -> Iterator[None]:
-    """Lets a second process compile its part meanwhile, if there is a second core for it.
+    """Lets a second process compile its part meanwhile, where there is a second core for it.
 
-    If anything goes wrong in that process, only time is lost: this process compiles whatever it
-    does not find in the cache.
-
-    Args:
-        needed: whether there is anything to compile.
+    What goes wrong there costs time only: this process compiles whatever it does not find.
     """
     if not needed or len(os.sched_getaffinity(0)) < 2 or not sys.executable:
         yield

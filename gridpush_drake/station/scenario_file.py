@@ -1,7 +1,7 @@
 """The file of a scenario: found by its path or by its name, read, checked and written.
 
 What a scenario holds, and what each of its fields may be, is in `station.scenario`. Whether a
-scenario makes sense as a whole is decided in `station.resolve`.
+scenario makes sense as a whole is `station.resolve`'s to say.
 """
 
 from difflib import get_close_matches
@@ -24,21 +24,21 @@ ROBOT = "robot"
 directives of the scene that comes with this robot."""
 
 WHAT = "a scenario (object, base, directives, ...)"
-"""What a scenario file should hold, in a message's words."""
+"""What a message says that a scenario file should hold."""
 
 LINE_LENGTH = 120
 """Greatest length of a line in a written scenario, in characters."""
 
 
 def list_shipped_scenarios() -> list[str]:
-    """Lists the names of the scenarios that come with the package, sorted."""
+    """Names of the scenarios that come with the package, sorted."""
     return sorted(path.stem for path in _find_shipped().glob("*.yaml"))
 
 
 def find_scenario(scenario: Path | str) -> Path:
-    """Finds the file of a scenario by its path, or by the name of one that comes with the package.
+    """Finds the file of a scenario by its path, or by the name under which one comes with the package.
 
-    If there are both, the path is taken.
+    A file that is there goes before a shipped scenario of the same name.
 
     Raises:
         ScenarioError: a word that is neither a file nor the name of a shipped scenario; the message
@@ -60,7 +60,6 @@ def find_scenario(scenario: Path | str) -> Path:
 
 
 def _find_shipped() -> Path:
-    """Finds the folder of the scenarios that come with the package."""
     return find_models() / "scenarios"
 
 
@@ -69,20 +68,20 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
 
     Args:
         path: the YAML file, or the name of a scenario that comes with the package, see
-            `list_shipped_scenarios`. Instead of `directives` the file may have `robot`: the name of
-            a robot that comes with the package, or the folder of a robot.yaml. The scene is then
-            the one that the robot.yaml names; if the robot can grasp, one to grasp in.
-        child_name: key under which the scenario stands at the top level of the file; None if the
-            whole file is one scenario.
+            `list_shipped_scenarios`. Instead of `directives` the file may have `robot`, the name of
+            one that comes with the package or the folder of a robot.yaml, for the scene that it
+            names, to grasp in where it can.
+        child_name: key of the document's root under which the scenario stands; the root itself
+            where None.
 
     Returns:
-        The scenario. Fields that the file leaves out have the defaults of `PushScenario`. Paths of
-        object files, which are relative to the scenario's file, have become absolute.
+        The scenario. What the file does not say is as `PushScenario` has it; an object file it
+        names is looked up beside it and named in full.
 
     Raises:
         ScenarioError: there is no such file or shipped scenario; the file cannot be read, is of
-            another schema, has an unknown key, or holds a value that will not do. The message names
-            the file, the field and the expected form.
+            another schema, has an unknown key or a value that will not do; the message names the
+            file, the field and the expected form.
     """
     path = find_scenario(path)
     return parse_scenario(
@@ -91,25 +90,11 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
 
 
 def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> PushScenario:
-    """Makes a scenario of the text of its file.
-
-    Args:
-        path: the file that the text is from, for messages and to find object files. It need not
-            exist.
-        text: text of the file, YAML.
-        child_name: see `read_scenario`.
-
-    Returns:
-        The scenario, see `read_scenario`.
-
-    Raises:
-        ScenarioError: the text is no scenario, see `read_scenario`.
-    """
+    """Makes a scenario of the text of a file, which need not be there; otherwise as `read_scenario`."""
     data = _parse(path, text)
     where = str(path)
     if child_name is not None:
-        where = f"{path}, {child_name}"
-        data = _pick_child(path, data, child_name)
+        where, data = f"{path}, {child_name}", _pick_child(path, data, child_name)
     try:
         if not isinstance(data, dict):
             raise ScenarioError(f"the scenario is {shorten(data)}; expected `key: value` lines")
@@ -119,9 +104,8 @@ def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> P
         scenario = PushScenario(**data)
     except ScenarioError as error:
         raise ScenarioError(f"{where}: {error}") from error
-    # Names of object files become absolute. What has no suffix and is no file is a shipped object.
-    having_object: list[PushScenario | OtherConfig] = [scenario, *scenario.others]
-    for each in having_object:
+    named: list[PushScenario | OtherConfig] = [scenario, *scenario.others]
+    for each in named:
         beside = path.parent / each.object
         if beside.suffix or is_file(beside):
             each.object = str(beside.resolve())
@@ -132,8 +116,8 @@ def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False
     """Writes a scenario with every field, so that `read_scenario` gives it back.
 
     Args:
-        path: the YAML file.
-        scenario: the scenario.
+        path: the YAML file to be written.
+        scenario: to be written.
         force: whether an existing file may be replaced.
 
     Raises:
@@ -144,11 +128,7 @@ def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False
 
 
 def format_scenario(scenario: PushScenario) -> str:
-    """Formats a scenario with every field as YAML.
-
-    Raises:
-        ScenarioError: a field holds what will not do.
-    """
+    """A scenario with every field, as YAML. Raises ScenarioError where a field holds what will not do."""
     scenario.check()
     fields = scenario.model_dump(exclude={"directives"})
     text = yaml.dump(
@@ -164,11 +144,10 @@ def format_scenario(scenario: PushScenario) -> str:
 
 
 class _TaggedDumper(yaml.SafeDumper):
-    """A safe dumper that writes a mapping's _tag as its YAML tag, which Drake's reader expects."""
+    """Safe, and writes what stands under _tag in a mapping as its tag, as Drake's reader expects it."""
 
 
 def _represent_mapping(dumper: yaml.SafeDumper, data: dict[str, Any]) -> yaml.Node:
-    """Represents a mapping with the tag that stands in it under _tag, if there is one."""
     tag = data.get("_tag", yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG)
     return dumper.represent_mapping(
         tag, {key: value for key, value in data.items() if key != "_tag"}
@@ -180,7 +159,6 @@ add_core_forms(_TaggedDumper)
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:
-    """Parses the text of a scenario file; keys that begin with _, for anchors, are left out."""
     data = _mark_tags(parse_yaml(path, text, WHAT, ScenarioError, tagged=True))
     if data is None:
         raise ScenarioError(f"{path}: is empty; expected {WHAT}")
@@ -195,7 +173,7 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
 
 
 def _mark_tags(data: Any) -> Any:
-    """Puts the tag of each mapping where Drake has it: under _tag, with an exclamation mark."""
+    """Puts a mapping's tag where Drake has it: under _tag, with its exclamation mark."""
     if isinstance(data, list):
         return [_mark_tags(each) for each in data]
     if not isinstance(data, dict):
@@ -205,7 +183,7 @@ def _mark_tags(data: Any) -> Any:
 
 
 def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
-    """Replaces the robot that the data names by the directives of its scene."""
+    """The scene of the robot that the data names, in its place."""
     robot = data[ROBOT]
     if not isinstance(robot, str) or not robot.strip():
         raise ScenarioError(
@@ -221,7 +199,6 @@ def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:
-    """Picks one of several scenarios in a file."""
     if name in data:
         return data[name]
     near = get_close_matches(name, map(str, data), n=1)
@@ -230,7 +207,6 @@ def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:
 
 
 def _check_version(version: Any) -> None:
-    """Checks that the file is of this schema; pydantic refuses what is no number."""
     if isinstance(version, int) and version != CURRENT_VERSION:
         age = "an older" if version < CURRENT_VERSION else "a newer"
         raise ScenarioError(
