@@ -152,7 +152,30 @@ def choose_delay(
         otherwise: the delay that is taken where nobody says one, and the pushes do not tell it
             apart from this one, s.
     """
-    found = estimate_delay(samples, obj, segmenter, record)
+    episodes = list(find_episodes(samples, segmenter or SegmenterOptions()))
+    return choose_episodes_delay(episodes, obj, record, told, told_by, otherwise)
+
+
+def choose_episodes_delay(
+    episodes: Sequence[Episode],
+    obj: GridObject,
+    record: RecordOptions | None = None,
+    told: float | None = None,
+    told_by: str = "",
+    otherwise: float = 0.0,
+) -> ChosenDelay:
+    """Chooses the delay as `choose_delay` does, for motions that are already cut out of a stream.
+
+    Args:
+        episodes: the motions of the tip.
+        obj: the object.
+        record: how a push is written down.
+        told: the delay as somebody says it, s; None where nobody does.
+        told_by: who does.
+        otherwise: the delay that is taken where nobody says one, and the pushes do not tell it
+            apart from this one, s.
+    """
+    found = estimate_episodes_delay(episodes, obj, record)
     if told is not None:
         return ChosenDelay(told, found, told_by)
     telling = found is not None and found.differs_from(otherwise)
@@ -198,10 +221,19 @@ def estimate_delay(
     Returns:
         The delay; None where no push tells it.
     """
+    return estimate_episodes_delay(
+        find_episodes(samples, segmenter or SegmenterOptions()), obj, record
+    )
+
+
+def estimate_episodes_delay(
+    episodes: Iterable[Episode], obj: GridObject, record: RecordOptions | None = None
+) -> Delay | None:
+    """Estimates the delay as `estimate_delay` does, for motions that are already cut out."""
     record = record or RecordOptions()
     ends = [
         end
-        for episode in find_episodes(samples, segmenter or SegmenterOptions())
+        for episode in episodes
         if (end := _cut_end(episode, obj.radius_of_gyration, record)) is not None
     ]
     delay = 0.0

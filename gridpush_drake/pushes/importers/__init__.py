@@ -1,4 +1,4 @@
-"""Importers of public data sets and of ROS bags: what one is, and which there are.
+"""Importers of public data sets, motion capture and ROS bags: what one is, and which there are.
 
 An importer is a frozen dataclass in a file of its own here, and a line in `IMPORTERS`; its fields
 are then the options of `gridpush import NAME`. What it reads becomes a push log and an object, in
@@ -16,6 +16,8 @@ IMPORTERS = {
     "bag": "bag.BagImporter",
     "cmu": "cmu.CmuImporter",
     "mit": "mit.MitImporter",
+    "mit-tracked": "mit_tracked.MitTrackedImporter",
+    "qualisys": "qualisys.QualisysImporter",
 }
 """By the name that follows `gridpush import`: the module here, and the class in it."""
 

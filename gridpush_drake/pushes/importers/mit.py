@@ -193,10 +193,7 @@ def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObje
     said = {"name": named, "shape_id": str(data.get("shape_id", ""))}
     if shape is None:
         shape = named if named in MIT_SHAPES else said["shape_id"] or named
-    if shape not in MIT_SHAPES:
-        raise PushLogError(
-            f"{path}: shape {shape!r} is not known; expected {', '.join(MIT_SHAPES)}, or an object file"
-        )
+    obj = make_mit_object(path, shape)
     others = [
         f"its {what} says {other}"
         for what, other in said.items()
@@ -207,6 +204,26 @@ def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObje
             f"{path}: taken for pushes of {shape}, but {' and '.join(others)}",
             PushLogWarning,
             stacklevel=3,
+        )
+    return obj
+
+
+def make_mit_object(path: Path, shape: str) -> GridObject:
+    """Makes the object of a shape's name.
+
+    Args:
+        path: the file that was read, for messages.
+        shape: one of MIT_SHAPES.
+
+    Returns:
+        The object, without a mass.
+
+    Raises:
+        PushLogError: the shape is not known.
+    """
+    if shape not in MIT_SHAPES:
+        raise PushLogError(
+            f"{path}: shape {shape!r} is not known; expected {', '.join(MIT_SHAPES)}, or an object file"
         )
     prior = PhysicalPrior(pusher_radius=TIP_RADIUS)
     return GridObject.from_outline(
