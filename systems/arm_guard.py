@@ -186,12 +186,15 @@ class GuardStatus:
         reason: why it stopped the arm, and what went wrong after that; empty where it did not.
         since: when it stopped the arm, s; NaN where it did not.
         kinds: what it stopped the arm for, and what came after that; empty where it did not.
+        back_at: when the arm will have gone back from a collision as far as it may, s; NaN where it
+            does not go back.
     """
 
     mode: GuardMode = GuardMode.WAITING
     reason: str = ""
     since: float = float("nan")
     kinds: tuple[StopKind, ...] = ()
+    back_at: float = float("nan")
 
     @property
     def by_user(self) -> bool:
@@ -779,7 +782,9 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         elif retreat.way is None:
             now = self._brake(now)
             if now.velocity is not None and not now.velocity.any():
-                return replace(now, retreat=replace(retreat, way=self._plan_retreat(now)))
+                way = self._plan_retreat(now)
+                status = replace(now.status, back_at=inputs.time + way.duration)
+                return replace(now, status=status, retreat=replace(retreat, way=way))
         else:
             now = self._go_back(now, retreat, retreat.way)
         return self._judge_rest(now, inputs)

@@ -24,7 +24,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.identify_task import IdentifyTask
-from gridpush_drake.station.scenario import RGBD_RATE, CameraKind, PushScenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_camera import RGBD_RATE, CameraKind
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
 
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")

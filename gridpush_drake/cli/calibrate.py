@@ -1,4 +1,4 @@
-"""`gridpush calibrate`: where a camera is, from a printed board of tags on the table."""
+"""`gridpush calibrate`: finds where a camera is, from a printed board of tags on the table."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,74 +20,95 @@ from gridpush_drake.perception import (
 )
 
 FORM = "COLUMNSxROWS:SIZE[:GAP[:FIRST]], such as 4x5:0.035 (m)"
+"""The form of a board on the command line, for messages."""
+
+GAP = 0.3
+"""Distance between two tags, as a share of a tag's side, if the board does not give it."""
+
+MAX_MEASURES = 3
+"""How many numbers may follow a board's columns and rows: SIZE, GAP and FIRST."""
 
 
 def calibrate(
     photo: Annotated[
         Path | None,
         typer.Argument(
-            metavar="PHOTO", help="A photograph of the board on the table.", show_default=False
+            metavar="PHOTO",
+            help="A photograph of the board, which lies flat on the table.",
+            show_default=False,
         ),
     ] = None,
     board: Annotated[
         str,
         typer.Option(
             metavar="BOARD",
-            help=f"{FORM}: AprilTags 36h11, the side of a black square, 0.3 of it apart.",
+            help="The board's tags, which are AprilTags 36h11, as COLUMNSxROWS:SIZE, or with "
+            ":GAP, or with :GAP:FIRST after it. SIZE is the side of a tag's black square and GAP "
+            "the distance between two tags, m (0.3 of SIZE if not given); FIRST is the number of "
+            "the first tag (0 if not given).",
         ),
     ] = "4x5:0.035",
     camera: Annotated[
         Path | None,
         typer.Option(
-            metavar="CAMERA.yaml", help="The camera's file: its intrinsics and distortion."
+            metavar="CAMERA.yaml",
+            help="The camera's file with its intrinsics and distortion, as ROS camera_info, OpenCV "
+            "YAML or Drake's CameraConfig. Needed with PHOTO.",
         ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="CAMERA.yaml", help="The camera's file with X_WC, to write."
+            "--out",
+            "-o",
+            metavar="CAMERA.yaml",
+            help="The camera's file to write: the same with X_WC, the camera's pose. Needed with "
+            "PHOTO.",
         ),
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(metavar="SEEN.png", callback=options.PNG, help="The tags that were seen."),
+        typer.Option(
+            metavar="SEEN.png",
+            callback=options.PNG,
+            help="Also write the photograph with the tags that were found drawn into it.",
+        ),
     ] = None,
     sheet: Annotated[
         Path | None,
         typer.Option(
-            "--print", metavar="BOARD.pdf", help="Write the board instead, to print at 100 %."
+            "--print",
+            metavar="BOARD.pdf",
+            help="Do not calibrate, but write the board as a page to be printed at 100 %.",
         ),
     ] = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Find the camera's pose from a photograph of a board of tags: its middle is the world's origin, z up."""
+    """Find where the camera is, from a photograph of a printed board of tags.
+
+    The middle of the board becomes the origin of the world frame, with z pointing up. First print
+    the board with --print and lay it on the table; then take a photograph of it.
+
+    Example: gridpush calibrate photo.png --camera intrinsics.yaml --out camera.yaml
+    """
     tags = parse_board(board)
     if (photo is None) == (sheet is None):
         raise options.OptionError("calibrate: expected either a photograph, or --print BOARD.pdf")
     if sheet is not None:
-        if sheet.suffix.lower() != ".pdf":
-            raise options.OptionError(
-                f"--print: is {str(sheet)!r}; expected a PDF file's name, such as board.pdf"
-            )
-        write_whole(sheet, tags.make_pdf(), force)
-        width, height = tags.extent
-        if json:
-            print_json({"extent": [width, height], "written": str(sheet)})
-        else:
-            print_line(
-                f"Wrote {sheet}: {width * MM:.0f} x {height * MM:.0f} mm of tags. Print it at 100 %, and measure it."
-            )
+        _print_board(tags, sheet, force, json)
         return
     assert photo is not None
     if camera is None or out is None:
         raise options.OptionError(
-            "calibrate: --camera and --out are needed: the camera's file, and the one to write"
+            "calibrate: a photograph needs --camera, the camera's file, and --out, the file to "
+            "write"
         )
 
     options.check_outputs(force, out, picture, inputs=(photo,))
     seen_by = Camera.read(camera)
     color = read_color(photo, seen_by)
+    # written first, for it shows what is wrong with a photograph from which no pose can be found
     if picture is not None:
         write_picture(picture, draw_tags(color, find_tag_corners(color)), force)
     try:
@@ -100,29 +121,46 @@ def calibrate(
         print_json({"p_WC": [x, y, z], "error": error, "written": str(out)})
     else:
         print_line(
-            f"The camera is at ({x:z.3f}, {y:z.3f}, {z:z.3f}) m from the board's middle; the tags' corners are "
-            f"{error:.2f} pixels off. Wrote {out}."
+            f"The camera is at ({x:z.3f}, {y:z.3f}, {z:z.3f}) m from the board's middle; the tags' "
+            f"corners are {error:.2f} pixels off. Wrote {out}."
+        )
+
+
+def _print_board(tags: TagBoard, sheet: Path, force: bool, json: bool) -> None:
+    """Writes a board as a PDF page, and prints how large it should come out."""
+    if sheet.suffix.lower() != ".pdf":
+        raise options.OptionError(
+            f"--print: is {str(sheet)!r}; expected a PDF file's name, such as board.pdf"
+        )
+    write_whole(sheet, tags.make_pdf(), force)
+    width, height = tags.extent
+    if json:
+        print_json({"extent": [width, height], "written": str(sheet)})
+    else:
+        print_line(
+            f"Wrote {sheet}: {width * MM:.0f} x {height * MM:.0f} mm of tags. Print it at 100 %, "
+            "and measure it."
         )
 
 
 def parse_board(text: str) -> TagBoard:
-    """Reads a board. Raises OptionError where the text is of another form, TagError where a measure is out of range."""
-    grid, *rest = text.split(":")
+    """Reads a board from its form on the command line.
+
+    Args:
+        text: "4x5:0.035", or with the gap, or with the gap and the first tag's number after it.
+
+    Raises:
+        OptionError: the text is of another form.
+        TagError: a number is out of its range.
+    """
+    grid, *measures = text.split(":")
     try:
         columns, rows = map(int, grid.split("x"))
-        size, gap, first = [float(part) for part in rest[:2]], rest[1:2], rest[2:]
-        spacing = float(gap[0]) if gap else GAP * size[0]
-        number = int(first[0]) if first else 0
-        side = size[0]
+        size = float(measures[0])
+        gap = float(measures[1]) if len(measures) > 1 else GAP * size
+        first = int(measures[2]) if len(measures) > 2 else 0
     except (ValueError, IndexError):
         raise options.OptionError(f"--board: is {text!r}; expected {FORM}") from None
-    if len(rest) > MAX_MEASURES:
+    if len(measures) > MAX_MEASURES:
         raise options.OptionError(f"--board: is {text!r}; expected {FORM}")
-    return TagBoard(columns, rows, side, spacing, number)
-
-
-GAP = 0.3
-"""Between two tags, in their sides, unless said otherwise."""
-
-MAX_MEASURES = 3
-"""After a board's rows and columns."""
+    return TagBoard(columns, rows, size, gap, first)

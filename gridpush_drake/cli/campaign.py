@@ -1,4 +1,4 @@
-"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is."""
+"""`gridpush campaign`: runs the demo many times, and counts how the runs ended."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,12 +20,16 @@ from gridpush_drake.station.tasks import TaskName
 from gridpush_drake.yaml_file import shorten
 
 MAX_EPISODES = 1_000_000
-"""Of a campaign."""
+"""Largest number of episodes in one campaign."""
 
 MAX_DIGITS = 30
-"""Of a seed's number."""
+"""Most digits that the number of a seed may have; Python needs long to read very long ones."""
 
-FORM = "START:STOP (without STOP), or numbers, 0 or more, with commas between, such as 0:1000 or 3,17,20:30"
+FORM = (
+    "START:STOP (without STOP), or numbers, 0 or more, with commas between, such as 0:1000 or "
+    "3,17,20:30"
+)
+"""The form of seeds on the command line."""
 
 
 def campaign(
@@ -38,35 +42,52 @@ def campaign(
         ),
     ],
     seeds: Annotated[
-        str, typer.Option(metavar="START:STOP", help=f"Seeds of the episodes, each run with every object: {FORM}.")
+        str,
+        typer.Option(
+            metavar="START:STOP",
+            help=f"Seeds of the episodes: {FORM}. With each seed one episode is run for every "
+            "object.",
+        ),
     ],
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", metavar="DIR", help="Folder of the campaign. Episodes that are there are not run again; one"
-            " of another scenario is refused, and --force begins it anew.",
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="Folder of the campaign. A campaign that was broken off goes on there: episodes "
+            "that it holds are not run again. If it holds a campaign of another scenario, the "
+            "command refuses, and --force begins anew.",
         ),
     ],
     objects: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME,NAME", help="Shipped objects' names or object files, with commas between.",
+            metavar="NAME,NAME",
+            help="Shipped objects' names or object files, with commas between.",
             show_default="the scenario's",
         ),
     ] = None,
-    task: Annotated[TaskName, typer.Option(help="What the robot is to do; see gridpush demo.")] = TaskName.pregrasp,
+    task: Annotated[
+        TaskName, typer.Option(help="What the robot should do; `gridpush demo --help` explains it.")
+    ] = TaskName.pregrasp,
     workers: options.Workers = options.WORKERS,
     dask: options.Dask = None,
     force: options.Force = False,
     json: options.Json = False,
-) -> None:  # fmt: skip
-    """Run whole episodes with many seeds and objects: how many are held, dropped, given up, and why.
+) -> None:
+    """Run the demo many times, with many seeds and objects, and count how the runs ended.
 
-    Writes scenario.yaml, episodes.jsonl (a line for each episode, as soon as it ends) and table.md.
+    A run is called an episode. The command counts how many episodes ended with the object held,
+    dropped or given up, and why. It writes scenario.yaml, episodes.jsonl (one line for each
+    episode, as soon as it ends) and table.md.
+
+    Example: gridpush campaign grasp --seeds 0:20 --objects claw_hammer,pliers --out campaign
     """
     scenario = read_scenario(scenario_file)
     chosen = _find_objects(scenario, objects)
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
+    # an object that does not fit the scenario is refused now, not after hours
     for name in chosen:
         trial = scenario.model_copy()
         resolve(trial, scenario_file, told=use_object(trial, name))
@@ -74,12 +95,14 @@ def campaign(
     def begin() -> Results:
         make_folder(out)
         results = open_results(out / EPISODES, "campaign", describe_settings(task, scenario), force)
-        path, text = out / SCENARIO, format_scenario(scenario)
+        path = out / SCENARIO
+        text = format_scenario(scenario)
         if force or not exists(path):
             write_whole(path, text, force)
         elif read_text(path, "a scenario", GridPushError) != text:
             raise GridPushError(
-                f"{path}: differs from the scenario given; expected the same, another --out, or --force to begin anew"
+                f"{path}: differs from the scenario given; expected the same scenario, another "
+                "--out, or --force to begin anew"
             )
         return results
 
@@ -95,34 +118,49 @@ def campaign(
 
 
 def parse_seeds(option: str, text: str, most: int) -> list[int]:
-    """Reads seeds as FORM says: each once, in order, and at most so many.
+    """Reads the seeds of a campaign.
+
+    Args:
+        option: the option's name, for the error's message.
+        text: what the user wrote; see FORM.
+        most: the largest number of seeds that is allowed.
+
+    Returns:
+        The seeds, each once, in increasing order.
 
     Raises:
-        OptionError: the text is something else, or there are none or too many.
+        OptionError: the text is of another form, or there are no seeds or too many.
     """
     ranges = []
     for part in text.split(","):
         start, colon, stop = part.partition(":")
         numbers = [start, stop] if colon else [start]
-        if not all(
-            number.isdecimal() and number.isascii() and len(number) <= MAX_DIGITS
-            for number in numbers
-        ):
+        if not all(map(_is_number, numbers)):
             raise options.OptionError(f"{option}: is {shorten(text)}; expected {FORM}")
         ranges.append(range(int(start), int(stop) if colon else int(start) + 1))
-    if (
-        any(not each or each[-1] > MAX_SEED for each in ranges)
-        or sum(each.stop - each.start for each in ranges) > most
-    ):
+    # by the ends of the ranges, for a range may be far too long to be gone through
+    is_bad_range = any(not each or each[-1] > MAX_SEED for each in ranges)
+    count = sum(each.stop - each.start for each in ranges)
+    if is_bad_range or count > most:
         raise options.OptionError(
-            f"{option}: is {shorten(text)}; expected at least one seed in each range, none over {MAX_SEED}, and at "
-            f"most {most}"
+            f"{option}: is {shorten(text)}; expected at least one seed in each range, none over "
+            f"{MAX_SEED}, and at most {most} seeds"
         )
     return sorted({seed for each in ranges for seed in each})
 
 
+def _is_number(text: str) -> bool:
+    """Returns whether a text is a whole number, 0 or more, of ordinary digits."""
+    return text.isdecimal() and text.isascii() and len(text) <= MAX_DIGITS
+
+
 def _find_objects(scenario: PushScenario, names: str | None) -> dict[str, str]:
-    """Shipped objects' names, with "", and object files in full, with their content's hash."""
+    """Finds the objects of a campaign.
+
+    Returns:
+        Of each object the name of a shipped one, with "", or the full path of its file, with the
+        hash of the file's content. The hash tells whether the file was changed between two runs.
+    """
     found = {}
     for name in [scenario.object] if names is None else names.split(","):
         if not name:

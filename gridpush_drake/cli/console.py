@@ -1,4 +1,8 @@
-"""What the commands print: words and tables on standard output, notices and progress on standard error."""
+"""What the commands print.
+
+Words, tables and JSON documents go to standard output. Notices, warnings and progress go to
+standard error, so that the output of a command can be read by another program.
+"""
 
 import json
 import sys
@@ -13,23 +17,24 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from gridpush_drake.identification.result import HistoryEntry
 
 PIPE_WIDTH = 160
-"""Columns that a table may take where standard output is not a terminal."""
+"""Width of a table, in characters, if standard output is not a terminal."""
 
 LINE_EVERY = 10.0
-"""s, at least, between two plain lines about work that takes long."""
+"""Shortest time between two plain lines about the progress of long work, such as a campaign, s."""
 
 MM = 1e3
 """Millimeters in a meter."""
 
 PLAIN_PERIOD = 5.0
-"""s, at least, between two plain lines about the same thing."""
+"""Shortest time between two plain lines about the same stage of a search or a run, s."""
 
 
 def count_noun(count: int, noun: str) -> str:
-    """Says how many there are: "1 push", "2 pushes", "3 cells"."""
-    return (
-        f"{count} {noun}" if count == 1 else f"{count} {noun}{'es' if noun.endswith('sh') else 's'}"
-    )
+    """Returns a count with its noun in the right form: "1 push", "2 pushes", "3 cells"."""
+    if count == 1:
+        return f"{count} {noun}"
+    ending = "es" if noun.endswith("sh") else "s"
+    return f"{count} {noun}{ending}"
 
 
 def print_line(text: str = "") -> None:
@@ -38,7 +43,7 @@ def print_line(text: str = "") -> None:
 
 
 def print_table(table: RenderableType) -> None:
-    """Prints a table on standard output; as wide as it likes where that is not a terminal."""
+    """Prints a table on standard output, as wide as the terminal, or PIPE_WIDTH without one."""
     console = Console()
     if not console.is_terminal:
         console.width = PIPE_WIDTH
@@ -51,13 +56,22 @@ def print_notice(text: str) -> None:
 
 
 def print_json(document: dict[str, Any]) -> None:
-    """Prints one JSON document on standard output; with escapes where that does not take all letters."""
+    """Prints one JSON document on standard output.
+
+    If the output's encoding lacks some letters, all letters beyond ASCII are written as escapes.
+    """
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     print(to_json(document, ascii_only=not encoding.lower().startswith("utf")))
 
 
 def print_found(document: dict[str, Any], lines: Iterable[str], as_json: bool) -> None:
-    """Prints what a command found: as one JSON document, or in lines of words."""
+    """Prints what a command found, either as one JSON document or as lines of words.
+
+    Args:
+        document: the findings for machines.
+        lines: the same findings for people.
+        as_json: whether to print the document instead of the lines.
+    """
     if as_json:
         print_json(document)
     else:
@@ -66,11 +80,20 @@ def print_found(document: dict[str, Any], lines: Iterable[str], as_json: bool) -
 
 
 def to_json(document: dict[str, Any], ascii_only: bool = False) -> str:
-    """A document as JSON; numbers that are not finite become null, arrays lists, and whatever else its text."""
+    """Returns a document as JSON text.
+
+    Arrays become lists, numbers that are not finite become null, and objects of other kinds become
+    the text that `str` makes of them.
+
+    Args:
+        document: what to write.
+        ascii_only: whether letters beyond ASCII are written as escapes.
+    """
     return json.dumps(_plain(document), indent=2, ensure_ascii=ascii_only, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:
+    """Replaces everything that JSON does not know, at every depth."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, dict):
@@ -84,26 +107,34 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def search_progress(what: str, budget: int | None) -> Iterator[Callable[[HistoryEntry], None]]:
-    """Shows how a search goes, on standard error; yields what the search calls with each of its steps.
+    """Shows on standard error how a search of the identification gets on.
 
-    The budget is of simulations; None where the search decides itself.
+    Args:
+        what: the search, in a few words.
+        budget: the number of simulations after which it ends; None if it ends by itself.
+
+    Yields:
+        The function that the search calls with each of its steps.
     """
     with count_progress(what, budget) as show:
 
         def report(entry: HistoryEntry) -> None:
-            found = f"{entry.simulations} simulations, cell error {entry.loss * MM:.2f} mm"
-            show(entry.stage, found, entry.simulations)
+            detail = f"{entry.simulations} simulations, cell error {entry.loss * MM:.2f} mm"
+            show(entry.stage, detail, entry.simulations)
 
         yield report
 
 
 @contextmanager
 def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
-    """Shows how much of some work is done: a bar on a terminal's standard error, elsewhere a plain line now and then.
+    """Shows on standard error how many jobs of some long work are done.
+
+    Args:
+        what: the work, in a few words.
 
     Yields:
-        What the work calls, as often as it likes, with what it is at or did last, how many steps
-        are done, and how many there are.
+        A function `report(doing, done, total)` that the work calls as often as it likes: with the
+        job that it works on or has just done, how many are done, and how many there are.
     """
     with count_progress(what, None, LINE_EVERY) as show:
         begun = monotonic()
@@ -116,46 +147,55 @@ def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
 
 
 class PlainProgress:
-    """What a bar shows, as plain lines: for standard error where that is no terminal, such as a log file.
+    """Progress as plain lines, for a standard error that is no terminal, such as a log file.
 
-    A line is printed when something new is being done, and now and then while it goes on; never
-    twice the same.
+    A line is printed whenever a new stage begins, and from time to time while it goes on. The same
+    line is never printed twice in a row.
 
     Attributes:
-        period: at least so long between two lines about the same thing, s.
+        period: shortest time between two lines about the same stage, s.
     """
 
     def __init__(self, period: float = PLAIN_PERIOD) -> None:
-        """Has said nothing yet."""
+        """Begins; nothing has been printed yet."""
         self.period = period
-        self._doing = self._said = ""
-        self._said_at = float("-inf")
+        self._last_stage = ""
+        self._last_line = ""
+        self._printed_at = float("-inf")
 
     def update(self, doing: str, detail: str = "") -> None:
-        """Takes in what is being done, and a detail of it that may change all the time."""
-        text = f"{doing}, {detail}" if detail else doing
+        """Prints how the work gets on, unless it is too early for another line.
+
+        Args:
+            doing: the stage of the work.
+            detail: what changes all the time during the stage, such as a count.
+        """
+        line = f"{doing}, {detail}" if detail else doing
         now = monotonic()
-        if text == self._said or (doing == self._doing and now - self._said_at < self.period):
+        too_early = doing == self._last_stage and now - self._printed_at < self.period
+        if too_early or line == self._last_line:
             return
-        self._doing, self._said, self._said_at = doing, text, now
-        print(text, file=sys.stderr, flush=True)
+        self._last_stage = doing
+        self._last_line = line
+        self._printed_at = now
+        print(line, file=sys.stderr, flush=True)
 
 
 @contextmanager
 def count_progress(
     what: str, total: int | None, period: float = PLAIN_PERIOD
-) -> Iterator[Callable[..., None]]:  # fmt: skip
-    """Shows work on standard error: a bar on a terminal, else plain lines.
+) -> Iterator[Callable[..., None]]:
+    """Shows on standard error how some work gets on: as a bar on a terminal, else as plain lines.
 
     Args:
-        what: the work.
-        total: to count to; None where it is not known beforehand.
-        period: between two plain lines about the same thing, s.
+        what: the work, in a few words.
+        total: the count at which the work is done; None if it is not known beforehand.
+        period: shortest time between two plain lines about the same stage, s.
 
     Yields:
-        What the work calls now and then, with what it is doing, a detail that changes all the time,
-        such as the simulated time, the count, and what to count to: `report(doing, detail, count,
-        of)`.
+        A function `report(doing, detail, count, of)` that the work calls from time to time: with
+        the stage it is at, a detail that changes all the time (such as the simulated time), the
+        count, and the count at which it is done.
     """
     console = Console(stderr=True)
     if not console.is_terminal:

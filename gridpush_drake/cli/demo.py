@@ -1,4 +1,4 @@
-"""`gridpush demo`: a robot and an object it knows nothing about: poked, learned, slid to the edge, grasped, lifted."""
+"""`gridpush demo`: a simulated robot learns an object by poking it, and then pushes or lifts it."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,32 +16,38 @@ from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene import use_object
-from gridpush_drake.station.tasks import TASKS, TaskKind, TaskName, write_files
+from gridpush_drake.station.task_kind import TaskKind, write_files
+from gridpush_drake.station.tasks import TASKS, TaskName
 
 EXIT_NOT_DONE = 1
-"""Where everything went as it should but the robot did not get there."""
+"""Exit code if the command worked as it should, but the robot did not reach its goal."""
 
 
 def demo(
     task: Annotated[
         TaskName,
         typer.Option(
-            help="identify: poke an object and learn it; push: push it to a goal, learning on the way; pregrasp: poke "
-            "it, learn it, slide it to the table's edge and lift it there."
+            help="What the robot should do. identify: poke the object, learn where it is heavy, "
+            "and test what was learned; push: push it to a goal pose, and learn on the way; "
+            "pregrasp: poke and learn it, slide it to the table's edge, grasp it there and lift it."
         ),
     ] = TaskName.pregrasp,
     object_file: Annotated[
         str | None,
         typer.Option(
-            "--object", metavar="NAME|FILE", help="A shipped object's name, or an object file."
+            "--object",
+            metavar="NAME|FILE",
+            help="The object on the table: a shipped object's name, or an object file.",
+            show_default="the scenario's",
         ),
     ] = None,
     robot: Annotated[
         str | None,
         typer.Option(
             metavar="NAME|DIR",
-            help="gantry, iiwa14 or panda, or the folder of a robot.yaml of yours; its scene replaces the "
-            "scenario's.  [default: the scenario's, an iiwa14]",
+            help="The robot: gantry, iiwa14 or panda, or the folder that holds your own "
+            "robot.yaml. Its scene (arm, finger and table) replaces the scenario's.",
+            show_default="the scenario's, an iiwa14",
         ),
     ] = None,
     scenario_file: Annotated[
@@ -50,57 +56,80 @@ def demo(
             "--scenario",
             metavar="NAME|FILE",
             help="What stands where: a shipped scenario's name, such as grasp, or a YAML file.",
+            show_default="one that suits the task",
         ),
     ] = None,
     pushes: Annotated[
         int | None,
-        typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]"),
+        typer.Option(
+            min=1,
+            help="How many pokes to learn from; only with --task identify.",
+            show_default="the scenario's, 8",
+        ),
     ] = None,
     camera: Annotated[
         Literal["ideal", "rgbd"] | None,
         typer.Option(
-            help="ideal: the robot is told object and poses, with noise; rgbd: it has a color and depth camera, "
-            "finds the object in a photograph and tracks it.  [default: that of --scenario; without one rgbd, or "
-            "ideal where nothing can be rendered]"
+            help="What the robot sees. rgbd: it has a simulated color and depth camera, finds the "
+            "object's outline in a picture and follows it; ideal: it is told the exact outline, "
+            "and the object's poses with a little noise, which takes less than half the time.",
+            show_default="that of --scenario; without one rgbd, or ideal if nothing can be "
+            "rendered",
         ),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Seed of everything random.  [default: the scenario's]"),
+        typer.Option(min=0, help="Seed of everything random.", show_default="the scenario's"),
     ] = None,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="Folder for the files that the demo writes; it is made if it is missing.",
+        ),
     ] = Path("gridpush_demo"),
     open_browser: Annotated[
         bool,
-        typer.Option("--open", help="Watch it in the browser, and open the report at the end."),
+        typer.Option(
+            "--open",
+            help="Open the run in the browser at the beginning, and the report at the end.",
+        ),
     ] = False,
     realtime_rate: Annotated[
         float,
         typer.Option(
             min=0,
             metavar="R",
-            help="Greatest number of simulated seconds in a second; 0: as fast as it goes.",
+            help="How many seconds are simulated in one second at most; 1 is real time, and 0 "
+            "means as fast as possible.",
         ),
     ] = 0.0,
     port: Annotated[
         int | None,
         typer.Option(
             metavar="N",
-            help="Port of Meshcat's page, where the run can be watched.  [default: the first free one from 7000]",
+            help="Port of the page where the run can be watched in a browser.",
+            show_default="the first free one from 7000",
         ),
     ] = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Let a simulated robot poke an object to learn it, then push or lift it; write a report and a recording.
+    """Let a simulated robot learn an object by poking it, and then push or lift it.
 
-    Exit code 1 where the robot did not reach its goal.
+    The command writes a report, a recording of the run, the learned model, and the pushes that it
+    was learned from. The exit code is 1 if the robot did not reach its goal.
+
+    Example: gridpush demo --task push --object toolbox --out pushed
     """
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(
-            f"--pushes: is for --task identify; {task} decides itself how many to make"
+            f"--pushes: goes with --task identify only; in --task {task} the robot itself decides "
+            "how many pushes to make"
         )
+    # The scenario, with what the command line says instead
     chosen = TASKS[task]
     scenario = read_scenario(scenario_file) if scenario_file else chosen.make_scenario()
     told = None if object_file is None else use_object(scenario, object_file)
@@ -115,6 +144,8 @@ def demo(
     if camera is None and scenario_file is None:
         scenario.camera.use(_choose_camera())
     resolved = resolve(scenario, scenario_file, told=told)
+
+    # Everything that can be refused is refused now, before minutes are spent
     with output_folder(out):
         options.check_outputs(force, *(out / name for name in chosen.files))
         page = LivePage(port)
@@ -142,28 +173,38 @@ def demo(
 
 
 def _find_place(out: Path, task: TaskKind, force: bool) -> Path:
-    """The folder for what a run came to: `out`, or a new one beside it where that was taken meanwhile."""
+    """Returns the folder to write to: `out`, or a new one if `out` was taken during the run."""
     try:
         options.check_outputs(force, *(out / name for name in task.files))
     except OutputError as error:
         beside = make_folder_beside(out)
-        print_notice(f"{error}. What was done is kept in {beside} instead.")
+        # the run took minutes, so that its files are worth more than a refusal
+        print_notice(f"{error}. The files of this run are kept in {beside} instead.")
         return beside
     return out
 
 
 def print_summary(task: TaskKind, summary: dict[str, Any], written: list[Path]) -> None:
-    """Prints what came of a run, and what was written."""
+    """Prints how a run ended, and which files were written.
+
+    Args:
+        task: the task that was run.
+        summary: what `task.summarize` returned.
+        written: the files that were written, all to one folder.
+    """
     for line in task.describe(summary):
         print_line(line)
-    print_line(f"\nIn {written[0].parent}: {', '.join(path.name for path in written)}.")
+    names = ", ".join(path.name for path in written)
+    print_line(f"\nWritten to {written[0].parent}: {names}.")
 
 
 def _choose_camera() -> Literal["ideal", "rgbd"]:
-    """The camera that sees for itself, where its pictures can be rendered."""
+    """Returns "rgbd" if pictures can be rendered on this computer, else "ideal", and says why."""
     try:
         check_renderer()
     except StationError as error:
-        print_notice(f"The robot is told object and poses, as with --camera ideal: {error}.")
+        print_notice(
+            f"The robot is told the object's outline and poses, as with --camera ideal: {error}."
+        )
         return "ideal"
     return "rgbd"

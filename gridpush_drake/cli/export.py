@@ -1,4 +1,4 @@
-"""`gridpush export`: an object or a learned model as a model for other simulators."""
+"""`gridpush export`: writes an object or a learned model as a file for another simulator."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,8 +11,10 @@ from gridpush_drake.multibody.mjcf import WriteMjcf
 from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 
 Format = Literal["sdf", "urdf", "mjcf"]
+"""A format that can be written."""
 
 SUFFIXES: dict[str, Format] = {".sdf": "sdf", ".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}
+"""The formats by the endings of files' names."""
 
 
 def export(
@@ -24,15 +26,16 @@ def export(
         Format | None,
         typer.Option(
             "--format",
-            help="SDFormat or URDF for Drake, MJCF for MuJoCo. All say every cell's mass and friction; what they cannot"
-            " say stands in the file.",
-            show_default="by the file's name: .sdf, .urdf, .xml or .mjcf",
+            help="SDFormat or URDF for Drake, MJCF for MuJoCo. All of them hold the mass and the "
+            "friction of every cell; a comment in the file names what the format cannot say.",
+            show_default="by the ending of OUT: .sdf, .urdf, .xml or .mjcf",
         ),
     ] = None,
     base: Annotated[
         Literal["free", "planar"],
         typer.Option(
-            help="Six degrees of freedom, or, in SDFormat, held to the table's plane, each cell bearing its own weight."
+            help="How the object may move: free with six degrees of freedom; planar (only with "
+            "sdf) in the plane of the table, where each cell bears its own weight."
         ),
     ] = "free",
     height: options.Height = None,
@@ -40,7 +43,12 @@ def export(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Write an object or a learned model for Drake (SDFormat, URDF) or MuJoCo (MJCF)."""
+    """Write an object or a learned model as a file for Drake (SDFormat, URDF) or MuJoCo (MJCF).
+
+    Of an object that was not learned, mass and friction are spread evenly.
+
+    Example: gridpush export model.yaml hammer.sdf --base planar
+    """
     chosen = file_format or SUFFIXES.get(out.suffix)
     if chosen is None:
         raise options.OptionError(
@@ -48,11 +56,12 @@ def export(
         )
     if base == "planar" and chosen != "sdf":
         raise options.OptionError(
-            f"base: is 'planar'; expected 'free', or the format sdf: {chosen} cannot say it here"
+            f"--base: is 'planar', which only --format sdf can hold; expected 'free' with {chosen}"
         )
     options.check_outputs(force, out, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
-    obj, mass = loaded.obj, loaded.params.total_mass
+    obj = loaded.obj
+    mass = loaded.params.total_mass
     height = options.choose_height(height, obj)
     if chosen == "sdf":
         WriteSdf(obj, loaded.params, out, force, base=base, height=height)
@@ -60,7 +69,7 @@ def export(
         write = WriteUrdf if chosen == "urdf" else WriteMjcf
         write(obj, loaded.params, out, force, height=height)
     if obj.prior.total_mass is None:
-        print_notice(f"{obj.name}: no total_mass in its file; {mass:.3g} kg is taken")
+        print_notice(f"{obj.name}: its file has no total_mass; {mass:.3g} kg is assumed")
     source = "learned model" if loaded.model else "object, mass and friction spread evenly"
     found = {
         "object": obj.name,
@@ -71,5 +80,8 @@ def export(
         "height": height,
         "written": [str(out)],
     }
-    line = f"{obj.name} ({source}): {obj.n} cells, {mass:.3g} kg, {height * MM:.3g} mm high, {base} base"
+    line = (
+        f"{obj.name} ({source}): {obj.n} cells, {mass:.3g} kg, {height * MM:.3g} mm high, "
+        f"{base} base"
+    )
     print_found(found, [line, *options.describe_written(out)], json)

@@ -1,4 +1,4 @@
-"""`gridpush identify`: learn a model from observed pushes."""
+"""`gridpush identify`: learns a model of an object from observed pushes."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -19,11 +19,18 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import make_report
 
 Method = Literal[
-    "default", "paper", "random_search", "weighted_sampling", "finite_difference", "cma_es", "nelder_mead"
-]  # fmt: skip
+    "default",
+    "paper",
+    "random_search",
+    "weighted_sampling",
+    "finite_difference",
+    "cma_es",
+    "nelder_mead",
+]
+"""A method of learning."""
 
 EXIT_EXPLAINS_LITTLE = 3
-"""Exit code where a model was learned and written, but is far off from its own pushes."""
+"""Exit code if a model was learned and written, but is far off from its own pushes."""
 
 
 def identify(
@@ -31,44 +38,55 @@ def identify(
         str,
         typer.Argument(
             metavar="OBJECT.yaml",
-            help="The object's file, or a shipped object's name.",
+            help="The object that was pushed: an object file, or a shipped object's name.",
             show_default=False,
         ),
     ],
     pushes: options.PushesFile,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="MODEL.yaml", help="The model to write.")
+        Path, typer.Option("--out", "-o", metavar="MODEL.yaml", help="The model file to write.")
     ],
     report: Annotated[
         Path | None,
         typer.Option(
             metavar="REPORT.html",
             callback=options.HTML,
-            help="Also write a report, one self-contained page.",
+            help="Also write a report with figures, as one page for the browser.",
         ),
     ] = None,
     method: Annotated[
-        Method, typer.Option(help="How to search; all but the first are for comparison.")
+        Method,
+        typer.Option(
+            help="The method of learning. default is the best and the fastest; the others are "
+            "there to be compared with. paper is the method of Song and Boularias; cma_es needs "
+            "pip install '.\\[baselines]'."
+        ),
     ] = "default",
     seed: options.Seed = 0,
     regime: options.Regime = "auto",
     budget: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Greatest number of pushes to simulate; not for the default method."
+            min=1,
+            help="How many pushes a search may simulate; only with a --method other than default, "
+            "which ends by itself.",
+            show_default="the method's own",
         ),
     ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Learn an object's friction and mass from pushes of it.
+    """Learn from a log of pushes where an object is heavy and where it rubs.
 
-    Exit code 3 where the model explains little of the very pushes it was learned from.
+    The model that is written holds the learned masses and frictions, and how sure they are. The
+    exit code is 3 if the model explains little of the very pushes that it was learned from.
+
+    Example: gridpush identify object.yaml pushes.csv --out model.yaml --report report.html
     """
     if budget is not None and method == "default":
         raise options.OptionError(
-            "--budget: is for the other methods; the default one ends by itself"
+            "--budget: goes with a --method other than default, which ends by itself"
         )
     options.check_outputs(force, out, report, inputs=(object_file, pushes))
     obj = options.load_object(object_file, largest_piece)
@@ -97,7 +115,12 @@ def identify(
 
 
 def describe_result(result: Identification, log: PushLog) -> dict[str, Any]:
-    """What an identification found, for machines; lengths in m."""
+    """Returns what was learned, for machines; lengths are in m.
+
+    Args:
+        result: what was learned.
+        log: the pushes that it was learned from.
+    """
     before, after = calc_training_errors(result, log)
     return {
         "object": result.obj.name,
@@ -135,25 +158,30 @@ def describe_result(result: Identification, log: PushLog) -> dict[str, Any]:
 
 
 def explain_result(result: Identification, found: dict[str, Any]) -> list[str]:
-    """The same in lines of words."""
+    """Returns what was learned, in lines of words.
+
+    Args:
+        result: what was learned.
+        found: the same as a document, with "overhanging_pushes" added.
+    """
     doubt = doubt_center(result) if result.push_names else None
-    center, spread = (
-        result.identifiability.center_of_friction,
-        result.identifiability.center_of_friction_covariance,
-    )
-    x, y = (
-        f"{value * MM:.1f} ± {max(variance, 0.0) ** 0.5 * MM:.1f}"
-        for value, variance in zip(center, spread.diagonal(), strict=True)
-    )
+    center = result.identifiability.center_of_friction
+    covariance = result.identifiability.center_of_friction_covariance
+    # rounding may leave a variance a little below zero
+    std = [max(variance, 0.0) ** 0.5 for variance in covariance.diagonal()]
+    x = f"{center[0] * MM:.1f} ± {std[0] * MM:.1f} mm"
+    y = f"{center[1] * MM:.1f} ± {std[1] * MM:.1f} mm"
+    cells = count_noun(result.obj.n, "cell")
+    pushes = count_noun(len(result.push_names), "push")
+    contact_friction = result.params.contact_friction
     lines = [
-        f"{result.obj.name}: {count_noun(result.obj.n, 'cell')}, {count_noun(len(result.push_names), 'push')}, "
-        f"{result.simulations} simulations",
+        f"{result.obj.name}: {cells}, {pushes}, {result.simulations} simulations",
         result.message,
         *([doubt] if doubt else []),
         f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "
         f"{found['mean_cell_error_before'] * MM:.2f} mm with uniform friction",
-        f"center of friction: x {x} mm, y {y} mm, in the body frame",
-        f"contact friction: {result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}",
+        f"center of friction: x {x}, y {y}, in the body frame",
+        f"contact friction: {contact_friction:.2f} ± {result.std.contact_friction:.2f}",
     ]
     if result.unused_pushes:
         lines.append(
@@ -163,4 +191,4 @@ def explain_result(result: Identification, found: dict[str, Any]) -> list[str]:
     if found["overhanging_pushes"]:
         lines.append(options.describe_overhanging(found["overhanging_pushes"]))
     statements = [f"  - {statement}" for statement in result.identifiability.statements]
-    return [*lines, "What these pushes say, and what they cannot:", *statements]
+    return [*lines, "What these pushes tell, and what they cannot tell:", *statements]

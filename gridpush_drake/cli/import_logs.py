@@ -1,6 +1,7 @@
-"""`gridpush import`: public data sets and ROS bags to a push log and an object file.
+"""`gridpush import`: converts public data sets and ROS bags to a push log and an object file.
 
-There is a command for each importer in `pushes.importers`, with the options that are its fields.
+There is a command for each importer in `pushes.importers`. Its options are the importer's fields,
+so that a new importer needs nothing here.
 """
 
 import dataclasses
@@ -22,27 +23,35 @@ OutDir = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Folder for pushes.csv and object.yaml, made if missing; or give --out-csv and --out-object.",
+        help="Folder to write pushes.csv and object.yaml to; it is made if it is missing. Give "
+        "either this, or both --out-csv and --out-object.",
     ),
 ]
-OutCsv = Annotated[Path | None, typer.Option(metavar="PUSHES.csv", help="The push log to write.")]
+OutCsv = Annotated[
+    Path | None,
+    typer.Option(metavar="PUSHES.csv", help="The push log to write, without --out-dir."),
+]
 OutObject = Annotated[
-    Path | None, typer.Option(metavar="OBJECT.yaml", help="The object file to write.")
+    Path | None,
+    typer.Option(metavar="OBJECT.yaml", help="The object file to write, without --out-dir."),
 ]
 
 OUTPUTS = {"out_dir": OutDir, "out_csv": OutCsv, "out_object": OutObject}
+"""Options of every importer that say what to write."""
+
 FLAGS = {"force": options.Force, "json": options.Json}
+"""Other options of every importer."""
 
 
 class ImporterGroup(TyperGroup):
-    """Makes a command of each importer, when it is asked for: importers are loaded only then."""
+    """A group with one command for each importer, which is imported only when it is asked for."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """The importers' names."""
+        """Returns the importers' names."""
         return list(IMPORTERS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of an importer; None where there is no such importer."""
+        """Returns the command of an importer, or None if there is no importer of this name."""
         if cmd_name not in self.commands and cmd_name in self.list_commands(ctx):
             self.commands[cmd_name] = _make_command(cmd_name, find_importer(cmd_name))
         return super().get_command(ctx, cmd_name)
@@ -56,34 +65,43 @@ app = typer.Typer(
 
 
 def _make_command(name: str, importer: type[Importer]) -> Any:
+    """Makes the command of an importer.
+
+    Typer reads the options of a command from the signature of a function. Here they are not known
+    before the importer is, so the signature is put together from the importer's fields.
+    """
     types = get_type_hints(importer)
     fields = {field.name: field for field in dataclasses.fields(importer)}  # type: ignore[arg-type]
 
-    def run(file: Path, out_dir: Path | None, out_csv: Path | None, out_object: Path | None, force: bool, json: bool,
-            **chosen: Any) -> None:  # fmt: skip
-        paths = _check_outputs(out_dir, out_csv, out_object, force)
+    def run(
+        file: Path,
+        out_dir: Path | None,
+        out_csv: Path | None,
+        out_object: Path | None,
+        force: bool,
+        json: bool,
+        **chosen: Any,
+    ) -> None:
+        csv_path, object_path = _check_outputs(out_dir, out_csv, out_object, force)
         for key, value in chosen.items():
             if value is not None and _is_object(types[key]):
                 chosen[key] = options.load_object(value)
         pushes, obj = importer(**chosen).read(file)
         if out_dir is not None:
             make_folder(out_dir)
-        pushes.write_csv(paths[0], force)
-        obj.write_yaml(paths[1], force=force)
+        pushes.write_csv(csv_path, force)
+        obj.write_yaml(object_path, force=force)
         found = {
             "object": obj.name,
             "cells": obj.n,
             "pushes": len(pushes),
-            "written": list(map(str, paths)),
+            "written": [str(csv_path), str(object_path)],
         }
-        print_found(
-            found,
-            [f"{count_noun(len(pushes), 'push')} of {obj.name}. Wrote {paths[0]} and {paths[1]}."],
-            json,
-        )
+        count = count_noun(len(pushes), "push")
+        print_found(found, [f"{count} of {obj.name}. Wrote {csv_path} and {object_path}."], json)
 
     file = Annotated[
-        Path, typer.Argument(metavar=importer.file, help=f"A file of {importer.source}.")
+        Path, typer.Argument(metavar=importer.file, help=f"The file to convert: {importer.source}.")
     ]
     parameters = [Parameter("file", Parameter.POSITIONAL_OR_KEYWORD, annotation=file)]
     annotations = (
@@ -100,11 +118,15 @@ def _make_command(name: str, importer: type[Importer]) -> Any:
     run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     single = typer.Typer(add_completion=False)
-    single.command(name, help=(importer.__doc__ or "").partition("\n")[0])(run)
+    summary = (importer.__doc__ or "").partition("\n")[0]
+    further = getattr(importer, "example", "")
+    example = f"Example: gridpush import {name} {importer.file} {further} --out-dir FOLDER"
+    single.command(name, help=f"{summary}\n\n{' '.join(example.split())}")(run)
     return typer.main.get_command(single)
 
 
 def _describe_option(field: dataclasses.Field[Any], kind: Any) -> Any:
+    """Returns the option of an importer's field, as Typer reads it from an annotation."""
     names = [field.metadata["name"]] if "name" in field.metadata else []
     if _is_object(kind):
         return Annotated[
@@ -114,22 +136,26 @@ def _describe_option(field: dataclasses.Field[Any], kind: Any) -> Any:
 
 
 def _is_object(kind: Any) -> bool:
-
+    """Returns whether a field holds an object, which the user names by its file."""
     return kind == GridObject | None
 
 
 def _check_outputs(
     out_dir: Path | None, out_csv: Path | None, out_object: Path | None, force: bool
 ) -> tuple[Path, Path]:
-    """The paths of the log and the object; a folder is made only when there is something to write."""
+    """Returns the paths of the push log and of the object file, after checking them.
+
+    Nothing is made yet, so that a command that fails later leaves no empty folder.
+    """
     if (out_dir is None) == (out_csv is None or out_object is None):
         raise OutputError(
             "--out-dir: expected a folder, or both --out-csv and --out-object instead of it"
         )
     folder = out_dir or Path()
-    paths = out_csv or folder / "pushes.csv", out_object or folder / "object.yaml"
+    csv_path = out_csv or folder / "pushes.csv"
+    object_path = out_object or folder / "object.yaml"
     if out_dir is None or out_dir.is_dir():
-        options.check_outputs(force, *paths)
+        options.check_outputs(force, csv_path, object_path)
     elif exists(out_dir):
         raise OutputError(f"--out-dir: {out_dir} is a file; expected a folder")
-    return paths
+    return csv_path, object_path

@@ -1,11 +1,12 @@
-"""How a command ends when it is asked to by a signal, and what becomes of its output when the terminal is lost.
+"""How a signal ends a command.
 
-SIGINT (Ctrl-C), SIGTERM and SIGHUP (a terminal or an ssh connection that is lost) end a command in
-the same way: its files are whole or not there, and its exit code is 128 + the signal's number.
-After SIGHUP nothing is printed on the lost terminal any more, where that would fail. A SIGHUP that
-is ignored when the command begins, as by `nohup`, stays ignored.
+SIGINT (Ctrl-C), SIGTERM, and SIGHUP (the terminal or the ssh connection is lost) end a command in
+the same way: each of its files is either whole or not there, the processes that it has started are
+ended, and its exit code is 128 plus the signal's number. After SIGHUP nothing is printed on the
+lost terminal any more. A SIGHUP that is ignored when the command begins, as by `nohup`, stays
+ignored.
 
-`robot` answers these signals itself, see `gridpush_drake.cli.robot`.
+The command `robot` handles these signals itself; see `gridpush_drake.cli.robot`.
 """
 
 import os
@@ -27,36 +28,43 @@ SIGNALS = (
 """Signals that ask a command to end; Windows has no SIGHUP."""
 
 SIGNALED = 128
-"""What shells add to a signal's number to make an exit code: 130 for SIGINT, 143 for SIGTERM, 129 for SIGHUP."""
+"""What is added to a signal's number to make an exit code, as shells do: SIGINT makes 130, SIGTERM
+143, SIGHUP 129."""
 
 SIGNAL_CODES = frozenset(SIGNALED + number for number in SIGNALS)
 """Exit codes of commands that were asked to end."""
 
 EXIT_INTERRUPTED = SIGNALED + signal.SIGINT
+"""Exit code of a command that was ended by Ctrl-C."""
 
 UNWIND_WITHIN = 1.5
-"""Time that the work has to clear up after itself, s; then the process ends as it is."""
+"""Time that a command has to clean up after a signal, s. Then the process is ended as it is."""
 
 OUTPUTS = (1, 2)
 """File descriptors of standard output and standard error."""
 
 
 class Interrupts:
-    """What came of the signals.
+    """Handles the signals while a command runs, and remembers the first.
 
     Attributes:
-        code: to exit with where a signal came; None where none did.
+        code: exit code of a command that a signal has ended; None if no signal came.
     """
 
     code: int | None = None
 
     def __init__(self, graceful: bool) -> None:
-        """Has seen no signal yet; `graceful` commands may take their time to end."""
-        self._graceful, self._finished = graceful, False
+        """Begins; no signal has come yet.
+
+        Args:
+            graceful: whether the command may take as long as it needs to end.
+        """
+        self._graceful = graceful
+        self._finished = False
         self._terminals = [number for number in OUTPUTS if _is_terminal(number)]
 
     def finish(self) -> None:
-        """From now on the work is done, and a signal changes nothing."""
+        """Notes that the command is done: a signal that comes now changes nothing."""
         self._finished = True
 
     def handle(self, number: int, _: FrameType | None) -> None:
@@ -66,12 +74,14 @@ class Interrupts:
         if self._finished:
             return
         if self.code is not None:
-            if is_hangup(number):  # the shell and the system both send one
+            # A lost terminal sends SIGHUP twice, once by the shell and once by the system. The
+            # second one is no request to hurry.
+            if is_hangup(number):
                 return
             self.end()
         self.code = SIGNALED + number
-        # the exception may be lost: Python ignores those that are raised in a callback of C code or
-        # in a finalizer
+        # The exception below may never arrive: Python drops exceptions that are raised while C code
+        # calls back, or in a finalizer. Then the timer ends the process.
         if not self._graceful:
             timer = Timer(UNWIND_WITHIN, self.end)
             timer.daemon = True
@@ -79,14 +89,15 @@ class Interrupts:
         raise KeyboardInterrupt
 
     def abandon_terminals(self) -> None:
-        """Sends nowhere what is still printed on a terminal; what goes to a file or a pipe still goes there."""
+        """Discards what is printed on a terminal from now on; files and pipes still get theirs."""
         for number in self._terminals:
             discard_output(number)
         self._terminals.clear()
 
     def end(self) -> None:
-        """Ends the process with all the workers that it has."""
-        from multiprocessing import active_children  # for start-up
+        """Ends the process and all its workers at once."""
+        # imported here, for it would make every start of `gridpush` slower
+        from multiprocessing import active_children
 
         if self._finished:
             return
@@ -101,13 +112,14 @@ def watch_interrupts(last: bool, graceful: bool) -> Iterator[Interrupts]:
     """Handles the signals while a command runs.
 
     Args:
-        last: whether the process ends with the command; if so, the signals stay handled, for Python
-            would end by the signal itself where one comes while it shuts down.
-        graceful: whether the command may take its time to end, as one that writes what was done so
-            far.
+        last: whether the process ends with the command. If so, the signals are ignored afterwards:
+            one that comes while Python shuts down would otherwise change the exit code.
+        graceful: whether the command may take as long as it needs to end, for instance to write
+            what was done so far.
 
     Yields:
-        What came of them; nothing is handled outside the main thread.
+        The handler, which knows whether a signal came. Outside the main thread, where Python does
+        not allow it, no signal is handled.
     """
     interrupts = Interrupts(graceful)
     if current_thread() is not main_thread():
@@ -123,10 +135,11 @@ def watch_interrupts(last: bool, graceful: bool) -> Iterator[Interrupts]:
 
 
 def set_handlers(handle: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
-    """Has all signals that ask a command to end handled by a function.
+    """Lets a function handle all signals that ask a command to end.
 
     Returns:
-        The handlers before, by the signals' numbers; without SIGHUP where that is ignored.
+        The earlier handlers by the signals' numbers, to be restored later. SIGHUP is not among
+        them if it is ignored; it is left alone then.
     """
     numbers = [
         number
@@ -137,17 +150,18 @@ def set_handlers(handle: Callable[[int, FrameType | None], None]) -> dict[int, A
 
 
 def is_hangup(number: int) -> bool:
-    """Whether a signal says that the terminal is lost."""
+    """Returns whether a signal means that the terminal is lost."""
     return number == getattr(signal, "SIGHUP", None)
 
 
 def say_interrupted() -> None:
-    """Says on standard error what an interrupted user wants to know, where anybody can still read it."""
+    """Says on standard error that the command was interrupted and left no broken file."""
     with suppress(OSError):
         print("gridpush: interrupted; no file was left half-written", file=sys.stderr, flush=True)
 
 
 def _is_terminal(number: int) -> bool:
+    """Returns whether a file descriptor is a terminal; one that is closed is none."""
     try:
         return os.isatty(number)
     except OSError:

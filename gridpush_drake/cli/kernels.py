@@ -1,4 +1,8 @@
-"""Compiled kernels, loaded or made before a command needs them; on two processes where there is much to compile."""
+"""Loads the compiled kernels before a command needs them, or compiles them.
+
+Kernels are the functions in which pushes are simulated. Where they have to be compiled and there is
+a second core, a second process compiles half of them.
+"""
 
 import os
 import subprocess
@@ -18,28 +22,28 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 
 APART = "from gridpush_drake.cli.kernels import compile_apart; compile_apart()"
-"""What the second process does."""
+"""Python code that the second process runs."""
 
 PATIENCE = 60.0
-"""s that the second process is waited for once the first is done; then it is ended, as it is not
-needed."""
+"""Time that the second process is waited for once this one is done, s. Then it is ended: whatever
+it has not compiled is compiled when it is first needed."""
 
 
 def compile_all() -> None:
-    """Loads the kernels that commands need; compiles those that are not in the cache, on two processes."""
+    """Loads the kernels that commands need, and compiles those that are not in the cache."""
     with _working_apart(needed=not is_compiled()):
         compile_rollouts()
     compile_margins()
 
 
 def compile_apart() -> None:
-    """The second process's part: what the rollout needs last, and what is no part of it."""
+    """Compiles the second process's part: what a rollout needs last, and what it does not need."""
     compile_columns()
     compile_margins()
 
 
 def compile_margins() -> None:
-    """Calculates one stability margin: loads the kernels of planning a grasp, or compiles them."""
+    """Loads or compiles the kernels of planning a grasp, by calculating one stability margin."""
     obj = make_square()
     masses = PlausibleMassSet.of_masses(obj, CellParameters.uniform(obj))
     calc_stability_margin(masses, [0.0, 0.0, 0.0], SupportSurface.round([0.0, 0.0], 1.0))
@@ -47,9 +51,13 @@ def compile_margins() -> None:
 
 @contextmanager
 def _working_apart(needed: bool) -> Iterator[None]:
-    """Lets a second process compile its part meanwhile, where there is a second core for it.
+    """Lets a second process compile its part meanwhile, if there is a second core for it.
 
-    What goes wrong there costs time only: this process compiles whatever it does not find.
+    If anything goes wrong in that process, only time is lost: this process compiles whatever it
+    does not find in the cache.
+
+    Args:
+        needed: whether there is anything to compile.
     """
     if not needed or len(os.sched_getaffinity(0)) < 2 or not sys.executable:
         yield

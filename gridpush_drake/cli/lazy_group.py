@@ -6,6 +6,7 @@ command that runs, or whose own help is shown, is imported as a whole; its modul
 its imports at its top, however long they take.
 """
 
+import inspect
 from collections.abc import Mapping
 from copy import copy
 from importlib import import_module
@@ -20,7 +21,7 @@ class LazyCommand(NamedTuple):
 
     Attributes:
         target: "MODULE:NAME" of a function, or of a `typer.Typer` that has commands of its own.
-        help: the first paragraph of the command's own help.
+        help: the first paragraph of the command's own help; a test compares the two.
     """
 
     target: str
@@ -46,7 +47,7 @@ class LazyGroup(TyperGroup):
         """Lists the commands of the table; none of them is imported.
 
         Args:
-            settings: those of `TyperGroup`.
+            settings: the arguments of `TyperGroup`, which Typer passes.
         """
         super().__init__(**settings)
         self._settings = settings
@@ -97,7 +98,16 @@ def load_command(name: str, target: str) -> Any:
     else:
         # an application of one command that has no group is that command
         single = typer.Typer(add_completion=False)
-        single.command(name)(found)
+        single.command(name, help=join_lines(found.__doc__ or ""))(found)
         command = typer.main.get_command(single)
     command.name = name
     return command
+
+
+def join_lines(docstring: str) -> str:
+    """Returns a docstring whose paragraphs are one line each.
+
+    Typer would keep the line breaks of the source, whatever the width of the terminal is.
+    """
+    paragraphs = inspect.cleandoc(docstring).split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)

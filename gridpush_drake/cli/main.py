@@ -1,7 +1,8 @@
-"""The `gridpush` command, and how it ends.
+"""The `gridpush` command: the table of its commands, and how a command ends.
 
-On SIGINT, SIGTERM and SIGHUP it ends at once, all it started with it, and with an exit code that
-says so; see `interrupts`.
+This module turns what goes wrong in a command into one line on standard error and an exit code. The
+commands themselves are in the other modules of this package, one in each. Signals are handled in
+`interrupts`, and a standard output that cannot be written to in `output`.
 """
 
 import sys
@@ -23,31 +24,30 @@ from gridpush_drake.cli.output import safe_output
 from gridpush_drake.errors import GridPushError, ObjectWarning, PushLogWarning
 
 EXIT_BAD_INPUT = 2
+"""Exit code after bad input: an option, a file or a field that is not as expected."""
 
 DOUBTS = (ObjectWarning, PushLogWarning)
-"""Warnings that are for the user."""
+"""Warnings about the user's own files. They are printed in one line; all others are left alone."""
 
 GRACEFUL = {"demo", "view", "twin", "tracker", "robot"}
-"""Commands that answer an interrupt themselves: they end in order, and write what was done."""
+"""Commands that handle Ctrl-C themselves: they finish in order, and write what was done so far."""
 
 COMMANDS: dict[str, LazyCommand] = {
     "demo": LazyCommand(
         "gridpush_drake.cli.demo:demo",
-        "Let a simulated robot poke an object to learn it, then push or lift it; write a "
-        "report and a recording.",
+        "Let a simulated robot learn an object by poking it, and then push or lift it.",
     ),
     "campaign": LazyCommand(
         "gridpush_drake.cli.campaign:campaign",
-        "Run whole episodes with many seeds and objects: how many are held, dropped, given "
-        "up, and why.",
+        "Run the demo many times, with many seeds and objects, and count how the runs ended.",
     ),
     "identify": LazyCommand(
         "gridpush_drake.cli.identify:identify",
-        "Learn an object's friction and mass from pushes of it.",
+        "Learn from a log of pushes where an object is heavy and where it rubs.",
     ),
     "predict": LazyCommand(
         "gridpush_drake.cli.predict:predict",
-        "Predict where pushes take an object, and compare with where they took it.",
+        "Predict where pushes take an object, and compare with where they really took it.",
     ),
     "simulate": LazyCommand(
         "gridpush_drake.cli.simulate:simulate",
@@ -55,62 +55,55 @@ COMMANDS: dict[str, LazyCommand] = {
     ),
     "show": LazyCommand(
         "gridpush_drake.cli.show:show",
-        "Draw an object with its parts, or what a model learned of it.",
+        "Draw a picture of an object, or of a learned model.",
     ),
     "plan": LazyCommand(
         "gridpush_drake.cli.plan:plan",
-        "Plan pushes that bring an object, or a learned model, to a goal pose.",
+        "Plan pushes that bring an object to a goal pose.",
     ),
     "export": LazyCommand(
         "gridpush_drake.cli.export:export",
-        "Write an object or a learned model for Drake (SDFormat, URDF) or MuJoCo (MJCF).",
+        "Write an object or a learned model as a file for Drake (SDFormat, URDF) or MuJoCo (MJCF).",
     ),
     "view": LazyCommand(
         "gridpush_drake.cli.view:view",
-        "Show a learned model, replay pushes beside their predictions, or play a recording, "
-        "in Meshcat.",
+        "Show a learned model, a log of pushes or a recording in the browser.",
     ),
     "slide": LazyCommand(
         "gridpush_drake.cli.slide:slide",
-        "Plan pushes to the table's edge, until a part hangs over that a gripper can take and "
-        "nothing falls.",
+        "Plan pushes that bring an object to the table's edge, so that it can be grasped there.",
     ),
     "object": LazyCommand(
         "gridpush_drake.cli.object:make_object",
-        "Find the object in a photograph and write its outline, cells and height as an object "
-        "file.",
+        "Find the object in a photograph, and write an object file for it.",
     ),
     "calibrate": LazyCommand(
         "gridpush_drake.cli.calibrate:calibrate",
-        "Find the camera's pose from a photograph of a board of tags: its middle is the "
-        "world's origin, z up.",
+        "Find where the camera is, from a photograph of a printed board of tags.",
     ),
     "track": LazyCommand(
         "gridpush_drake.cli.track:track",
-        "Follow an object through a video and write the pushes in it as a push log.",
+        "Follow an object through a video, and write the pushes in it as a push log.",
     ),
     "record": LazyCommand(
         "gridpush_drake.cli.record:record",
-        "Cut a stream of the tip's and the object's poses into pushes, as the robot does "
-        "while it pokes.",
+        "Cut a long recording of poses into pushes, and write them as a push log.",
     ),
     "twin": LazyCommand(
         "gridpush_drake.cli.twin:twin",
-        "Simulate a robot that speaks its driver's LCM messages, for `gridpush robot` to "
-        "move; Ctrl-C ends it.",
+        "Simulate a robot that `gridpush robot` can move over LCM as if it were a real one.",
     ),
     "tracker": LazyCommand(
         "gridpush_drake.cli.tracker:tracker",
-        "Find an object in a camera's LCM pictures and tell `gridpush robot` where it is; "
-        "Ctrl-C ends it.",
+        "Find an object in a camera's pictures, and tell `gridpush robot` over LCM where it is.",
     ),
     "robot": LazyCommand(
         "gridpush_drake.cli.robot:robot",
-        "Carry out a task of `gridpush demo` with a real arm over LCM; nothing moves before --go.",
+        "Carry out a task of `gridpush demo` with a real arm. Nothing moves without --go.",
     ),
     "warm-up": LazyCommand(
         "gridpush_drake.cli.warm_up:warm_up",
-        "Compile the kernels now, so that no later command has to; once a machine and version.",
+        "Compile the simulation to machine code now, so that no later command has to wait for it.",
     ),
     "import": LazyCommand(
         "gridpush_drake.cli.import_logs:app",
@@ -121,11 +114,18 @@ COMMANDS: dict[str, LazyCommand] = {
         "Measure speed and accuracy, on the objects that ship with the package.",
     ),
 }
-"""All commands, in the order in which the help lists them."""
+"""All commands, in the order in which `gridpush --help` lists them."""
+
+
+HELP = (
+    "Learn where an object is heavy and where it rubs by pushing it, and predict where the next "
+    "push takes it."
+)
+"""What `gridpush --help` says first."""
 
 
 class GridPushGroup(LazyGroup):
-    """The commands of `gridpush`."""
+    """The group of all commands of `gridpush`."""
 
     lazy_commands = COMMANDS
 
@@ -133,7 +133,7 @@ class GridPushGroup(LazyGroup):
 app = typer.Typer(
     name="gridpush",
     cls=GridPushGroup,
-    help="Learn an object's friction and mass by pushing it, and predict where the next push takes it.",
+    help=HELP,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["--help", "-h"]},
@@ -157,69 +157,85 @@ def common(
         ),
     ] = False,
 ) -> None:
-    """Learn an object's friction and mass by pushing it, and predict where the next push takes it."""
+    """Takes the options of `gridpush` itself; its help is that of `app`."""
 
 
 def main(args: list[str] | None = None) -> None:
     """Runs the command line and exits.
 
-    0: done; 1: no plan found; 2: bad input (said in one line); 3: a learned model explains little;
-    129, 130 or 143: ended by a signal.
+    The exit code is 0 if the command did what it was asked to; 1 if there is no plan, or the robot
+    did not reach its goal; 2 after bad input, which is explained in one line; 3 if a model was
+    learned that explains little of its own pushes; and 129, 130 or 143 if a signal ended it.
 
     Args:
-        args: instead of the process's own; the process is then taken to go on after the command.
+        args: the words after `gridpush`. None for those of this process, which then ends with the
+            command. If words are given, the process is assumed to go on afterwards.
     """
     with safe_output() as output:
         code = _run_watched(args)
+        # Output that is still kept back may be refused only now, and the exit code has to tell
         output.flush()
         if output.problem:
-            code = code or _fail(f"standard output {output.problem}; what was to be said is lost")
+            lost = f"standard output {output.problem}; what was printed there is lost"
+            code = code or _fail(lost)
     sys.exit(code)
 
 
 def _run_watched(args: list[str] | None) -> int | None:
-    """Runs the command line, with signals handled; returns the exit code, None for 0."""
-    graceful = not GRACEFUL.isdisjoint(sys.argv[1:2] if args is None else args[:1])
+    """Runs the command line with its signals handled; returns the exit code, or None for 0."""
+    first_word = sys.argv[1:2] if args is None else args[:1]
+    graceful = not GRACEFUL.isdisjoint(first_word)
     with watch_interrupts(last=args is None, graceful=graceful) as interrupts:
         try:
             code = _run(args)
             interrupts.finish()
         except KeyboardInterrupt:
             code = EXIT_INTERRUPTED
-    # a command that is to be ended by Ctrl-C alone, as the twin is, has done its work then
-    ended = interrupts.code in SIGNAL_CODES - {EXIT_INTERRUPTED}
-    if code in SIGNAL_CODES or ended:
+    # Commands such as `twin` run until Ctrl-C: after it they have done what was asked, and return
+    # 0. After any other signal the exit code always names it.
+    ended_by_other_signal = interrupts.code in SIGNAL_CODES - {EXIT_INTERRUPTED}
+    if code in SIGNAL_CODES or ended_by_other_signal:
         code = interrupts.code or code
         say_interrupted()
     return code
 
 
 def _run(args: list[str] | None) -> int | None:
-    """Runs the command line; returns the exit code, None for 0."""
+    """Runs the command line; returns the exit code, or None for 0."""
     try:
         with _short_warnings():
             code: int | None = app(args=args, prog_name="gridpush", standalone_mode=False)
     except GridPushError as error:
         code = _fail(str(error))
     except typer.TyperException as error:
-        code = _fail(error.format_message()) if error.format_message().strip() else error.exit_code
+        # An error without a message has printed what it had to say, as a bare `gridpush` does
+        message = error.format_message()
+        code = _fail(message) if message.strip() else error.exit_code
     except MemoryError:
-        code = _fail("out of memory; expected a smaller object, log or image")
+        code = _fail("out of memory; expected a smaller object, push log or image")
     return code
 
 
 @contextmanager
 def _short_warnings() -> Iterator[None]:
-    """Prints each warning about a mask or a push log as one line on standard error, whatever filters are set."""
+    """Prints each warning about an object or a push log once, as one line on standard error.
+
+    It does so whatever filters for warnings the process has.
+    """
     with warnings.catch_warnings():
         for doubt in DOUBTS:
             warnings.simplefilter("always", doubt)
-        show, told = warnings.showwarning, set[str]()
+        show = warnings.showwarning
+        told = set[str]()
 
         def print_short(
-            message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None,
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: Any = None,
             line: str | None = None,
-        ) -> None:  # fmt: skip
+        ) -> None:
             if not issubclass(category, DOUBTS):
                 show(message, category, filename, lineno, file, line)
             elif str(message) not in told:
@@ -231,6 +247,7 @@ def _short_warnings() -> Iterator[None]:
 
 
 def _fail(message: str) -> int:
+    """Prints an error as one line; returns the exit code that goes with it."""
     print(f"gridpush: error: {' '.join(message.split())}", file=sys.stderr)
     return EXIT_BAD_INPUT
 

@@ -1,4 +1,4 @@
-"""`gridpush object`: an object file from one photograph."""
+"""`gridpush object`: finds an object in a photograph, and writes an object file for it."""
 
 from pathlib import Path
 from typing import Annotated
@@ -25,24 +25,32 @@ from gridpush_drake.perception import (
 from gridpush_drake.perception.foreground import CONTRADICTION
 from gridpush_drake.perception.frames import Color
 
-MM, CM2 = 1e3, 1e4
-"""In m and m^2."""
+MM = 1e3
+"""Millimeters in a meter."""
+
+CM2 = 1e4
+"""Square centimeters in a square meter."""
 
 Photo = Annotated[
     Path,
     typer.Argument(
-        metavar="PHOTO", help="A photograph of the object on the table.", show_default=False
+        metavar="PHOTO",
+        help="A photograph of the object on the table, in color.",
+        show_default=False,
     ),
 ]
 CameraFile = Annotated[
     Path,
     typer.Option(
-        "--camera", metavar="CAMERA.yaml", help="ROS camera_info, OpenCV YAML or Drake's CameraConfig; with X_WC, as"
-        " `gridpush calibrate` writes it, unless there is depth.", show_default=False,
+        "--camera",
+        metavar="CAMERA.yaml",
+        help="The camera's file, as ROS camera_info, OpenCV YAML or Drake's CameraConfig. Without "
+        "--depth it needs X_WC, the camera's pose, which `gridpush calibrate` finds.",
+        show_default=False,
     ),
-]  # fmt: skip
+]
 TagSize = Annotated[
-    float, typer.Option(metavar="M", min=1e-3, help="Side of a tag's black square, m.")
+    float, typer.Option(metavar="M", min=1e-3, help="Side of the tag's black square, m.")
 ]
 
 
@@ -52,7 +60,9 @@ def make_object(
     depth: Annotated[
         Path | None,
         typer.Option(
-            metavar="DEPTH.png", help="Depth image, registered: 16 bit in mm, or float in m."
+            metavar="DEPTH.png",
+            help="Depth picture of the same scene, registered to PHOTO pixel by pixel: 16 bit in "
+            "mm, or floating point in m.",
         ),
     ] = None,
     out: Annotated[
@@ -63,32 +73,61 @@ def make_object(
         typer.Option(
             metavar="SEEN.png",
             callback=options.PNG,
-            help="What was seen; also where no object was found.",
+            help="Also write the photograph with what was found drawn into it. It is written even "
+            "if no object was found.",
         ),
     ] = None,
     name: Annotated[
-        str | None, typer.Option(help="Name of the object.", show_default="the photograph's")
+        str | None,
+        typer.Option(help="Name of the object in its file.", show_default="the photograph's name"),
     ] = None,
     height: Annotated[
         float | None,
-        typer.Option(min=1e-4, help="Height of the object, m.", show_default="as depth says"),
+        typer.Option(
+            min=1e-4,
+            metavar="M",
+            help="Height of the object above the table, m. Needed without --depth, for the top of "
+            "a high object seems larger than its foot.",
+            show_default="as --depth shows it",
+        ),
     ] = None,
     cell_size: Annotated[
         float | None,
-        typer.Option(min=1e-4, help="Side of a cell, m.", show_default="127 cells at most"),
+        typer.Option(
+            min=1e-4,
+            metavar="M",
+            help="Side of the square cells that the object is divided into, m.",
+            show_default="so large that there are at most 127",
+        ),
     ] = None,
     parts: Annotated[
-        bool, typer.Option("--parts", help="Tell the object's parts apart by color.")
+        bool,
+        typer.Option(
+            "--parts",
+            help="Divide the object into parts by its colors. A simulation with random masses "
+            "gives each part a mass of its own.",
+        ),
     ] = False,
     tag: Annotated[
         int | None,
-        typer.Option(min=0, help="AprilTag 36h11 on the object: its pose goes into the file."),
+        typer.Option(
+            min=0,
+            metavar="ID",
+            help="Number of an AprilTag 36h11 that is stuck on the object. Where it is on the "
+            "object is written to the file, so that `gridpush track` can follow the tag.",
+        ),
     ] = None,
     tag_size: TagSize = 0.03,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Find the object in a photograph and write its outline, cells and height as an object file."""
+    """Find the object in a photograph, and write an object file for it.
+
+    The file holds the object's outline, its cells and its height. The object is told from the table
+    by its color and, with --depth, by its height.
+
+    Example: gridpush object photo.png --depth depth.png --camera camera.yaml --out object.yaml
+    """
     options.check_outputs(force, out, picture, inputs=(photo, camera, depth))
     seen_by = Camera.read(camera)
     color = read_color(photo, seen_by)
@@ -101,24 +140,32 @@ def make_object(
         raise type(error)(f"{photo}: {error}", error.picture) from error
     if found.contradiction > CONTRADICTION:
         warn(
-            f"{photo}: color and depth contradict each other about {found.contradiction:.0%} of the object; is {depth} "
-            "of the same scene, and registered? --picture shows what was found",
+            f"{photo}: color and depth contradict each other about {found.contradiction:.0%} of "
+            f"the object; is {depth} of the same scene, and registered to the color picture? "
+            "--picture shows what was found",
             ObjectWarning,
             stacklevel=2,
         )
     obj = found.make_grid_object(cell_size, name or photo.stem)
     tag_on_it = None if tag is None else _find_tag(photo, color, found, tag, tag_size)
     x, y, theta = map(float, found.X_WB)
-    at = float(found.pixel[0]), float(found.pixel[1])
+    at = (float(found.pixel[0]), float(found.pixel[1]))
     seen = SeenSchema(pixel=at, pose=(x, y, theta), tag=tag_on_it)
     write_whole(out, dump_object(obj.name, obj.grid, obj.prior, obj.height, seen), force)
     if picture is not None:
         write_picture(picture, found.picture, force)
     if json:
         print_json(
-            {"object": obj.name, "cells": obj.n, "height": obj.height, "area": found.outline.area, "pixel": at,
-             "pose": [x, y, theta], "written": str(out)}
-        )  # fmt: skip
+            {
+                "object": obj.name,
+                "cells": obj.n,
+                "height": obj.height,
+                "area": found.outline.area,
+                "pixel": at,
+                "pose": [x, y, theta],
+                "written": str(out),
+            }
+        )
     else:
         tall = f"{found.height * MM:.0f} mm high" if found.height else "of unknown height"
         print_line(
@@ -127,10 +174,12 @@ def make_object(
 
 
 def _find_tag(photo: Path, color: Color, found: DetectedObject, tag: int, size: float) -> TagSchema:
-
+    """Finds where a tag is on the object. Raises TagError where it is not in the photograph."""
     tags = detect_tags(color, found.camera, size, found.height)
     if tag not in tags:
         there = ", ".join(map(str, sorted(tags))) or "none"
-        raise TagError(f"{photo}: tag {tag} is not in view; there are: {there}", found.picture)
+        raise TagError(
+            f"{photo}: tag {tag} is not in view; the tags in view are: {there}", found.picture
+        )
     x, y, theta = map(float, solve_tag_to_body(tags[tag], found.X_WB))
     return TagSchema(id=tag, size=size, pose=(x, y, theta))

@@ -1,4 +1,8 @@
-"""What several commands share: options, tables, the objects, models and logs they read, and compiled kernels."""
+r"""What several commands share: common options, and how they read objects, models and push logs.
+
+Each option is a type that a command uses in its signature, such as `force: Force = False`. In a
+help text, `[` has to be written as `\\[`: Rich would take `[word]` for markup and leave it out.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -27,7 +31,8 @@ ObjectOrModel = Annotated[
     str,
     typer.Argument(
         metavar="OBJECT_OR_MODEL",
-        help="An object file, a model that `gridpush identify` wrote, or the name of a shipped object.",
+        help="An object file, a model file that `gridpush identify` wrote, or the name of a "
+        "shipped object, such as claw_hammer.",
         show_default=False,
     ),
 ]
@@ -36,120 +41,171 @@ PushesFile = Annotated[
     Path,
     typer.Argument(
         metavar="PUSHES.csv",
-        help="A push log, a CSV file with the columns push, t, tip_x, tip_y, object_x, object_y, object_theta and, if"
-        " known, force_x, force_y, overhang and table.",
+        help="A push log: a CSV file with the columns push, t, tip_x, tip_y, object_x, object_y, "
+        "object_theta (s, m and rad) and, if known, force_x, force_y (N), overhang and table.",
         show_default=False,
     ),
 ]
 
 
 def expect_ending(*endings: str) -> Callable[[Path | None], Path | None]:
-    """Makes the callback of an option that refuses a file to be written whose name has none of the endings."""
+    """Makes the callback of an option that names a file to be written: it checks the name's ending.
+
+    A path that is there and is no file is let through: what is wrong with it is said later.
+
+    Args:
+        endings: the endings that are allowed, such as ".png".
+    """
 
     def check(path: Path | None) -> Path | None:
-        if (
-            path is not None
-            and path.suffix.lower() not in endings
-            and (is_file(path) or not exists(path))
-        ):
-            raise typer.BadParameter(
-                f"is {str(path)!r}; expected a name that ends with {endings[0]}"
-            )
-        return path
+        if path is None or path.suffix.lower() in endings:
+            return path
+        if exists(path) and not is_file(path):
+            return path
+        raise typer.BadParameter(f"is {str(path)!r}; expected a name that ends with {endings[0]}")
 
     return check
 
 
-PNG, HTML = expect_ending(".png"), expect_ending(".html", ".htm")
+PNG = expect_ending(".png")
+"""Callback of an option that names a picture to be written."""
 
-Force = Annotated[bool, typer.Option("--force", help="Replace output files that exist.")]
+HTML = expect_ending(".html", ".htm")
+"""Callback of an option that names a page to be written."""
+
+Force = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        help="Replace output files that exist. Without it, the command ends with an error.",
+    ),
+]
 
 Json = Annotated[
     bool,
-    typer.Option("--json", help="Print one JSON document on standard output, and nothing else."),
+    typer.Option(
+        "--json",
+        help="Print the result as one JSON document on standard output, and nothing else there. "
+        "Numbers are in SI units (m, rad, s, kg, N) unless a name or a unit beside them says "
+        "otherwise.",
+    ),
 ]
 
 LargestPiece = Annotated[
-    bool, typer.Option("--largest-piece", help="Of a mask in several pieces, keep the largest.")
+    bool,
+    typer.Option(
+        "--largest-piece",
+        help="If the object's mask (the picture of its outline) is in several pieces, use the "
+        "largest one. Without it such a mask is refused.",
+    ),
 ]
 
 Regime = Annotated[
     Literal["auto", "quasi_static", "inertial"],
     typer.Option(
-        help="quasi_static for slow pushes, inertial for fast ones; auto: by their speed."
+        help="How pushes are simulated: quasi_static without inertia, for slow pushes; inertial "
+        "with it, for fast ones; auto decides by the speed of the pushes."
     ),
 ]
 
 Height = Annotated[
     float | None,
-    typer.Option(help="Height of the object, m.", show_default="as its file says, or 0.03"),
+    typer.Option(
+        metavar="M",
+        help="Height of the object above the table, m.",
+        show_default="what its file says, else 0.03",
+    ),
 ]
 
-Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+Seed = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="Seed of everything random. The same seed gives the same result on one computer.",
+    ),
+]
 
-Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
+Workers = Annotated[int, typer.Option(min=1, help="How many processes work at the same time.")]
 
 Dask = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS", help="Use the workers of the Dask cluster whose scheduler is there, such as tcp://host:8786,"
-        " instead of processes here (pip install '.\\[cluster]'; workers of one thread each are best).",
+        metavar="ADDRESS",
+        help="Let a Dask cluster do the work instead of processes on this computer. ADDRESS is "
+        "that of its scheduler, such as tcp://host:8786. Needs pip install '.\\[cluster]'; workers "
+        "with one thread each are best.",
     ),
-]  # fmt: skip
+]
 
 WORKERS = 2
-"""Processes by default."""
-
+"""How many processes work at the same time unless `--workers` says otherwise."""
 
 DEFAULT_HEIGHT = 0.03
-"""Of an object whose file does not say it, m."""
+"""Height of an object if neither the command line nor its file gives one, m."""
 
 EXIT_NO_PLAN = 1
-"""Exit code where the arguments are in order but there is no way to do it."""
+"""Exit code if the input is good, but no plan does what is asked for."""
 
 
 class OptionError(GridPushError):
-    """An option's value is not of its form."""
+    """The value of an option is not of the expected form."""
 
 
 def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
-    """Reads as many numbers, at most MAX_NUMBER, separated by commas, as `names` has, such as "x,y".
+    """Reads numbers that are separated by commas.
+
+    Args:
+        option: the option's name, for the error's message.
+        text: what the user wrote, such as "0.2,0.1".
+        names: what the numbers are, such as "x,y"; as many numbers are expected as there are names.
 
     Raises:
-        OptionError: the text is something else.
+        OptionError: the text is something else, or a number is beyond MAX_NUMBER.
     """
+    count = len(names.split(","))
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) != len(names.split(",")) or not all(
-        abs(number) <= MAX_NUMBER for number in numbers
-    ):
-        raise OptionError(
-            f"{option}: is {text!r}; expected {names}, such as {','.join(['0.1'] * len(names.split(',')))}"
-        )
+    # written so that a NaN is refused, too
+    within = all(abs(number) <= MAX_NUMBER for number in numbers)
+    if len(numbers) != count or not within:
+        example = ",".join(["0.1"] * count)
+        raise OptionError(f"{option}: is {text!r}; expected {names}, such as {example}")
     return numbers
 
 
 FORMS = "rectangle:WxH@x,y, round:R@x,y, both also without @x,y, or polygon:x,y;x,y;x,y (m)"
+"""The forms of a shape on the command line, for messages."""
+
+SHAPE_HELP = (
+    "rectangle:WxH@x,y (sides along x and y, then the center), round:R@x,y (radius, then the "
+    "center) or polygon:x,y;x,y;x,y (corners), all in m. A center that is left out is 0,0."
+)
+"""The forms of a shape, for help texts."""
 
 Table = Annotated[
     str,
-    typer.Option("--table", metavar="SHAPE", help=f"The table's top: {FORMS}.", show_default=False),
+    typer.Option(
+        "--table",
+        metavar="SHAPE",
+        help=f"Shape of the table's top: {SHAPE_HELP}",
+        show_default=False,
+    ),
 ]
 
 
 def parse_shape(option: str, text: str) -> SupportSurface:
-    """Reads a table, or an obstacle.
+    """Reads the shape of a table or of an obstacle.
 
     Args:
-        option: its name, for the message.
+        option: the option's name, for the error's message.
         text: `rectangle:0.8x0.6@0,0` (sides along x and y, then the center), `round:0.5@0.6,0`
-            (radius, then the center) or `polygon:0,0;1,0;0,1` (corners), m; a center left out is
-            the world's origin.
+            (radius, then the center) or `polygon:0,0;1,0;0,1` (corners), m. A center that is left
+            out is the world's origin.
 
     Returns:
-        The table.
+        The shape, as a table's top.
 
     Raises:
         OptionError: the text is of no such form.
@@ -181,14 +237,25 @@ def parse_shape(option: str, text: str) -> SupportSurface:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a command works on: an object, what it is taken to weigh and rub (the model's, or uniform by its prior)."""
+    """What a command works on: an object, and what is assumed or was learned about it.
+
+    Attributes:
+        obj: the object.
+        params: masses and frictions of its cells: those of the learned model, or, without one, mass
+            and friction spread evenly.
+        model: the learned model; None if there is only an object.
+    """
 
     obj: GridObject
     params: CellParameters
     model: Identification | None = None
 
     def make_physics(self, regime: Regime) -> Physics:
-        """The model's physics, or else the default one; with `regime`, unless that is "auto"."""
+        """Returns the physics that pushes of this target are simulated with.
+
+        They are the model's, or the default ones without a model. A regime other than "auto"
+        replaces theirs.
+        """
         physics = self.model.physics if self.model else Physics()
         return physics if regime == "auto" else physics.with_regime(regime)
 
@@ -197,16 +264,20 @@ class Target:
 def executing(
     what: str, workers: int, dask: str | None, open_results: Callable[[], Results]
 ) -> Iterator[Execution]:
-    """How jobs are run: their results are kept, and what is done is shown.
+    """Prepares the run of many jobs, whose results are kept in a file and whose progress is shown.
 
     Args:
-        what: they are of, in a word.
-        workers: processes here.
-        dask: address of a cluster that runs them instead; None for none.
-        open_results: where they are kept; called once the cluster has answered.
+        what: the name of the work, such as "campaign", for messages.
+        workers: how many processes on this computer do the work.
+        dask: address of a cluster that does the work instead; None for this computer.
+        open_results: opens the file of results. It is called only after the cluster has answered,
+            so that a wrong address leaves no file behind.
+
+    Yields:
+        What `bench.jobs` needs to run the jobs.
 
     Raises:
-        GridPushError: no cluster answers.
+        GridPushError: no cluster answers at the address.
     """
     with ExitStack() as stack:
         executor = None
@@ -219,25 +290,23 @@ def executing(
             print_notice(f"{what}: results are kept in {results.path}{known}")
             compile_kernels()
 
-        yield Execution(
-            workers, stack.enter_context(work_progress(what)), results, prepare, executor
-        )
+        report = stack.enter_context(work_progress(what))
+        yield Execution(workers, report, results, prepare, executor)
 
 
 def check_outputs(
     force: bool, *paths: Path | None, inputs: Sequence[Path | str | None] = ()
 ) -> None:
-    """Checks, before long work begins, that files may be written, each to its own place.
+    """Checks, before long work begins, that its files can be written at its end.
 
     Args:
         force: whether existing files may be replaced.
-        paths: to be written; None for what is not asked for.
-        inputs: files that are read, none of which may be replaced even so; None for what is not
-            read.
+        paths: the files to be written; None for one that the user does not want.
+        inputs: the files that are read. None of them may be replaced, not even with `force`.
 
     Raises:
-        OutputError: one may not be written.
-        OptionError: two are the same, or one is an input.
+        OutputError: a file cannot be written, or exists and must not be replaced.
+        OptionError: two outputs are the same file, or an output is also an input.
     """
     given = [path for path in paths if path is not None]
     for i, path in enumerate(given):
@@ -247,28 +316,42 @@ def check_outputs(
             )
         check_writable(path, force)
         if any(other is not None and is_same(path, other) for other in inputs):
-            raise OptionError(f"{path}: is read, too; expected another file to be written")
+            raise OptionError(
+                f"{path}: is also read by this command; expected another file to be written"
+            )
 
 
 def describe_written(*paths: Path | None) -> list[str]:
-    """Says in a line which files were written, where any were."""
+    """Returns a line that says which files were written, or no line if none was."""
     written = " and ".join(str(path) for path in paths if path is not None)
     return [f"Wrote {written}."] if written else []
 
 
 def load_object(name: str, largest_piece: bool = False) -> GridObject:
-    """Reads an object by its file or by the name it is shipped under. Raises ObjectError where there is neither."""
+    """Reads an object, given its file or the name of a shipped object.
+
+    Raises:
+        ObjectError: there is neither, or the file is not as expected.
+    """
     return GridObject.from_yaml(object_path(name), largest_piece=largest_piece)
 
 
 def object_path(name: str) -> Path:
-    """The file of an object; a file goes before a shipped object of the same name."""
+    """Returns the path of an object's file. A file goes before a shipped object of that name."""
     path = Path(name)
-    return path if exists(path) or path.suffix else find_shipped_object(name)
+    # a name with an ending is meant as a file, also if that file is not there
+    if exists(path) or path.suffix:
+        return path
+    return find_shipped_object(name)
 
 
 def load_target(name: str, largest_piece: bool = False) -> Target:
-    """Reads an object or a model. Raises ObjectError or IdentificationError where it is neither."""
+    """Reads an object or a learned model.
+
+    Raises:
+        ObjectError: the name is neither a model's file nor an object.
+        IdentificationError: it is a model's file, but a damaged one.
+    """
     if looks_like_model(name):
         model = read_model(name)
         return Target(model.obj, model.params, model)
@@ -277,28 +360,42 @@ def load_target(name: str, largest_piece: bool = False) -> Target:
 
 
 def choose_height(given: float | None, obj: GridObject) -> float:
-    """Height of an object, m: as given, or as its file says, or DEFAULT_HEIGHT."""
-    return given if given is not None else obj.height or DEFAULT_HEIGHT
+    """Returns the height of an object, m: the given one, else its file's, else DEFAULT_HEIGHT."""
+    if given is not None:
+        return given
+    return obj.height or DEFAULT_HEIGHT
 
 
 def load_log(path: Path, obj: GridObject, *, require_final: bool = True) -> PushLog:
-    """Reads a push log, made with the pusher that the object's file names; says so where it names none."""
+    """Reads a push log.
+
+    If the log does not say how thick the pusher was, the object's file does. If that does not say
+    it either, a default is used, which is printed on standard error.
+
+    Args:
+        path: the CSV file.
+        obj: the object that was pushed.
+        require_final: whether a push whose last pose is unknown is refused.
+    """
     log = PushLog.read_csv(path, require_final=require_final)
     if log.radius_given:
         return log
     if obj.prior.pusher_radius is None:
         print_notice(
-            f"{obj.name}: no pusher.radius in its file; {DEFAULT_PUSHER_RADIUS:g} m is taken for the pusher's"
+            f"{obj.name}: its file has no pusher.radius; the pusher's radius is assumed to be "
+            f"{DEFAULT_PUSHER_RADIUS:g} m"
         )
         return log
     return log.with_radius(obj.prior.pusher_radius)
 
 
 def describe_overhanging(names: Sequence[str]) -> str:
-    """Says which pushes were left out, and why."""
-    return f"left out {count_noun(len(names), 'push')}, as the object hung over the table's edge: {', '.join(names)}"
+    """Returns a sentence that names the pushes in which the object hung over the table's edge."""
+    count = count_noun(len(names), "push")
+    listed = ", ".join(names)
+    return f"left out {count}, as the object hung over the table's edge: {listed}"
 
 
 def compile_kernels() -> None:
-    """Loads the kernels, or compiles them, which is said on standard error, before anything has to be in time."""
+    """Loads the kernels, or compiles them, before the part of a command that must not be late."""
     compile_all()

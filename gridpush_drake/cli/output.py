@@ -1,7 +1,9 @@
-"""Standard output and standard error that may be full, closed, lost or of another encoding than UTF-8.
+"""Lets a command go on when standard output or standard error cannot be written to.
 
-A command first does its work and writes its files. That what it says of them finds no place is no
-reason to lose them: it is said once, at the end. And what moves an arm must go on all the same.
+They may be closed, full, a terminal that is lost, or of an encoding other than UTF-8. A command
+should do its work and write its files even so, and a program that moves an arm must not break off
+in the middle of a motion because a line cannot be printed. Therefore a failed write never raises an
+error here; it is reported once, at the end.
 """
 
 import os
@@ -11,24 +13,29 @@ from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
 STANDARD_ERROR = 2
-"""Number of the last of the three standard files."""
+"""File descriptor of standard error, the last of the three standard files."""
 
 
 class LosableOutput:
-    """A stream that nobody may be able to read any more: a failed write is told once, and never raised.
+    """A stream to which a write may fail: the failure is reported once, and never raised.
 
-    Terminals that are lost refuse what is written to them (EIO), as pipes do that nobody reads
-    (EPIPE) and disks that are full.
+    A write fails if the terminal is lost (EIO), if nobody reads the pipe any more (EPIPE), or if
+    the disk is full. After the first failure everything else that is written is discarded.
 
     Attributes:
-        problem: the first thing that went wrong, for a message; empty where all was written.
-        listeners: what is called with the error of the first write that fails.
+        problem: what went wrong first, for a message; empty if everything could be written.
+        listeners: functions that are called with the error of the first write that fails.
     """
 
     def __init__(
         self, stream: TextIO | None, tell: Callable[[OSError], None] | None = None
     ) -> None:
-        """Writes to a stream, None for one that was closed before the process began, and tells `tell`."""
+        """Wraps a stream.
+
+        Args:
+            stream: the stream to write to; None if it was closed before the process began.
+            tell: the first of the `listeners`.
+        """
         self._stream = stream
         self.problem = ""
         self.listeners = [] if tell is None else [tell]
@@ -38,17 +45,17 @@ class LosableOutput:
 
     @property
     def encoding(self) -> str:
-        """The stream's."""
+        """Name of the encoding in which the stream writes text."""
         return getattr(self._stream, "encoding", None) or "utf-8"
 
     def isatty(self) -> bool:
-        """Whether it is a terminal."""
+        """Returns whether the stream is a terminal."""
         with suppress(OSError, ValueError):
             return self._stream is not None and self._stream.isatty()
         return False
 
     def write(self, text: str) -> int:
-        """Writes text; returns its length, whether it could be written or not."""
+        """Writes text. Returns the text's length, also if it could not be written."""
         if self._stream is None:
             if text and not self.problem:
                 self.problem = "is closed"
@@ -60,7 +67,7 @@ class LosableOutput:
         return len(text)
 
     def flush(self) -> None:
-        """Writes what was kept back."""
+        """Writes the text that the stream has kept back so far."""
         if self._stream is not None and not self.problem:
             try:
                 self._stream.flush()
@@ -68,16 +75,17 @@ class LosableOutput:
                 self._lose(error)
 
     def _lose(self, error: OSError) -> None:
+        """Notes the first failure, and tells the listeners."""
         self.problem = f"cannot be written: {error.strerror or error}"
         with suppress(OSError, ValueError, AttributeError):
-            # what is kept back would fail again at exit
+            # Python writes what is kept back once more when it exits; that would fail again
             discard_output(self._stream.fileno())  # type: ignore[union-attr]
         for tell in self.listeners:
             tell(error)
 
 
 def discard_output(number: int) -> None:
-    """Sends nowhere what is still written to a file descriptor."""
+    """Redirects a file descriptor, so that what is written to it from now on is discarded."""
     with suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, number)
@@ -86,8 +94,12 @@ def discard_output(number: int) -> None:
 
 @contextmanager
 def losable_outputs(tell: Callable[[OSError], None]) -> Iterator[None]:
-    """Lets standard output and standard error be lost meanwhile, which is told; see `LosableOutput`."""
-    before = sys.stdout, sys.stderr
+    """Keeps a failed write to standard output or standard error from raising an error.
+
+    Args:
+        tell: is called with the error of the first write that fails; see `LosableOutput`.
+    """
+    before = (sys.stdout, sys.stderr)
     outputs = [
         stream if isinstance(stream, LosableOutput) else LosableOutput(stream) for stream in before
     ]
@@ -105,16 +117,21 @@ def losable_outputs(tell: Callable[[OSError], None]) -> Iterator[None]:
 
 @contextmanager
 def safe_output() -> Iterator[LosableOutput]:
-    """Lets a command write to standard output and standard error whatever these are; yields the former.
+    """Lets a command write to standard output and standard error, whatever these are.
 
     Letters that their encoding does not have are written as escapes.
+
+    Yields:
+        Standard output, whose `problem` says afterwards whether anything could not be written.
     """
     _keep_places()
-    before = sys.stdout, sys.stderr
+    before = (sys.stdout, sys.stderr)
     errors = [(stream, getattr(stream, "errors", None)) for stream in before]
     _set_errors([(stream, "backslashreplace") for stream in before])
-    output, error_output = (LosableOutput(stream) for stream in before)
-    sys.stdout, sys.stderr = output, error_output
+    output = LosableOutput(sys.stdout)
+    error_output = LosableOutput(sys.stderr)
+    sys.stdout = output
+    sys.stderr = error_output
     try:
         yield output
     finally:
@@ -125,7 +142,7 @@ def safe_output() -> Iterator[LosableOutput]:
 
 
 def _set_errors(errors: list[tuple[Any, str | None]]) -> None:
-    """Sets what streams do with a letter that they cannot write, where they can be told."""
+    """Sets how streams handle a letter that their encoding lacks, if the streams allow it."""
     for stream, wanted in errors:
         if hasattr(stream, "reconfigure") and wanted is not None:
             with suppress(OSError, ValueError):
@@ -133,7 +150,11 @@ def _set_errors(errors: list[tuple[Any, str | None]]) -> None:
 
 
 def _keep_places() -> None:
-    """Opens standard files that are closed, so that no file opened later takes their number, and their text."""
+    """Opens the standard files that are closed.
+
+    Otherwise the next file that is opened would take the number of standard output, say, and
+    whatever is printed would go into that file.
+    """
     with suppress(OSError):
         number = os.open(os.devnull, os.O_RDWR)
         while number <= STANDARD_ERROR:

@@ -1,4 +1,4 @@
-"""`gridpush plan`: pushes that bring an object to a goal pose."""
+"""`gridpush plan`: plans pushes that bring an object to a goal pose."""
 
 from math import degrees, isfinite
 from pathlib import Path
@@ -26,110 +26,159 @@ from gridpush_drake.report.plan_figures import draw_plan
 def plan(
     model: options.ObjectOrModel,
     goal: Annotated[
-        str, typer.Option(metavar="X,Y,THETA", help="Where the object should lie, m and rad.")
+        str,
+        typer.Option(
+            metavar="X,Y,THETA",
+            help="The goal: where the object should lie in the end, world frame, m and rad.",
+        ),
     ],
     start: Annotated[
-        str, typer.Option(metavar="X,Y,THETA", help="Where it lies, m and rad.")
+        str,
+        typer.Option(
+            metavar="X,Y,THETA",
+            help="Where the object lies in the beginning, world frame, m and rad.",
+        ),
     ] = "0,0,0",
     table: Annotated[
         str | None,
         typer.Option(
-            metavar="SHAPE", help=f"The table's top: {options.FORMS}; endless where not given."
+            metavar="SHAPE",
+            help=f"Shape of the table's top: {options.SHAPE_HELP}",
+            show_default="an endless table",
         ),
     ] = None,
     obstacle: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="SHAPE", help="What is in the way, in the same form; may be repeated."
+            metavar="SHAPE",
+            help="Something on the table that object and pusher must not touch, in the same form "
+            "as --table. The option may be repeated.",
         ),
     ] = None,
     overhang: Annotated[
-        float, typer.Option(help="How far cells may hang over the table's edge, m.")
+        float,
+        typer.Option(
+            metavar="M", help="How far the object may hang over the table's edge on the way, m."
+        ),
     ] = 0.0,
     radius: Annotated[
         float | None,
         typer.Option(
-            help="Radius of the pusher, m; by default what the object's file says, or 0.008."
+            metavar="M",
+            help="Radius of the pusher, which is a disc, m.",
+            show_default="what the object's file says, else 0.008",
         ),
     ] = None,
-    speed: Annotated[float, typer.Option(help="Speed of the pusher, m/s.")] = 0.03,
+    speed: Annotated[float, typer.Option(metavar="M/S", help="Speed of the pusher, m/s.")] = 0.03,
     tolerance: Annotated[
         float,
-        typer.Option(help="Mean error of the cells below which the goal counts as reached, m."),
+        typer.Option(
+            metavar="M",
+            help="How near is near enough: the goal counts as reached when the cells of the object "
+            "are off by less than this on average, m.",
+        ),
     ] = 0.005,
-    max_pushes: Annotated[int, typer.Option(min=0, help="Greatest number of pushes.")] = 25,
-    horizon: Annotated[int, typer.Option(min=1, max=2, help="Pushes to look ahead.")] = 2,
+    max_pushes: Annotated[int, typer.Option(min=0, help="Largest number of pushes.")] = 25,
+    horizon: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=2,
+            help="How many pushes to look ahead when one is chosen: 2 needs fewer pushes, 1 is "
+            "planned faster.",
+        ),
+    ] = 2,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="PLAN.yaml", help="Write the plan.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="PLAN.yaml", help="Also write the plan to this file."),
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(metavar="PICTURE.png", callback=options.PNG, help="Draw the plan."),
+        typer.Option(
+            metavar="PICTURE.png",
+            callback=options.PNG,
+            help="Also draw the plan into this picture.",
+        ),
     ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Plan pushes that bring an object, or a learned model, to a goal pose."""
+    """Plan pushes that bring an object to a goal pose.
+
+    The object may be a learned model; otherwise its mass and friction are assumed to be spread
+    evenly. The exit code is 1 if no plan reaches the goal.
+
+    Example: gridpush plan model.yaml --goal 0.2,0.1,1.57 --table round:0.5 --picture plan.png
+    """
     options.check_outputs(force, out, picture, inputs=(model,))
-    aim, pose = (
-        options.parse_numbers(name, text, "x,y,theta")
-        for name, text in (("--goal", goal), ("--start", start))
-    )
+    goal_pose = options.parse_numbers("--goal", goal, "x,y,theta")
+    start_pose = options.parse_numbers("--start", start, "x,y,theta")
     if not isfinite(overhang):
         raise options.OptionError(f"--overhang: is {overhang}; expected a finite number (m)")
     surface = None if table is None else options.parse_shape("--table", table)
     obstacles = [options.parse_shape("--obstacle", text).polygon for text in obstacle or ()]
     target = options.load_target(model, largest_piece)
-    finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
+    if radius is None:
+        radius = target.obj.prior.pusher_radius or DEFAULT_RADIUS
+    # a plan's pushes are all of one speed, so that the regime is decided by it, not by the model's
     rules = GoalRules(
         PushConstraints(surface, tuple(obstacles), edge_margin=-overhang),
         ContactOptions(
-            radius=finger, speed=speed, physics=target.make_physics("auto").with_regime("auto")
+            radius=radius, speed=speed, physics=target.make_physics("auto").with_regime("auto")
         ),
         horizon=horizon,
         tolerance=tolerance,
         max_pushes=max_pushes,
     )
     options.compile_kernels()
-    found = plan_pushes(target.obj, target.params, pose, aim, rules)
-    for option, ends in (
-        ("--goal", (PushPlanStatus.GOAL_OFF_TABLE, PushPlanStatus.GOAL_BLOCKED)),
-        ("--start", (PushPlanStatus.START_OFF_TABLE, PushPlanStatus.START_BLOCKED)),
-    ):
-        if found.status in ends:
-            form = "expected x,y,theta (m, rad) on the table, clear of what is in the way"
-            raise options.OptionError(
-                f"{option}: {found.status}: {found.reason.rstrip('.')}; {form}"
-            )
+    found = plan_pushes(target.obj, target.params, start_pose, goal_pose, rules)
+    _check_ends(found)
     if out is not None:
-        write_plan(out, found, target.obj.name, finger, force)
+        write_plan(out, found, target.obj.name, radius, force)
     if picture is not None:
         write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
     written = [str(path) for path in (out, picture) if path is not None]
-    document = {**describe_plan(found, target.obj.name, finger), "written": written}
-    print_found(
-        document,
-        [*_describe(target.obj.name, found), *options.describe_written(out, picture)],
-        json,
-    )
+    document = {**describe_plan(found, target.obj.name, radius), "written": written}
+    lines = [*_describe(target.obj.name, found), *options.describe_written(out, picture)]
+    print_found(document, lines, json)
     if not found.reached:
         raise typer.Exit(options.EXIT_NO_PLAN)
 
 
-def _describe(name: str, found: PushPlan) -> list[str]:
+def _check_ends(found: PushPlan) -> None:
+    """Raises OptionError where the goal or the start is off the table or at an obstacle."""
+    bad_ends = {
+        PushPlanStatus.GOAL_OFF_TABLE: "--goal",
+        PushPlanStatus.GOAL_BLOCKED: "--goal",
+        PushPlanStatus.START_OFF_TABLE: "--start",
+        PushPlanStatus.START_BLOCKED: "--start",
+    }
+    option = bad_ends.get(found.status)
+    if option is not None:
+        reason = found.reason.rstrip(".")
+        raise options.OptionError(
+            f"{option}: {found.status}: {reason}; expected x,y,theta (m, rad) on the table, clear "
+            "of all obstacles"
+        )
 
+
+def _describe(name: str, found: PushPlan) -> list[str]:
+    """Returns a plan in lines of words, one for each push."""
     lines = [f"{name}: {found.status}: {found.reason}"]
     for number, (planned, error) in enumerate(
         zip(found.pushes, found.errors, strict=True), start=1
     ):
-        (x0, y0), (x1, y1) = planned.push.xy[0] * MM, planned.push.xy[-1] * MM
+        x0, y0 = planned.push.xy[0] * MM
+        x1, y1 = planned.push.xy[-1] * MM
         x, y, theta = planned.pose
         lines.append(
-            f"push {number}  from {x0:.1f}, {y0:.1f} to {x1:.1f}, {y1:.1f} mm in {planned.push.duration:.1f} s: object "
-            f"at x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {degrees(theta):.1f}°, its cells {error * MM:.1f} mm from "
-            "the goal"
+            f"push {number}  from {x0:.1f}, {y0:.1f} to {x1:.1f}, {y1:.1f} mm in "
+            f"{planned.push.duration:.1f} s: object at x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta "
+            f"{degrees(theta):.1f}°, its cells {error * MM:.1f} mm from the goal on average"
         )
     if not found.pushes:
-        lines.append(f"No push; its cells are {found.error * MM:.1f} mm from the goal.")
+        lines.append(
+            f"No push; the object's cells are {found.error * MM:.1f} mm from the goal on average."
+        )
     return [*lines, f"{found.simulations} simulated pushes, {found.seconds:.1f} s."]

@@ -1,4 +1,4 @@
-"""`gridpush predict`: where pushes take an object."""
+"""`gridpush predict`: predicts where pushes take an object."""
 
 import csv
 import io
@@ -16,7 +16,9 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
+    PoseError,
     Prediction,
+    Spread,
     calc_final_errors,
     predict_spread,
     summarize_errors,
@@ -26,10 +28,11 @@ from gridpush_drake.identification.problem import resolve_physics
 from gridpush_drake.pushes.plausibility import explain_no_contact
 
 COLUMNS = ("push", "x", "y", "theta")
-"""Final pose of each push, m and rad, world frame."""
+"""Header of the file that is written: a push's name and the object's final pose, world frame, m,
+rad."""
 
 DEGREES = 180 / pi
-"""In a radian."""
+"""Degrees in a radian."""
 
 
 def predict(
@@ -37,14 +40,26 @@ def predict(
     pushes: options.PushesFile,
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", metavar="PREDICTED.csv", help="Final poses: push,x,y,theta."),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="PREDICTED.csv",
+            help="The file to write: a line push,x,y,theta for each push, with the object's "
+            "predicted final pose in the world frame, m and rad.",
+        ),
     ],
     regime: options.Regime = "auto",
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Predict where pushes take an object, and compare with where they took it."""
+    """Predict where pushes take an object, and compare with where they really took it.
+
+    The errors are printed for the pushes whose end is in the log. Without a learned model, the
+    object's mass and friction are assumed to be spread evenly.
+
+    Example: gridpush predict model.yaml pushes.csv --out predicted.csv
+    """
     options.check_outputs(force, out, inputs=(model, pushes))
     target = options.load_target(model, largest_piece)
     full = options.load_log(pushes, target.obj, require_final=False)
@@ -58,59 +73,98 @@ def predict(
 
     errors = calc_final_errors(target.obj, predictions, log)
     spreads = predict_spread(target.model, log, physics) if target.model else []
-    seen = [
-        (error, spread) for error, spread in zip(errors, spreads, strict=False) if error is not None
+    summaries = summarize_errors(target.obj, predictions, log)
+    radius_of_gyration = target.obj.radius_of_gyration
+    # A learned model says how far off it expects 90 % of its predictions to be, which can be
+    # compared with the errors wherever the end of a push is known
+    judged = [
+        error.cell <= spread.cell_error
+        for error, spread in zip(errors, spreads, strict=False)
+        if error is not None
     ]
-    summaries, rho = summarize_errors(target.obj, predictions, log), target.obj.radius_of_gyration
     found: dict[str, Any] = {
         "object": target.obj.name,
         "model": "learned" if target.model else "prior",
         "regime": physics.regime,
         "pushes": len(predictions),
-        "untouched": [prediction.name for prediction in predictions if prediction.status == MotionStatus.NO_CONTACT],
+        "untouched": [
+            prediction.name
+            for prediction in predictions
+            if prediction.status == MotionStatus.NO_CONTACT
+        ],
         "overhanging": [seen.name for seen in full.overhanging],
         "errors": [_describe_summary(error) for error in summaries],
-        "within_interval": [sum(error.cell <= spread.cell_error for error, spread in seen), len(seen)],
+        "within_interval": [sum(judged), len(judged)],
         "written": [str(out)],
-        "rho_mm": rho * MM,
+        "rho_mm": radius_of_gyration * MM,
         "errors_by_push": [
-            {"push": made.name, "position_mm": None, "angle_deg": None, "cell_mm": None, "combined_mm": None}
-            if error is None  # its final pose is not known
-            else {
-                "push": made.name, "position_mm": error.position * MM, "angle_deg": error.angle * DEGREES,
-                "cell_mm": error.cell * MM, "combined_mm": error.combined(rho) * MM,
-            }
-            for made, error in zip(predictions, errors, strict=True)
+            _describe_error(prediction.name, error, radius_of_gyration)
+            for prediction, error in zip(predictions, errors, strict=True)
         ],
-        "spread_by_push": [
-            {
-                "push": spread.name, "x_std_mm": spread.std[0] * MM, "y_std_mm": spread.std[1] * MM,
-                "theta_std_deg": spread.std[2] * DEGREES, "cell_90_mm": spread.cell_error * MM,
-            }
-            for spread in spreads
-        ],
-    }  # fmt: skip
+        "spread_by_push": [_describe_spread(spread) for spread in spreads],
+    }
     if json:
         print_json(found)
         return
     if target.model is None:
         print_line(
-            f"{model} is an object, not a model: predicted with its prior, mass and friction spread evenly."
+            f"{model} is an object, not a model: its mass and friction are assumed to be spread "
+            "evenly."
         )
+    _print_found(found, summaries)
+    print_line(f"Wrote {out}.")
+
+
+def _print_found(found: dict[str, Any], summaries: list[ErrorSummary]) -> None:
+    """Prints which pushes are special, and how far the predictions are off."""
     if found["untouched"]:
         print_line(f"The pusher never touches the object in: {', '.join(found['untouched'])}")
     if found["overhanging"]:
         print_line(options.describe_overhanging(found["overhanging"]))
     if summaries:
         print_errors(f"Errors of {count_noun(summaries[0].pushes, 'final pose')}", summaries)
-    within, of = found["within_interval"]
-    if of:
-        print_line(f"{within} of {of} cell errors are within what the model expects of 90 %.")
-    print_line(f"Wrote {out}.")
+    within, total = found["within_interval"]
+    if total:
+        print_line(
+            f"{within} of {total} cell errors are within the distance that the model states for 90 "
+            "% of them."
+        )
+
+
+def _describe_error(
+    name: str, error: PoseError | None, radius_of_gyration: float
+) -> dict[str, Any]:
+    """Returns a push's errors for machines; all are None if the push's end is not known."""
+    if error is None:
+        return {
+            "push": name,
+            "position_mm": None,
+            "angle_deg": None,
+            "cell_mm": None,
+            "combined_mm": None,
+        }
+    return {
+        "push": name,
+        "position_mm": error.position * MM,
+        "angle_deg": error.angle * DEGREES,
+        "cell_mm": error.cell * MM,
+        "combined_mm": error.combined(radius_of_gyration) * MM,
+    }
+
+
+def _describe_spread(spread: Spread) -> dict[str, Any]:
+    """Returns for machines how far off a learned model expects a push's final pose to be."""
+    return {
+        "push": spread.name,
+        "x_std_mm": spread.std[0] * MM,
+        "y_std_mm": spread.std[1] * MM,
+        "theta_std_deg": spread.std[2] * DEGREES,
+        "cell_90_mm": spread.cell_error * MM,
+    }
 
 
 def _describe_summary(error: ErrorSummary) -> dict[str, Any]:
-    """A summary for machines; its numbers are in its unit, "mm" or "deg"."""
+    """Returns a summary of errors for machines; its numbers are in its unit, "mm" or "deg"."""
     values = {key: getattr(error, key) * error.scale for key in ("mean", "median", "p90")}
     return {
         "name": error.name,
@@ -121,7 +175,7 @@ def _describe_summary(error: ErrorSummary) -> dict[str, Any]:
 
 
 def print_errors(title: str, errors: list[ErrorSummary]) -> None:
-    """Prints a table of errors."""
+    """Prints a table of errors: the mean, the median and the 90th percentile of each kind."""
     table = Table("error", "mean", "median", "90 %", title=title, title_justify="left")
     for error in errors:
         values = (error.mean, error.median, error.p90)
@@ -130,6 +184,7 @@ def print_errors(title: str, errors: list[ErrorSummary]) -> None:
 
 
 def _make_csv(predictions: list[Prediction]) -> str:
+    """Returns the CSV file of predicted final poses, with all digits of the numbers."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)

@@ -1,5 +1,6 @@
-"""`gridpush record`: a continuous stream of poses to a push log."""
+"""`gridpush record`: cuts a continuous recording of poses into pushes, and writes a push log."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from math import isfinite
 from pathlib import Path
@@ -15,11 +16,17 @@ from gridpush_drake.planning.support_surface import stayed_supported
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.pose_delay import choose_delay
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
-from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
-from gridpush_drake.pushes.stream import DELAY, MAX_TOLD_DELAY, read_stream_csv, record_pushes
+from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
+from gridpush_drake.pushes.stream import (
+    DELAY,
+    MAX_TOLD_DELAY,
+    Recording,
+    read_stream_csv,
+    record_pushes,
+)
 
 MAX_SPAN = 10.0
-"""Of a tip's places, m; where they span more and nothing is pushed, they may be in another unit."""
+"""If the tip's places span more than this and no push is found, they are probably in mm, m."""
 
 
 def record(
@@ -27,15 +34,18 @@ def record(
         Path,
         typer.Argument(
             metavar="STREAM.csv",
-            help="A CSV file with the columns t, tip_x, tip_y, object_x, object_y, object_theta and, if known, tip_z,"
-            " tip_vx, tip_vy, tip_vz and, in the first row, object_delay; cells are empty where nothing was seen.",
+            help="A CSV file with the columns t, tip_x, tip_y, object_x, object_y, object_theta "
+            "(s, m and rad) and, if known, tip_z, tip_vx, tip_vy, tip_vz and, in the first row, "
+            "object_delay. Where nothing was seen, the fields of a row are empty.",
             show_default=False,
         ),
     ],
     object_file: Annotated[
         str,
         typer.Option(
-            "--object", metavar="OBJECT", help="An object file, or a shipped object's name."
+            "--object",
+            metavar="NAME|FILE",
+            help="The object that was pushed: an object file, or a shipped object's name.",
         ),
     ],
     out: Annotated[
@@ -43,62 +53,59 @@ def record(
     ],
     engaged_below: Annotated[
         float,
-        typer.Option(help="Height of the tip's center below which it can touch the object, m."),
+        typer.Option(
+            metavar="M",
+            help="Height of the tip's center below which the tip can touch the object, m. Only "
+            "motion below it is taken for a push.",
+        ),
     ] = SegmenterOptions.engaged_below,
     pose_delay: Annotated[
         float | None,
         typer.Option(
             metavar="S",
-            help="How much later the object's poses are than their times say, s; by default, what the stream says in"
-            " its column object_delay, or else what its pushes say.",
+            help="How much older the object's poses are than their times say, s, for instance as a "
+            "camera needs time to find the object.",
+            show_default="the column object_delay, else found from the pushes",
         ),
     ] = None,
     table: Annotated[
         str | None,
         typer.Option(
-            metavar="SHAPE", help=f"Marks pushes with a part off its edge: {options.FORMS}."
+            metavar="SHAPE",
+            help="Shape of the table's top. If given, pushes in which the object hung over the "
+            f"edge are marked in the log. {options.SHAPE_HELP}",
         ),
     ] = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Cut a stream of the tip's and the object's poses into pushes, as the robot does while it pokes."""
+    """Cut a long recording of poses into pushes, and write them as a push log.
+
+    The recording holds where the tip of the pusher and the object were, many times a second. A push
+    begins when the tip is down and the object begins to move, and ends when both are at rest.
+
+    Example: gridpush record stream.csv --object object.yaml --out pushes.csv
+    """
     options.check_outputs(force, out, inputs=(stream, object_file))
-    if not isfinite(engaged_below):
-        raise options.OptionError(
-            f"--engaged-below: is {engaged_below}; expected a finite number (m)"
-        )
-    if pose_delay is not None and not abs(pose_delay) <= MAX_TOLD_DELAY:
-        raise options.OptionError(
-            f"--pose-delay: is {pose_delay}; expected a number (s), at most {MAX_TOLD_DELAY:g}"
-        )
+    _check_numbers(engaged_below, pose_delay)
     surface = None if table is None else options.parse_shape("--table", table)
     obj = options.load_object(object_file)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     segmenter = SegmenterOptions(engaged_below=engaged_below)
     read = read_stream_csv(stream)
     samples = read.samples
-    # what the user says goes before what the file says, and that before what the pushes say
-    told, told_by = (
-        (pose_delay, "--pose-delay") if pose_delay is not None else (read.pose_delay, DELAY)
-    )
-    delay = choose_delay(
-        samples, obj, segmenter, told=told, told_by="" if told is None else told_by
-    )
+    # the user knows the delay best, then the file; else it has to be found from the pushes
+    if pose_delay is not None:
+        delay = choose_delay(samples, obj, segmenter, told=pose_delay, told_by="--pose-delay")
+    elif read.pose_delay is not None:
+        delay = choose_delay(samples, obj, segmenter, told=read.pose_delay, told_by=DELAY)
+    else:
+        delay = choose_delay(samples, obj, segmenter)
     record_options = RecordOptions(pose_delay=delay.value)
     recorded = record_pushes(samples, obj, radius, segmenter, record_options, str(stream))
     log = recorded.log
     if not len(log):
-        ended = (
-            "it ends within a push"
-            if recorded.unfinished
-            else "the tip never moved the object while it was down"
-        )
-        tips = np.array([sample.tip[:2] for sample in samples if isfinite(sample.tip[0])])
-        span = float(np.ptp(tips, axis=0).max()) if len(tips) else 0.0
-        if span > MAX_SPAN:
-            ended += f"; tip_x, tip_y: in millimeters? expected m, they span {span:.3g}"
-        why = "; ".join(recorded.unusable) or ended
+        why = _explain_no_push(samples, recorded)
         raise PushLogError(
             f"{stream}: holds no push: {why}; expected a tip below {engaged_below:g} m that pushes"
         )
@@ -129,6 +136,35 @@ def record(
         delay.describe(),
     ]
     if recorded.unfinished:
-        lines.append("The stream ends within a push, which is left out.")
+        lines.append("The recording ends within a push, which is left out.")
     lines += [f"Left out: {text}." for text in recorded.unusable]
     print_found(found, [*lines, *options.describe_written(out)], json)
+
+
+def _check_numbers(engaged_below: float, pose_delay: float | None) -> None:
+    """Raises OptionError where one of the numbers is not usable."""
+    if not isfinite(engaged_below):
+        raise options.OptionError(
+            f"--engaged-below: is {engaged_below}; expected a finite number (m)"
+        )
+    # written so that a NaN is refused, too
+    if pose_delay is not None and not abs(pose_delay) <= MAX_TOLD_DELAY:
+        raise options.OptionError(
+            f"--pose-delay: is {pose_delay}; expected a number (s), at most {MAX_TOLD_DELAY:g}"
+        )
+
+
+def _explain_no_push(samples: Sequence[Sample], recorded: Recording) -> str:
+    """Returns the probable reason why a recording holds no push."""
+    if recorded.unusable:
+        return "; ".join(recorded.unusable)
+    why = (
+        "it ends within a push"
+        if recorded.unfinished
+        else "the tip never moved the object while it was down"
+    )
+    tips = np.array([sample.tip[:2] for sample in samples if isfinite(sample.tip[0])])
+    span = float(np.ptp(tips, axis=0).max()) if len(tips) else 0.0
+    if span > MAX_SPAN:
+        why += f"; tip_x, tip_y: in millimeters? expected m, they span {span:.3g}"
+    return why

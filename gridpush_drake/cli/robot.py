@@ -1,4 +1,8 @@
-"""`gridpush robot`: a task with a real arm, or its twin, over LCM."""
+"""`gridpush robot`: carries out a task with a real arm, or with its twin, over LCM.
+
+An arm must never be left moving by itself. Therefore this command handles signals and a lost
+terminal in its own way: they stop the arm smoothly, and the files are still written.
+"""
 
 import signal
 from collections.abc import Iterator
@@ -35,19 +39,22 @@ from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import StationTask
-from gridpush_drake.station.tasks import TASKS, TaskKind, TaskName, write_files
+from gridpush_drake.station.task_kind import TaskKind, write_files
+from gridpush_drake.station.tasks import TASKS, TaskName
 from gridpush_drake.systems.messages import PushCommand
 
 LOG = "robot.log"
-"""Name of the file that it leaves beside what a demo does: what happened when, and how the loop went."""
+"""Name of the file that says what happened when, and whether the control loop was in time. It is
+written besides the files of `gridpush demo`."""
 
 LOOKING = 20.0
-"""Longest time in which the first push is planned, where nothing is to move, s."""
+"""Longest time that a command without --go waits for the first push to be planned, s."""
 
 
 def robot(
     task: Annotated[
-        TaskName, typer.Option(help="What the robot is to do; see gridpush demo.")
+        TaskName,
+        typer.Option(help="What the robot should do; `gridpush demo --help` explains it."),
     ] = TaskName.pregrasp,
     scenario_file: Scenario = None,
     object_file: ObjectFile = None,
@@ -55,36 +62,53 @@ def robot(
     go: Annotated[
         bool,
         typer.Option(
-            "--go", help="Move. Without it the command says what it sees and would do, and ends."
+            "--go",
+            help="Really move the arm. Without it the command prints what it sees and which push "
+            "it would make first, and ends.",
         ),
     ] = False,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Seed of the pokes that are drawn.  [default: the scenario's]"),
+        typer.Option(
+            min=0,
+            help="Seed of everything random, such as where the robot pokes.",
+            show_default="the scenario's",
+        ),
     ] = None,
     realtime_rate: RealtimeRate = 1.0,
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", metavar="DIR", help="Folder for log, report, model and pushes."
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="Folder for the log, the report, the model and the pushes; it is made if it is "
+            "missing.",
         ),
     ] = Path("gridpush_robot"),
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Carry out a task of `gridpush demo` with a real arm over LCM; nothing moves before --go.
+    """Carry out a task of `gridpush demo` with a real arm. Nothing moves without --go.
 
-    Ctrl-C, a lost terminal and anything that seems wrong stop the arm smoothly and hold it there.
+    The arm's driver is spoken to over LCM; docs/hardware.md says how, and what to check before the
+    first run. Ctrl-C, a lost terminal, and anything that seems wrong stop the arm smoothly and hold
+    it where it is.
 
-    Exit code 1 where the task was not done, 128 + its number after a signal: 130 after Ctrl-C.
+    The exit code is 1 if the task was not done, and 128 plus the signal's number after a signal,
+    which is 130 after Ctrl-C.
+
+    Example: gridpush robot --task identify --scenario cell.yaml --go
     """
     chosen = TASKS[task]
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
-    scenario.simulation.answer_delay = None  # a real arm waits for nobody
+    # In simulation the robot waits until an answer is calculated; a real arm does not stand still
+    scenario.simulation.answer_delay = None
     resolved = resolve(scenario, scenario_file, told=obj)
     if scenario.camera.kind == "rgbd" and object_file is None:
         raise ScenarioError(
-            "--object: missing; with camera.kind rgbd, expected the file that gridpush tracker wrote"
+            "--object: missing; if the scenario has camera.kind rgbd, expected the object file "
+            "that gridpush tracker wrote"
         )
     if go:
         make_folder(out)
@@ -112,10 +136,10 @@ def robot(
 
 @dataclass
 class StopRequest:
-    """What asked the robot to stop.
+    """Whether a signal asked the robot to stop.
 
     Attributes:
-        number: of the first signal; 0 where none came.
+        number: number of the first signal; 0 if none came.
     """
 
     number: int = 0
@@ -123,10 +147,14 @@ class StopRequest:
 
 @contextmanager
 def _stopping(link: HardwareLink) -> Iterator[StopRequest]:
-    """Has the first signal stop the arm, as the loss of the terminal does; what was done is still written.
+    """Lets a signal or a lost terminal stop the arm instead of ending the process.
 
-    The same signal a second time ends the process, and the robot's driver holds the arm; but not
-    SIGHUP, of which a lost terminal sends several.
+    The process goes on until the arm is at rest and the files are written. If the same signal comes
+    a second time, it ends the process at once, and the robot's driver holds the arm. This does not
+    hold for SIGHUP, as a lost terminal sends several.
+
+    Yields:
+        Which signal asked to stop, if one did.
     """
     asked = StopRequest()
 
@@ -152,6 +180,7 @@ def _stopping(link: HardwareLink) -> Iterator[StopRequest]:
 
 
 def _run(task: StationTask[Any], link: HardwareLink) -> Any:
+    """Lets the arm move until the task ends or is stopped; returns the task's record."""
     with count_progress("the robot", 1) as report:
         link.armed = True
         context = task.simulator.get_context
@@ -171,19 +200,23 @@ def _report(
     force: bool,
     json: bool,
 ) -> dict[str, Any]:
-    """Writes and prints what a run came to, and returns its summary; after a failure, as much as there is."""
+    """Writes the files of a run, prints how it ended, and returns its summary.
+
+    After a failure it writes as many files as can be made.
+    """
     # the log first: it does not depend on how far the run came
     write_whole(out / LOG, _format_log(link), force)
-    written, unwritten = [], ""
+    written: list[Path] = []
+    unwritten = ""
     try:
         written = write_files(task, out, scenario, record, None, force)
         summary = task.summarize(record)
     except Exception as error:
         if isinstance(error, GridPushError) or not link.report.traces:
             raise
-        # what the controller failed over may be missing in the record, too
+        # The controller has failed, and what it failed over may be missing in the record, too
         unwritten = (
-            f"Not all files could be made of what there is: {type(error).__name__}: {error}."
+            f"Some files could not be made after the failure: {type(error).__name__}: {error}."
         )
         summary = {"status": str(record.status), "message": record.message, "done": False}
     summary["loop"] = _describe_loop(link)
@@ -192,10 +225,11 @@ def _report(
         print_json({**summary, "written": [str(path) for path in files]})
     elif not unwritten:
         print_summary(task, summary, files)
-        print_line(f"The loop: {link.report.describe()}.")
+        print_line(f"Control loop: {link.report.describe()}.")
     if summary["status"] in ("stopped", "interrupted"):
         print_notice(
-            f"gridpush: {record.message} To go on, run the command again with --force, or another --out."
+            f"gridpush: {record.message} To go on, run the command again with --force, or with "
+            "another --out."
         )
     if unwritten:
         print_notice(f"gridpush: {unwritten} {out / LOG} says what happened.")
@@ -203,9 +237,10 @@ def _report(
 
 
 def _look(task: StationTask[Any], link: HardwareLink, json: bool) -> None:
-    """Prints what is seen, and the first push that would be made; nothing moves."""
+    """Prints what the robot sees, and which push it would make first. Nothing moves."""
     push = task.preview(link, LOOKING)
-    pose, tip = task.read("object.pose"), task.read("pusher.state")[:3]
+    pose = task.read("object.pose")
+    tip = task.read("pusher.state")[:3]
     seen: dict[str, Any] = {
         "status_age": link.status_age,
         "joints": task.read(f"{task.station.robot.arm_model}.position_measured").tolist(),
@@ -221,10 +256,11 @@ def _look(task: StationTask[Any], link: HardwareLink, json: bool) -> None:
     print_line("The finger's tip is at ({:.3f}, {:.3f}, {:.3f}) m.".format(*tip))
     print_line("The object lies at ({:.3f}, {:.3f}) m, turned by {:.2f} rad.".format(*pose))
     print_line(_describe_push(push))
-    print_line("Nothing has moved. With --go it will.")
+    print_line("Nothing has moved. With --go the arm will move.")
 
 
 def _describe_push(push: PushCommand | None) -> str:
+    """Returns a sentence about the push that would be made first."""
     if push is None:
         return f"No push was found within {LOOKING:g} s."
     return (
@@ -234,6 +270,7 @@ def _describe_push(push: PushCommand | None) -> str:
 
 
 def _describe_loop(link: HardwareLink) -> dict[str, Any]:
+    """Returns for machines whether the control loop was in time, and what it left out."""
     report = link.report
     return {
         "commands": report.steps,
@@ -248,5 +285,6 @@ def _describe_loop(link: HardwareLink) -> dict[str, Any]:
 
 
 def _format_log(link: HardwareLink) -> str:
+    """Returns the text of `LOG`: a line for each event, the loop's summary, and tracebacks."""
     lines = [f"{time:10.3f} s  {text}" for time, text in link.report.events]
     return "\n".join([*lines, link.report.describe(), *link.report.traces, ""])

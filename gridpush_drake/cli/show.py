@@ -1,4 +1,4 @@
-"""`gridpush show`: a picture of an object or a model."""
+"""`gridpush show`: draws a picture of an object or of a learned model."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,14 +17,24 @@ def show(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", metavar="PICTURE.png", callback=options.PNG, help="The picture to write."
+            "--out",
+            "-o",
+            metavar="PICTURE.png",
+            callback=options.PNG,
+            help="The picture to write, a PNG.",
         ),
     ],
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Draw an object with its parts, or what a model learned of it."""
+    """Draw a picture of an object, or of a learned model.
+
+    Of an object, the picture shows the outline, the cells and the parts. Of a model, it shows the
+    learned masses and frictions of the cells, and how sure they are.
+
+    Example: gridpush show claw_hammer --out hammer.png
+    """
     options.check_outputs(force, out)
     loaded = options.load_target(target, largest_piece)
     obj = loaded.obj
@@ -41,6 +51,7 @@ def show(
     }
     left, low, right, high = (bound * MM for bound in obj.outline.bounds)
     size = f"{right - left:.0f} mm by {high - low:.0f} mm"
-    cells, pieces = count_noun(obj.n, "cell"), count_noun(len(parts), "part")
+    cells = count_noun(obj.n, "cell")
+    pieces = count_noun(len(parts), "part")
     line = f"{obj.name}: {size}, {cells} of {obj.cell_size * MM:.1f} mm, {pieces}"
     print_found(found, [line, *options.describe_written(out)], json)

@@ -1,4 +1,4 @@
-"""`gridpush simulate`: push an object in simulation."""
+"""`gridpush simulate`: simulates one push."""
 
 from collections.abc import Sequence
 from math import degrees
@@ -19,44 +19,79 @@ from gridpush_drake.report.draw import to_png
 from gridpush_drake.report.figures import draw_motion
 
 PUSH_NAME = "push_1"
+"""Name of the push in the log that is written."""
 
 
 def simulate(
     target: options.ObjectOrModel,
     start: Annotated[
-        str, typer.Option(metavar="X,Y", help="Center of the pusher at the beginning, m.")
+        str,
+        typer.Option(
+            metavar="X,Y",
+            help="Where the center of the pusher is at the beginning, world frame, m.",
+        ),
     ],
-    velocity: Annotated[str, typer.Option(metavar="VX,VY", help="Velocity of the pusher, m/s.")],
-    duration: Annotated[float, typer.Option(help="Duration of the push, s.")],
+    velocity: Annotated[
+        str,
+        typer.Option(
+            metavar="VX,VY", help="Velocity of the pusher, which stays the same, world frame, m/s."
+        ),
+    ],
+    duration: Annotated[float, typer.Option(metavar="S", help="How long the pusher moves, s.")],
     radius: Annotated[
         float | None,
         typer.Option(
-            help="Radius of the pusher, m; by default what the object's file says, or 0.005."
+            metavar="M",
+            help="Radius of the pusher, which is a disc, m.",
+            show_default="what the object's file says, else 0.005",
         ),
     ] = None,
     pose: Annotated[
         str,
-        typer.Option(metavar="X,Y,THETA", help="Pose of the object at the beginning, m and rad."),
+        typer.Option(
+            metavar="X,Y,THETA",
+            help="Pose of the object at the beginning, world frame, m and rad.",
+        ),
     ] = "0,0,0",
     regime: options.Regime = "auto",
     mass_seed: Annotated[
-        int | None, typer.Option(min=0, help="Give each part a random mass, drawn with this seed.")
+        int | None,
+        typer.Option(
+            min=0,
+            help="Give each part of the object a random mass, drawn with this seed.",
+            show_default="the model's masses, or mass spread evenly",
+        ),
     ] = None,
     samples: Annotated[
-        int, typer.Option(min=1, help="Poses to write to the log, after the first.")
+        int,
+        typer.Option(
+            min=1,
+            help="How many poses of the object --out gets, besides the first, evenly in time.",
+        ),
     ] = 10,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="LOG.csv", help="Write a push log.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="LOG.csv", help="Also write the push as a push log."),
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(metavar="PICTURE.png", callback=options.PNG, help="Draw the motion."),
+        typer.Option(
+            metavar="PICTURE.png",
+            callback=options.PNG,
+            help="Also draw the motion into this picture.",
+        ),
     ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Simulate one push of an object or of a learned model."""
+    """Simulate one push of an object or of a learned model.
+
+    The pusher is a disc that moves along a straight line at a constant velocity. Printed is where
+    the object ends.
+
+    Example: gridpush simulate claw_hammer --start 0.05,-0.1 --velocity 0,0.05 --duration 2
+    """
     options.check_outputs(force, out, picture, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
     finger = loaded.obj.prior.pusher_radius if radius is None else radius
@@ -73,6 +108,7 @@ def simulate(
     motion = simulate_push(loaded.obj, params, push, pose_W, physics=physics)
     chosen = motion.physics.regime
     if out is not None:
+        # as many steps of the motion as poses are asked for, evenly in time, without the first
         steps = len(motion.times) - 1
         rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]
         seen = ObservedPush(
@@ -81,7 +117,8 @@ def simulate(
         PushLog((seen,)).write_csv(out, force)
     if picture is not None:
         write_whole(picture, to_png(draw_motion(loaded.obj, push, motion.poses)), force)
-    first, last = motion.poses[0], motion.final_pose
+    first = motion.poses[0]
+    last = motion.final_pose
     found = {
         "object": loaded.obj.name,
         "regime": chosen,
@@ -101,4 +138,5 @@ def simulate(
 
 
 def _describe_pose(pose: Sequence[float]) -> str:
+    """Returns a pose in words, in mm and degrees."""
     return f"x {pose[0] * MM:.2f} mm, y {pose[1] * MM:.2f} mm, theta {degrees(pose[2]):.2f}°"

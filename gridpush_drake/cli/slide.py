@@ -1,4 +1,4 @@
-"""`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes."""
+"""`gridpush slide`: plans pushes that bring an object to the table's edge, to be grasped there."""
 
 import json
 from dataclasses import replace
@@ -37,9 +37,6 @@ from gridpush_drake.report.draw import to_png
 from gridpush_drake.report.plan_figures import draw_slide
 from gridpush_drake.yaml_file import dump_yaml
 
-USUAL_HEIGHT = 0.03
-"""Of an object whose file does not say how thick it is, m."""
-
 
 def slide(
     model: options.ObjectOrModel,
@@ -47,40 +44,69 @@ def slide(
     start: Annotated[
         str | None,
         typer.Option(
-            metavar="x,y,theta",
-            help="Where the object is, m and rad; by default in the table's middle.",
+            metavar="X,Y,THETA",
+            help="Where the object lies in the beginning, world frame, m and rad.",
+            show_default="in the middle of the table",
         ),
     ] = None,
-    opening: Annotated[float, typer.Option(help="How far the gripper opens, m.")] = 0.11,
+    opening: Annotated[
+        float,
+        typer.Option(
+            metavar="M",
+            help="How far the gripper opens, m. What it takes has to be narrower than that.",
+        ),
+    ] = 0.11,
     depth: Annotated[
-        float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")
+        float,
+        typer.Option(
+            metavar="M",
+            help="Depth of the gripper's fingers, m. So much of the object has to hang over the "
+            "edge where it is grasped.",
+        ),
     ] = 0.03,
     pad_force: Annotated[
         float | None,
         typer.Option(
             metavar="N",
-            help="Also take by its rim what is narrow nowhere, between a jaw below it and one above that press with so "
-            "much in all.",
+            help="Also try to take the object by its rim, with one finger of the gripper below it "
+            "and one above it. This is for objects that are too wide everywhere else. N is the "
+            "force with which the gripper presses, in newtons.",
+            show_default="no grasp by the rim",
         ),
     ] = None,
-    margin: Annotated[float, typer.Option(help="Stability margin asked for, m.")] = 0.003,
+    margin: Annotated[
+        float,
+        typer.Option(
+            metavar="M",
+            help="Stability margin that is asked for, m: how far from tipping the object has to "
+            "stay, wherever its center of mass may be.",
+        ),
+    ] = 0.003,
     radius: Annotated[
         float | None,
         typer.Option(
-            help="Radius of the pusher, m; by default what the object's file says, or 0.008."
+            metavar="M",
+            help="Radius of the pusher, which is a disc, m.",
+            show_default="what the object's file says, else 0.008",
         ),
     ] = None,
     friction: Annotated[
         str | None,
         typer.Option(
-            metavar="min,max",
-            help="Bounds of the friction with the table; by default those of the object's file.",
+            metavar="MIN,MAX",
+            help="Smallest and largest friction coefficient that a cell may have on the table. The "
+            "closer they are, the better the center of mass is known.",
+            show_default="those of the object's file",
         ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="PLAN", help="Write the plan: .yaml, or .json for JSON."
+            "--out",
+            "-o",
+            metavar="PLAN",
+            help="Also write the plan to this file, as YAML, or as JSON if its name ends with "
+            ".json.",
         ),
     ] = None,
     picture: Annotated[
@@ -88,29 +114,38 @@ def slide(
         typer.Option(
             metavar="PICTURE.png",
             callback=options.PNG,
-            help="Draw the plan, what hangs over and what holds it.",
+            help="Also draw the plan into this picture: the pushes, what hangs over the edge, and "
+            "what keeps the object from falling.",
         ),
     ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Plan pushes to the table's edge, until a part hangs over that a gripper can take and nothing falls."""
+    """Plan pushes that bring an object to the table's edge, so that it can be grasped there.
+
+    In the end a part that the gripper can take hangs over the edge, and the object does not fall
+    wherever its center of mass may be. If too little is known of it, the command names the poke
+    that would tell most. The exit code is 1 if there is no plan.
+
+    Example: gridpush slide model.yaml --table rectangle:0.8x0.6 --picture slide.png
+    """
     options.check_outputs(force, out, picture, inputs=(model,))
     surface = options.parse_shape("--table", table)
     target = options.load_target(model, largest_piece)
-    middle = surface.polygon.representative_point()
-    pose = (
-        (middle.x, middle.y, 0.0)
-        if start is None
-        else options.parse_numbers("--start", start, "x,y,theta")
-    )
+    if start is None:
+        middle = surface.polygon.representative_point()
+        pose: tuple[float, ...] = (middle.x, middle.y, 0.0)
+    else:
+        pose = options.parse_numbers("--start", start, "x,y,theta")
     bounds = None
     if friction is not None:
         low, high = options.parse_numbers("--friction", friction, "min,max")
-        bounds = low, high
-    finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
-    pads = limits = None
+        bounds = (low, high)
+    if radius is None:
+        radius = target.obj.prior.pusher_radius or DEFAULT_RADIUS
+    pads = None
+    limits = ANY_ARM
     if pad_force is not None:
         pads = PadLimit.of_object(target.obj, SideGripper(opening=opening), pad_force)
         limits = _limit_to_held(target.obj, surface, pads)
@@ -118,14 +153,16 @@ def slide(
         gripper=Gripper(opening=opening, depth=depth),
         goal=GoalOptions(margin=margin),
         slide=SlideOptions(
-            margin=ACCEPTED_SHARE * margin, contact=replace(SlideOptions().contact, radius=finger)
+            margin=ACCEPTED_SHARE * margin, contact=replace(SlideOptions().contact, radius=radius)
         ),
-        poke=PokeOptions(radius=finger),
+        poke=PokeOptions(radius=radius),
         pads=pads,
     )
-    planner = PreGraspPlanner(target.obj, surface, chosen, limits=limits or ANY_ARM)
+    planner = PreGraspPlanner(target.obj, surface, chosen, limits=limits)
     if not surface.contains(target.obj.cells_at(pose)).any():
-        raise options.OptionError(f"--start: is {start}; expected a place on the table")
+        raise options.OptionError(
+            f"--start: is {start}; expected a pose in which the object lies on the table"
+        )
     options.compile_kernels()
     if target.model is None:
         uncertain = UncertainModel.of_prior(target.obj, friction_range=bounds)
@@ -144,8 +181,11 @@ def slide(
 
 
 def _limit_to_held(obj: GridObject, surface: SupportSurface, pads: PadLimit) -> ArmLimits:
-    """Asks of a goal with a part of the rim whether the gripper gets there clear of the table, and holds the object."""
-    height = obj.height or USUAL_HEIGHT
+    """Makes the limits that let only those grasps by the rim pass that hold the object.
+
+    The gripper also has to get there without touching the table. Other grasps are not limited.
+    """
+    height = obj.height or options.DEFAULT_HEIGHT
     check_thickness(obj, height, pads.gripper)
 
     def can_grasp(goal: PreGraspGoal, masses: PlausibleMassSet) -> bool:
@@ -161,6 +201,13 @@ def _limit_to_held(obj: GridObject, surface: SupportSurface, pads: PadLimit) -> 
 
 
 def _describe(planner: PreGraspPlanner, plan: PreGraspPlan, model: str) -> dict[str, Any]:
+    """Returns a plan for machines; lengths are in m and angles in rad.
+
+    Args:
+        planner: what made the plan.
+        plan: the plan.
+        model: "learned" or "prior", what the plan was made by.
+    """
     goal = plan.goal
     found: dict[str, Any] = {
         "object": planner.obj.name,
@@ -186,7 +233,7 @@ def _describe(planner: PreGraspPlanner, plan: PreGraspPlan, model: str) -> dict[
 
 
 def _describe_grasp(goal: PreGraspGoal) -> dict[str, Any]:
-
+    """Returns for machines where and how a goal's object is grasped, world frame."""
     if isinstance(goal.part, FlatPart):
         return {"at": goal.p_WG, "by": "rim", "approach": goal.part.heading + goal.pose[2]}
     return {
@@ -198,18 +245,21 @@ def _describe_grasp(goal: PreGraspGoal) -> dict[str, Any]:
 
 
 def _describe_push(push: Any) -> dict[str, Any]:
+    """Returns a push for machines."""
     return {"from": push.xy[0], "to": push.xy[-1], "duration": push.duration, "radius": push.radius}
 
 
 def _to_text(found: dict[str, Any], out: Path) -> str:
+    """Returns the text of a plan's file."""
     document = to_json({key: value for key, value in found.items() if key != "written"})
     if out.suffix == ".json":
         return document
-
+    # by way of JSON, which turns arrays into lists and leaves plain values
     return dump_yaml(json.loads(document), allow_unicode=True)
 
 
 def _explain(found: dict[str, Any]) -> list[str]:
+    """Returns a plan in lines of words."""
     lines = [f"{found['object']}: {found['status']}: {found['message']}"]
     if found["model"] == "prior":
         lines.append(
@@ -223,18 +273,22 @@ def _explain(found: dict[str, Any]) -> list[str]:
         else:
             how = f"{grasp['width'] * MM:.1f} mm wide"
         lines += [
-            f"goal  {_tell_pose(goal['pose'])}; stability margin {goal['stability_margin'] * MM:.1f} mm at the worst",
+            f"goal  {_tell_pose(goal['pose'])}; stability margin at the worst "
+            f"{goal['stability_margin'] * MM:.1f} mm",
             f"grasp at x {grasp['at'][0] * MM:.1f} mm, y {grasp['at'][1] * MM:.1f} mm, {how}",
         ]
     for i, push in enumerate(found["pushes"], start=1):
-        (x0, y0), (x1, y1) = push["from"], push["to"]
+        x0, y0 = push["from"]
+        x1, y1 = push["to"]
         lines.append(
-            f"push {i}  from {x0 * MM:.1f} mm, {y0 * MM:.1f} mm to {x1 * MM:.1f} mm, {y1 * MM:.1f} mm "
-            f"in {push['duration']:.1f} s: object at {_tell_pose(push['object_after'])}"
+            f"push {i}  from {x0 * MM:.1f} mm, {y0 * MM:.1f} mm to {x1 * MM:.1f} mm, "
+            f"{y1 * MM:.1f} mm in {push['duration']:.1f} s: object at "
+            f"{_tell_pose(push['object_after'])}"
         )
     return lines
 
 
 def _tell_pose(pose: Any) -> str:
+    """Returns a pose in words, in mm and degrees."""
     x, y, theta = pose
     return f"x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {degrees(theta):.1f}°"

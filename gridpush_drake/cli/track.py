@@ -1,11 +1,11 @@
-"""`gridpush track`: a push log from a video, or a folder of images, of an object that is pushed."""
+"""`gridpush track`: follows an object through a video, and writes the pushes in it."""
 
 import csv
 import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -32,9 +32,11 @@ from gridpush_drake.perception import (
     write_picture,
 )
 from gridpush_drake.perception.camera import NOT_KNOWN
+from gridpush_drake.perception.frames import Color
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.pushes.segmentation import SegmenterOptions
 from gridpush_drake.pushes.stream import (
+    Recording,
     calc_velocities,
     make_samples,
     record_pushes,
@@ -43,108 +45,166 @@ from gridpush_drake.pushes.stream import (
 
 Array = NDArray[np.float64]
 
+By = Literal["auto", "outline", "tag"]
+"""How the object's pose is found in a picture."""
 
 TAG = "tag:"
-"""Before a tag's number."""
+"""What stands before the number of a tag in `--tip`."""
 
 TIP_FORM = "the header t,tip_x,tip_y[,tip_z] and rows of numbers below it (s, m)"
-ROD = 0.1
-"""Height over the table up to which the tip's rod hides what is behind it, m."""
+"""The form of a file with the tip's places, for messages."""
 
-ROD_MARGIN, ROD_POINTS = 1.3, 24
-"""By which the rod is taken wider than it is, and corners of its round."""
+ROD = 0.1
+"""Length of the rod above the tip that may hide the object from the camera, m."""
+
+ROD_MARGIN = 1.3
+"""How much wider than it is the rod is assumed to be, as its place is not known exactly."""
+
+ROD_POINTS = 24
+"""Number of corners of the polygon that stands for the rod's circle."""
 
 
 def track(
     video: Annotated[
-        Path, typer.Argument(metavar="VIDEO|FOLDER", help="A video, or a folder of images with times.csv.",
-                             show_default=False)
+        Path,
+        typer.Argument(
+            metavar="VIDEO|FOLDER",
+            help="A video, or a folder of images with a file times.csv, of an object that is "
+            "pushed.",
+            show_default=False,
+        ),
     ],
     camera: Annotated[
         Path,
-        typer.Option("--camera", metavar="CAMERA.yaml", help="ROS camera_info, OpenCV YAML or Drake's CameraConfig, "
-                     "with X_WC, as `gridpush calibrate` writes it.", show_default=False),
+        typer.Option(
+            "--camera",
+            metavar="CAMERA.yaml",
+            help="The camera's file, as ROS camera_info, OpenCV YAML or Drake's CameraConfig. It "
+            "needs X_WC, the camera's pose, which `gridpush calibrate` finds.",
+            show_default=False,
+        ),
     ],
     object_file: Annotated[
-        str, typer.Option("--object", metavar="OBJECT", help="An object file, as `gridpush object` writes it.")
+        str,
+        typer.Option(
+            "--object",
+            metavar="NAME|FILE",
+            help="The object that is pushed, such as a file that `gridpush object` wrote.",
+        ),
     ],
     tip: Annotated[
         str,
-        typer.Option(metavar="TIP.csv|tag:ID", help="Where the tip is: t,tip_x,tip_y[,tip_z] on the video's clock, or"
-                     " an AprilTag 36h11 on the pusher."),
+        typer.Option(
+            metavar="TIP.csv|tag:ID",
+            help="Where the tip of the pusher is: a CSV file with the columns t, tip_x, tip_y and, "
+            "if known, tip_z (s and m, on the video's clock), or tag: and the number of an "
+            "AprilTag 36h11 on the pusher, such as tag:7.",
+        ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="PUSHES.csv", help="The push log to write.")],
-    tip_offset: Annotated[str, typer.Option(metavar="X,Y,Z", help="Place of the tip in its tag's frame, m.")] = "0,0,0",
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="PUSHES.csv", help="The push log to write.")
+    ],
+    tip_offset: Annotated[
+        str,
+        typer.Option(metavar="X,Y,Z", help="Where the tip is in the frame of the pusher's tag, m."),
+    ] = "0,0,0",
     tag_size: TagSize = 0.03,
     tag_height: Annotated[
-        float | None, typer.Option(help="Height of the pusher's tag over the table, m, if it stays level: more exact.")
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Height of the pusher's tag above the table, m, if it stays level and at that "
+            "height. The tip's place is more exact then.",
+            show_default="found from the tag's picture",
+        ),
     ] = None,
     height: Annotated[
-        float | None, typer.Option(min=0, help="Height of the object, m.", show_default="as its file says, or 0")
+        float | None,
+        typer.Option(
+            min=0,
+            metavar="M",
+            help="Height of the object above the table, m.",
+            show_default="what its file says, else 0",
+        ),
     ] = None,
     by: Annotated[
-        str, typer.Option(metavar="auto|outline|tag", help="What tells the object's pose; auto: its file's tag.")
+        By,
+        typer.Option(
+            help="How the object's pose is found: by its outline, or by the AprilTag on it that "
+            "its file names. auto: by the tag if the file names one."
+        ),
     ] = "auto",
     picture: Annotated[
-        Path | None, typer.Option(metavar="SEEN.png", callback=options.PNG, help="What was seen first and last.")
+        Path | None,
+        typer.Option(
+            metavar="SEEN.png",
+            callback=options.PNG,
+            help="Also write the last picture in which the object was found, with its outline "
+            "there and in the first one.",
+        ),
     ] = None,
     stream: Annotated[
-        Path | None, typer.Option(metavar="STREAM.csv", help="Also write all poses, as `gridpush record` reads them.")
+        Path | None,
+        typer.Option(
+            metavar="STREAM.csv",
+            help="Also write the poses of all pictures to a file that `gridpush record` reads.",
+        ),
     ] = None,
     force: options.Force = False,
     json: options.Json = False,
-) -> None:  # fmt: skip
-    """Follow an object through a video and write the pushes in it as a push log."""
+) -> None:
+    """Follow an object through a video, and write the pushes in it as a push log.
+
+    Example: gridpush track video.mp4 --camera camera.yaml --object object.yaml --tip tag:7 --out
+    pushes.csv
+    """
     options.check_outputs(force, out, picture, stream, inputs=(video, camera, object_file, tip))
     offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z")
-    seen_by, obj = Camera.read(camera), options.load_object(object_file)
-    if seen_by.X_WC is None:
-        raise CameraError(f"{camera}: {NOT_KNOWN}")
-    if tag_height is not None and not 0 <= tag_height < seen_by.center[2]:
-        raise options.OptionError(
-            f"--tag-height: is {tag_height:g}; expected 0 to {seen_by.center[2]:.3g} m, where the camera is"
-        )
+    seen_by = Camera.read(camera)
+    obj = options.load_object(object_file)
+    _check_camera(camera, seen_by, tag_height)
     seen = read_object_file(options.object_path(object_file)).seen
     tag = seen.tag if seen is not None else None
-    if by not in ("auto", "outline", "tag") or (by == "tag" and tag is None):
+    if by == "tag" and tag is None:
         raise options.OptionError(
-            f"--by: is {by!r}; expected auto, outline or, where the object's file has one, tag"
+            f"--by: is 'tag', but {object_file} names no tag; expected auto or outline"
         )
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     tall = height if height is not None else obj.height or 0.0
     find_tip = _TipFinder(tip, seen_by, tag_size, np.array(offset), tag_height)
-    found = _follow_tag if by != "outline" and tag is not None else _follow_outline
+    if tag is not None and by != "outline":
+        followed = _follow_tag(video, seen_by, tall, tag)
+    else:
+        followed = _follow_outline(video, seen_by, obj, tall, radius, find_tip)
+
+    # Go through the video. Only the first and the last picture are kept, for they are large
     rows: list[tuple[float, Array, Array]] = []
     pictures: list[tuple[Frame, Array]] = []
-    for frame, pose in found(video, seen_by, obj, tall, radius, find_tip, tag):
+    for frame, pose in followed:
         rows.append((frame.t, find_tip(frame), pose))
         if np.isfinite(pose).all():
             pictures = [*pictures[:1], (frame, pose)]
     find_tip.check(video, rows)
-    t, tips, poses = (np.array([row[i] for row in rows]) for i in range(3))
+    t = np.array([row[0] for row in rows])
+    tips = np.array([row[1] for row in rows])
+    poses = np.array([row[2] for row in rows])
     lost = int((~np.isfinite(poses).all(axis=1)).sum())
+
+    # Write what was seen, also if there should be no push in it
     samples = make_samples(t, tips, calc_velocities(t, tips), poses)
     if stream is not None:
-        # a tag on the pusher is seen in the same pictures as the object, another clock may be off
+        # a tag on the pusher is seen in the same pictures as the object; another clock may be off
         same_clock = 0.0 if find_tip.tag is not None else None
         write_stream_csv(samples, stream, force, same_clock)
     if picture is not None and pictures:
-        drawn = seen_by.undistort(pictures[-1][0].color)
-        for _, pose in pictures:
-            outline = shapely.transform(
-                obj.outline, lambda points, pose=pose: transform(pose, points)
-            )
-            drawn = draw_outline(drawn, seen_by, outline, tall, pose)
-        write_picture(picture, drawn, force)
+        write_picture(picture, _draw_outlines(seen_by, obj, tall, pictures), force)
+
     recording = record_pushes(samples, obj, radius, source=str(video))
     log = recording.log
     if not len(log):
-        ended = f"the tip never moved the object while it was below {SegmenterOptions().engaged_below:g} m"
-        if recording.unfinished:
-            ended = "it ends within a push: expected the tip to rest for a second after it"
-        why = "; ".join(recording.unusable) or ended
         raise PushLogError(
-            f"{video}: holds no whole push: {why}; the object was seen in {len(t) - lost} of {len(t)} frames"
+            f"{video}: holds no whole push: {_explain_no_push(recording)}; the object was seen in "
+            f"{len(t) - lost} of {len(t)} frames"
         )
     log.write_csv(out, force)
     if json:
@@ -164,19 +224,63 @@ def track(
         )
 
 
+def _check_camera(path: Path, camera: Camera, tag_height: float | None) -> None:
+    """Raises an error where the camera's pose is not known, or the tag would be above it."""
+    if camera.X_WC is None:
+        raise CameraError(f"{path}: {NOT_KNOWN}")
+    if tag_height is not None and not 0 <= tag_height < camera.center[2]:
+        raise options.OptionError(
+            f"--tag-height: is {tag_height:g}; expected 0 to {camera.center[2]:.3g} m, where the "
+            "camera is"
+        )
+
+
+def _draw_outlines(
+    camera: Camera, obj: GridObject, height: float, pictures: list[tuple[Frame, Array]]
+) -> Color:
+    """Draws the outlines at the poses in some pictures into the last of these pictures."""
+    drawn = camera.undistort(pictures[-1][0].color)
+    for _, pose in pictures:
+        outline = shapely.transform(obj.outline, lambda points, pose=pose: transform(pose, points))
+        drawn = draw_outline(drawn, camera, outline, height, pose)
+    return drawn
+
+
+def _explain_no_push(recording: Recording) -> str:
+    """Returns the probable reason why a video holds no push."""
+    if recording.unusable:
+        return "; ".join(recording.unusable)
+    if recording.unfinished:
+        return "it ends within a push: expected the tip to rest for a second after it"
+    below = SegmenterOptions().engaged_below
+    return f"the tip never moved the object while it was below {below:g} m"
+
+
 class _TipFinder:
-    """Where the tip is in a frame: from a CSV file on the same clock, or from a tag on the pusher."""
+    """Finds where the tip is in a picture, from a CSV file or from a tag on the pusher.
+
+    Attributes:
+        tag: number of the tag; None if the places come from a file.
+        seen: numbers of all tags that were found so far.
+    """
 
     def __init__(
         self, text: str, camera: Camera, size: float, offset: Array, height: float | None
     ) -> None:
-        self.text, self.camera, self.size, self.offset, self.height = (
-            text,
-            camera,
-            size,
-            offset,
-            height,
-        )
+        """Begins.
+
+        Args:
+            text: the value of `--tip`.
+            camera: the camera.
+            size: side of the tag's black square, m.
+            offset: place of the tip (3,) in the tag's frame, m.
+            height: height of the tag above the table, m; None if it is not known.
+        """
+        self.text = text
+        self.camera = camera
+        self.size = size
+        self.offset = offset
+        self.height = height
         self.tag = None
         self.seen: set[int] = set()
         if text.startswith(TAG):
@@ -190,32 +294,35 @@ class _TipFinder:
             self.times, self.places = _read_tips(Path(text))
 
     def __call__(self, frame: Frame) -> Array:
-        """(3,) p_WP of the tip, m; NaN where it is not known."""
+        """Returns the place p_WP (3,) of the tip, m; NaN if it is not known in this picture."""
         if self.tag is None:
             if not self.times[0] <= frame.t <= self.times[-1]:
                 return np.full(3, np.nan)
             return np.array([np.interp(frame.t, self.times, self.places[:, i]) for i in range(3)])
-
         tags = detect_tags(frame.color, self.camera, self.size, self.height)
         self.seen |= tags.keys()
         X_WT = tags[self.tag].X_WT if self.tag in tags else None
-        return np.full(3, np.nan) if X_WT is None else X_WT[:3, :3] @ self.offset + X_WT[:3, 3]
+        if X_WT is None:
+            return np.full(3, np.nan)
+        return X_WT[:3, :3] @ self.offset + X_WT[:3, 3]
 
     def check(self, video: Path, rows: list[Any]) -> None:
-        """Raises TagError or PushLogError where the tip was known in no frame."""
+        """Raises TagError or PushLogError where the tip was known in no picture."""
         if any(np.isfinite(row[1]).all() for row in rows):
             return
         if self.tag is not None:
             there = ", ".join(map(str, sorted(self.seen))) or "none"
-            raise TagError(f"{video}: tag {self.tag} is in no frame; there are: {there}")
+            raise TagError(
+                f"{video}: tag {self.tag} is in no frame; the tags that are seen are: {there}"
+            )
         raise PushLogError(
-            f"{self.text}: its times are {self.times[0]:g} to {self.times[-1]:g} s, the frames' {rows[0][0]:g} to "
-            f"{rows[-1][0]:g} s; expected clocks that overlap"
+            f"{self.text}: its times are {self.times[0]:g} to {self.times[-1]:g} s, those of the "
+            f"frames {rows[0][0]:g} to {rows[-1][0]:g} s; expected times that overlap"
         )
 
 
 def _read_tips(path: Path) -> tuple[Array, Array]:
-    """Times (K,), s, and places (K, 3), m, of the tip."""
+    """Reads the times (K,), s, and the places (K, 3), m, of the tip from a CSV file."""
     lines = list(
         csv.reader(read_text(path, f"the tip's places: {TIP_FORM}", PushLogError).splitlines())
     )
@@ -238,14 +345,31 @@ def _read_tips(path: Path) -> tuple[Array, Array]:
 
 
 def _follow_outline(
-    video: Path, camera: Camera, obj: GridObject, height: float, radius: float, find_tip: _TipFinder,
-    tag: TagSchema | None,
-) -> Iterator[tuple[Frame, Array]]:  # fmt: skip
+    video: Path,
+    camera: Camera,
+    obj: GridObject,
+    height: float,
+    radius: float,
+    find_tip: _TipFinder,
+) -> Iterator[tuple[Frame, Array]]:
+    """Follows the object through a video by its outline.
 
+    Args:
+        video: the video, or a folder of images.
+        camera: the camera.
+        obj: the object.
+        height: height of the object, m.
+        radius: radius of the rod that ends in the tip, m. What it hides is not compared.
+        find_tip: finds the tip in a picture.
+
+    Yields:
+        Each picture and the object's pose (3,) in it; NaN where the object was not found.
+    """
     around = np.linspace(0, 2 * np.pi, ROD_POINTS, endpoint=False)
     circle = ROD_MARGIN * radius * np.column_stack([np.cos(around), np.sin(around)])
 
     def cover(frame: Frame) -> NDArray[np.bool_] | None:
+        """Finds the pixels that the rod may hide; None if nobody knows where it is."""
         place = find_tip(frame)
         if not np.isfinite(place).all():
             return None
@@ -269,14 +393,22 @@ def _follow_outline(
 
 
 def _follow_tag(
-    video: Path, camera: Camera, obj: GridObject, height: float, radius: float, find_tip: _TipFinder,
-    tag: TagSchema | None,
-) -> Iterator[tuple[Frame, Array]]:  # fmt: skip
+    video: Path, camera: Camera, height: float, tag: TagSchema
+) -> Iterator[tuple[Frame, Array]]:
+    """Follows the object through a video by a tag on it.
 
-    assert tag is not None
+    Args:
+        video: the video, or a folder of images.
+        camera: the camera.
+        height: height of the object, and so of the tag, m.
+        tag: the tag, and where it is on the object.
+
+    Yields:
+        Each picture and the object's pose (3,) in it; NaN where the tag was not found.
+    """
     for frame in read_frames(video, camera):
         tags = detect_tags(frame.color, camera, tag.size, height)
-        yield (
-            frame,
-            compose(tags[tag.id].planar_pose, tag.pose) if tag.id in tags else np.full(3, np.nan),
-        )
+        if tag.id in tags:
+            yield frame, compose(tags[tag.id].planar_pose, tag.pose)
+        else:
+            yield frame, np.full(3, np.nan)

@@ -1,4 +1,4 @@
-"""`gridpush tracker`: where the object is, from a camera's pictures on LCM."""
+"""`gridpush tracker`: finds an object in a camera's pictures, and tells where it is, over LCM."""
 
 from pathlib import Path
 from time import monotonic
@@ -17,10 +17,10 @@ from gridpush_drake.station.lcm.robot_messages import OBJECT_STATUS
 from gridpush_drake.station.resolve import resolve
 
 WAIT = 0.1
-"""Longest time that messages are waited for between two looks at whether to end, s."""
+"""Longest time that the loop waits for a message before it looks whether it should end, s."""
 
 PATIENCE = 5.0
-"""Time without a usable picture, s, after which it is said what is missing."""
+"""If no picture could be used for this long, the user is told what is missing, s."""
 
 
 def tracker(
@@ -30,19 +30,29 @@ def tracker(
         typer.Option(
             "--object",
             metavar="NAME|FILE",
-            help="Follow this object.  [default: what is found in the first picture]",
+            help="The object to follow: a shipped object's name, or an object file.",
+            show_default="what is found in the first picture",
         ),
     ] = None,
     lcm: LcmUrl = DEFAULT_URL,
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", metavar="OBJECT.yaml", help="Where the object that is found is written."
+            "--out",
+            "-o",
+            metavar="OBJECT.yaml",
+            help="The object file to write, for what is found in the first picture.",
         ),
     ] = Path("object.yaml"),
     force: options.Force = False,
 ) -> None:
-    """Find an object in a camera's LCM pictures and tell `gridpush robot` where it is; Ctrl-C ends it."""
+    """Find an object in a camera's pictures, and tell `gridpush robot` over LCM where it is.
+
+    The pictures come as LCM messages from the camera's driver or from `gridpush twin`. The command
+    runs until Ctrl-C ends it.
+
+    Example: gridpush tracker --scenario cell.yaml --out object.yaml
+    """
     scenario, obj = read_robot_scenario(scenario_file, object_file, None)
     resolved = resolve(scenario, scenario_file, told=obj)
     if object_file is None:
@@ -52,30 +62,42 @@ def tracker(
     print_notice(f"Looking for pictures on {lcm}; Ctrl-C ends it.")
     try:
         _find(follower, out if given is None else None, force)
-        print_notice(f"Its pose is said on {OBJECT_STATUS}.")
+        print_notice(f"Its pose is sent on the LCM channel {OBJECT_STATUS}.")
         _follow(follower)
     except KeyboardInterrupt:
         print_notice(f"{follower.report.describe()}.")
 
 
 def _follow(follower: PictureTracker) -> None:
-    """Looks for as long as the command runs; says when no picture could be used for a while, and why."""
-    last, told = monotonic(), False
+    """Follows the object until the command is ended.
+
+    If no picture could be used for a while, it prints once why.
+    """
+    last_pose = monotonic()
+    told = False
     while True:
         before = follower.report.left_out.copy()
         tracked = follower.step(WAIT)
         if tracked is not None:
-            last, told = monotonic(), False
-        elif not told and monotonic() - last > PATIENCE:
+            last_pose = monotonic()
+            told = False
+        elif not told and monotonic() - last_pose > PATIENCE:
             new = follower.report.left_out - before
-            reasons = "; ".join(new) or "no picture and status of the robot came"
-            print_notice(f"No pose is said any more: for {PATIENCE:g} s {reasons}.")
+            reasons = "; ".join(new) or "no picture and no status of the robot came"
+            print_notice(f"No pose has been sent for {PATIENCE:g} s: {reasons}.")
             told = True
 
 
 def _find(follower: PictureTracker, out: Path | None, force: bool) -> None:
-    """Looks until the object is seen, and says what is in the way; writes what was found."""
-    begin, said = monotonic(), ""
+    """Looks at pictures until the object is seen, and prints what is in the way.
+
+    Args:
+        follower: what looks.
+        out: the object file to write; None if the object is known beforehand.
+        force: whether an existing file may be replaced.
+    """
+    begin = monotonic()
+    said = ""
     while True:
         tracked = follower.step(WAIT)
         if tracked is not None and tracked.seen:
@@ -84,13 +106,13 @@ def _find(follower: PictureTracker, out: Path | None, force: bool) -> None:
         if why and why != said and monotonic() - begin > PATIENCE:
             print_notice(f"Not yet: {why}.")
             said = why
-    obj, (x, y, theta) = follower.obj, tracked.pose
+    obj = follower.obj
+    x, y, theta = tracked.pose
     assert obj is not None  # it is seen
     where = f"at ({x:.3f}, {y:.3f}) m, turned by {theta:.2f} rad"
     if out is None:
         print_line(f"{obj.name} is seen {where}.")
         return
     write_whole(out, dump_object(obj.name, obj.grid, obj.prior, obj.height), force)
-    print_line(
-        f"An object of {obj.n} cells, {MM * (obj.height or 0.0):.0f} mm high, is seen {where}. Wrote {out}."
-    )
+    height = MM * (obj.height or 0.0)
+    print_line(f"An object of {obj.n} cells, {height:.0f} mm high, is seen {where}. Wrote {out}.")

@@ -1,4 +1,8 @@
-"""`gridpush twin`: a simulated robot in a process of its own, which speaks what a real one's drivers speak."""
+"""`gridpush twin`: simulates a robot in a process of its own.
+
+It sends and receives the LCM messages that a real robot's drivers do, so that `gridpush robot` can
+be tried without one.
+"""
 
 from pathlib import Path
 from time import monotonic
@@ -10,7 +14,7 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake.cli.console import print_notice
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.station.lcm.hardware_link import open_lcm
-from gridpush_drake.station.lcm.twin import MakeTwin
+from gridpush_drake.station.lcm.twin import MakeTwin, Twin
 from gridpush_drake.station.lcm.twin_camera import PictureProcess
 from gridpush_drake.station.lcm.twin_link import TwinLink
 from gridpush_drake.station.resolve import resolve
@@ -20,35 +24,51 @@ from gridpush_drake.station.scene import use_object
 from gridpush_drake.systems.arm_guard import GuardMode
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
+"""The LCM network that robot, twin and tracker use by default: multicast on this computer."""
 
 DEFAULT_SCENARIO = "grasp"
-"""Name of the shipped scenario that robot and twin take where none is given."""
+"""Name of the shipped scenario that robot, twin and tracker use by default."""
 
 EXCHANGE_PERIOD = 0.001
-"""Time that is simulated between two looks at what came in, s."""
+"""How long the twin simulates before it looks at its messages again, s."""
 
 LARGEST_DELAY = 0.05
-"""If the twin's time is further behind the clock than this, it goes on from where it is and says so, s."""
+"""If the twin's time is further behind the clock than this, it does not try to catch up, s."""
+
+LOST_TIME = (
+    "The twin is slower than the clock; start robot and twin again with a smaller --realtime-rate."
+)
+"""What is printed the first time that the twin falls behind the clock."""
 
 Scenario = Annotated[
     Path | None,
     typer.Option(
         "--scenario",
         metavar="NAME|FILE",
-        help="What stands where: a shipped scenario's name, or a YAML file; twin and robot need "
-        "the same.  [default: grasp]",
+        help="What stands where: a shipped scenario's name, or a YAML file. Give robot, twin and "
+        "tracker the same one.",
+        show_default=DEFAULT_SCENARIO,
     ),
 ]
 
 ObjectFile = Annotated[
     str | None,
     typer.Option(
-        "--object", metavar="NAME|FILE", help="A shipped object's name, or an object file."
+        "--object",
+        metavar="NAME|FILE",
+        help="The object on the table: a shipped object's name, or an object file.",
+        show_default="the scenario's",
     ),
 ]
 
 LcmUrl = Annotated[
-    str, typer.Option("--lcm", metavar="URL", help="The LCM network that robot and twin are on.")
+    str,
+    typer.Option(
+        "--lcm",
+        metavar="URL",
+        help="The LCM network over which robot, twin and tracker speak; the default stays on this "
+        "computer.",
+    ),
 ]
 
 RealtimeRate = Annotated[
@@ -56,8 +76,8 @@ RealtimeRate = Annotated[
     typer.Option(
         min=0.001,
         metavar="R",
-        help="Speed of the twin's time: below 1 for a slow computer. Give twin and robot the same; with a real robot "
-        "leave it at 1.",
+        help="How many seconds the twin simulates in one second. A computer that is too slow for 1 "
+        "needs less. Give twin and robot the same; with a real robot leave it at 1.",
     ),
 ]
 
@@ -68,11 +88,18 @@ def twin(
     lcm: LcmUrl = DEFAULT_URL,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Seed of everything random.  [default: the scenario's]"),
+        typer.Option(min=0, help="Seed of everything random.", show_default="the scenario's"),
     ] = None,
     realtime_rate: RealtimeRate = 1.0,
 ) -> None:
-    """Simulate a robot that speaks its driver's LCM messages, for `gridpush robot` to move; Ctrl-C ends it."""
+    """Simulate a robot that `gridpush robot` can move over LCM as if it were a real one.
+
+    The twin sends and receives the LCM messages of the robot's driver, and tells where the object
+    is, or sends a camera's pictures if the scenario has camera.kind rgbd. It runs until Ctrl-C ends
+    it.
+
+    Example: gridpush twin --scenario grasp
+    """
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
     resolved = resolve(scenario, scenario_file, told=obj)
     link = TwinLink(open_lcm(lcm), resolved.robot)
@@ -82,45 +109,77 @@ def twin(
     simulator.set_target_realtime_rate(realtime_rate)
     simulator.Initialize()
     print_notice(
-        f"The twin speaks on {lcm} as an {diagram.world.setting.robot.arm_model}; Ctrl-C ends it."
+        f"The twin speaks on {lcm} as the arm {diagram.world.setting.robot.arm_model}; Ctrl-C ends "
+        "it."
     )
     camera = PictureProcess(scenario, lcm) if scenario.camera.kind == "rgbd" else None
-    begin, told, said, next_picture, unusable = monotonic(), False, "", 0.0, 0
-    context, port = simulator.get_context(), diagram.GetOutputPort("driver.status")
+    picture_period = 1 / scenario.camera.rate
     try:
-        while True:
-            if camera is not None and context.get_time() >= next_picture:
-                camera.ask(context.get_time(), diagram.GetPositions(context))
-                next_picture += 1 / scenario.camera.rate
-            link.exchange()
-            time = context.get_time() + EXCHANGE_PERIOD
-            simulator.AdvanceTo(time)
-            status = port.Eval(context)
-            if status.reason != said and status.mode == GuardMode.HOLDING:
-                print_notice(
-                    f"{status.since:.2f} s: {status.reason}. The arm came to rest; a command moves it again."
-                )
-            said = status.reason
-            if len(link.left_out) != unusable:
-                unusable = len(link.left_out)
-                print_notice(f"{time:.2f} s: a command was left out: {list(link.left_out)[-1]}.")
-            behind = (monotonic() - begin) * realtime_rate - time
-            if behind > LARGEST_DELAY:
-                begin += behind / realtime_rate
-                simulator.ResetStatistics()  # else it would run faster than the clock once it can
-                if not told:
-                    print_notice(
-                        "The twin is slower than the clock; give both sides a smaller --realtime-rate."
-                    )
-                told = True
+        _run(diagram, simulator, link, camera, picture_period, realtime_rate)
     except KeyboardInterrupt:
         left_out = link.describe_left_out()
-        print_notice(
-            f"The twin ends after {context.get_time():.1f} s of its time{left_out and f'; {left_out}'}."
-        )
+        ending = f"; {left_out}" if left_out else ""
+        time = simulator.get_context().get_time()
+        print_notice(f"The twin ends after {time:.1f} s of its time{ending}.")
     finally:
         if camera is not None:
             camera.close()
+
+
+def _run(
+    diagram: Twin,
+    simulator: Simulator,
+    link: TwinLink,
+    camera: PictureProcess | None,
+    picture_period: float,
+    realtime_rate: float,
+) -> None:
+    """Simulates the twin, keeping step with the clock, until KeyboardInterrupt ends it.
+
+    Args:
+        diagram: the twin.
+        simulator: the simulator of `diagram`.
+        link: exchanges the LCM messages.
+        camera: renders and sends pictures; None if the scenario has no such camera.
+        picture_period: time between two pictures, s.
+        realtime_rate: how many seconds are simulated in one second.
+    """
+    context = simulator.get_context()
+    port = diagram.GetOutputPort("driver.status")
+    begin = monotonic()
+    next_picture = 0.0
+    last_reason = ""
+    unusable = 0
+    told_lost_time = False
+    while True:
+        if camera is not None and context.get_time() >= next_picture:
+            camera.ask(context.get_time(), diagram.GetPositions(context))
+            next_picture += picture_period
+        link.exchange()
+        time = context.get_time() + EXCHANGE_PERIOD
+        simulator.AdvanceTo(time)
+
+        # Say why the arm was brought to rest, and which commands could not be used
+        status = port.Eval(context)
+        if status.reason != last_reason and status.mode == GuardMode.HOLDING:
+            print_notice(
+                f"{status.since:.2f} s: {status.reason}. The arm came to rest; a command moves it "
+                "again."
+            )
+        last_reason = status.reason
+        if len(link.left_out) != unusable:
+            unusable = len(link.left_out)
+            print_notice(f"{time:.2f} s: a command was left out: {list(link.left_out)[-1]}.")
+
+        # A twin that fell behind goes on from its present time. If it caught up instead, it would
+        # run faster than the clock, and the robot that is tried with it would see it move too fast.
+        behind = (monotonic() - begin) * realtime_rate - time
+        if behind > LARGEST_DELAY:
+            begin += behind / realtime_rate
+            simulator.ResetStatistics()
+            if not told_lost_time:
+                print_notice(LOST_TIME)
+            told_lost_time = True
 
 
 def read_robot_scenario(

@@ -1,9 +1,9 @@
-"""`gridpush view`: a model, a log of pushes or a recording, in Meshcat."""
+"""`gridpush view`: shows a model, a log of pushes or a recording in the browser, by Meshcat."""
 
 import os
 import sys
 import webbrowser
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import Annotated, Any, Literal
@@ -21,19 +21,52 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import exists, is_file
 from gridpush_drake.identification.model_file import looks_like_model
 from gridpush_drake.identification.prediction import predict, summarize_errors
+from gridpush_drake.pushes.push_log import PushLog
 
 Shows = Literal["mass", "friction", "relative_friction"]
+"""What the colors of the cells may stand for."""
 
-MODEL_BESIDE, OBJECT_BESIDE = "model.yaml", "object.yaml"
-"""Looked for beside a push log, as `gridpush demo` writes them."""
+MODEL_BESIDE = "model.yaml"
+"""Name of the model that is looked for beside a push log; `gridpush demo` writes it there."""
+
+OBJECT_BESIDE = "object.yaml"
+"""Name of the object that is looked for beside a push log; `gridpush demo` writes it there."""
 
 
 class ViewError(GridPushError):
-    """A file cannot be shown as asked."""
+    """A file cannot be shown in the way that was asked for."""
 
 
-Serve = Callable[["LivePage", "Overlay", dict[str, Any], list[str]], None]
-"""Shows a scene, with what stands beside it, what was found, and the same in lines."""
+@dataclass(frozen=True)
+class Scene:
+    """What is shown.
+
+    Attributes:
+        page: the page, on which everything has been drawn.
+        overlay: the legend and the captions of the page.
+        found: what is printed with `--json`.
+        lines: what is printed without it.
+    """
+
+    page: LivePage
+    overlay: Overlay
+    found: dict[str, Any]
+    lines: list[str]
+
+
+@dataclass(frozen=True)
+class Look:
+    """How it is shown.
+
+    Attributes:
+        shows: what the colors of the cells stand for.
+        height: height of the object, m; None for its file's, or the default one.
+        port: port of the page; None for the first free one from 7000 on, 0 for any.
+    """
+
+    shows: Shows
+    height: float | None
+    port: int | None
 
 
 def view(
@@ -41,14 +74,18 @@ def view(
         str,
         typer.Argument(
             metavar="MODEL.yaml|PUSHES.csv|RECORDING.html",
-            help="A model that `gridpush identify` wrote (or an object), a push log, or a recording of the demo.",
+            help="What to show: a model that `gridpush identify` wrote, an object, a push log, or "
+            "the recording.html of a demo.",
             show_default=False,
         ),
     ],
     object_file: Annotated[
         str | None,
         typer.Option(
-            "--object", metavar="NAME|FILE", help="The pushes' object, where there is no model."
+            "--object",
+            metavar="NAME|FILE",
+            help="The object that was pushed, for a push log without a model.",
+            show_default="object.yaml beside the log",
         ),
     ] = None,
     model_file: Annotated[
@@ -56,20 +93,38 @@ def view(
         typer.Option(
             "--model",
             metavar="FILE",
-            help="Predicts the pushes; by default model.yaml beside the log.",
+            help="The learned model by which the pushes of a log are predicted.",
+            show_default="model.yaml beside the log",
         ),
     ] = None,
     push: Annotated[
         list[str] | None,
-        typer.Option("--push", metavar="NAME", help="Replay this push only; may be repeated."),
+        typer.Option(
+            "--push",
+            metavar="NAME",
+            help="Replay only this push of the log. The option may be repeated.",
+            show_default="all pushes",
+        ),
     ] = None,
-    shows: Annotated[Shows, typer.Option(help="What the cells' colors stand for.")] = "mass",
+    shows: Annotated[
+        Shows,
+        typer.Option(
+            help="What the colors of a model's cells stand for: mass; friction, the coefficient; "
+            "or relative_friction, each cell's share of the friction."
+        ),
+    ] = "mass",
     height: options.Height = None,
     port: Annotated[
-        int | None, typer.Option(help="Port of Meshcat's page; by default a free one from 7000 on.")
+        int | None,
+        typer.Option(
+            metavar="N", help="Port of the page.", show_default="the first free one from 7000"
+        ),
     ] = None,
     open_page: Annotated[
-        bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
+        bool,
+        typer.Option(
+            "--open/--no-open", help="Whether to open the page in the browser, or only to serve it."
+        ),
     ] = True,
     out: Annotated[
         Path | None,
@@ -78,50 +133,67 @@ def view(
             "-o",
             metavar="FILE.html",
             callback=options.HTML,
-            help="Write the page instead of serving it.",
+            help="Write the page to this file instead of serving it.",
         ),
     ] = None,
     film: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.gif",
-            help="Write a film of a recording, GIF or WebP, instead of showing it; Chromium draws it.",
+            help="Make a film of a recording instead of showing it, as .gif or .webp. This needs "
+            "Chromium, which draws it.",
         ),
     ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Show a learned model, replay pushes beside their predictions, or play a recording, in Meshcat."""
+    """Show a learned model, a log of pushes or a recording in the browser.
+
+    The pushes of a log are replayed one after the other, the observed motion beside the predicted
+    one. The page is served until Enter or Ctrl-C ends the command.
+
+    Example: gridpush view gridpush_demo/pushes.csv
+    """
     kind = Path(source).suffix.lower()
     _check_options(kind, {"--object": object_file, "--model": model_file, "--push": push}, out)
     if height is not None and not 0 < height < float("inf"):
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
     options.check_outputs(force, out, inputs=(source,))
-
-    def serve(page: LivePage, overlay: Overlay, found: dict[str, Any], lines: list[str]) -> None:
-        _write_or_serve(page, overlay, found, lines, out, open_page, force, json)
-
     if film is not None:
         _check_recording(Path(source))
         write_film(Path(source), film, force)
         print_found({"kind": "film", "written": [str(film)]}, options.describe_written(film), json)
-    elif kind in (".html", ".htm"):
+        return
+    if kind in (".html", ".htm"):
         _check_recording(Path(source))
-        address = Path(source).resolve().as_uri()
-        opened = open_page and _open(address)
-        line = f"{'Opened' if opened else 'Open this in a browser:'} {address}"
-        print_found(
-            {"kind": "recording", "url": address, "opened": opened, "written": []}, [line], json
-        )
-    elif kind == ".csv":
+        _open_recording(Path(source), open_page, json)
+        return
+
+    # A page that is only written needs no port of its own, so that any free one does
+    look = Look(shows=shows, height=height, port=port if out is None else 0)
+    if kind == ".csv":
         target = _find_target(Path(source), object_file, model_file, largest_piece)
-        _view_pushes(Path(source), target, push, shows, height, port if out is None else 0, serve)
+        scene = _show_pushes(Path(source), target, push, look)
     else:
-        _view_model(source, largest_piece, shows, height, port if out is None else 0, serve)
+        scene = _show_model(options.load_target(source, largest_piece), look)
+    scene.page.overlay = scene.overlay
+    if out is None:
+        _serve(scene, open_page, json)
+    else:
+        write_recording(scene.page.meshcat, out, force, scene.overlay)
+        lines = [*scene.lines, *options.describe_written(out)]
+        print_found({**scene.found, "written": [str(out)]}, lines, json)
 
 
 def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> None:
+    """Raises ViewError where options do not go together with what is shown.
+
+    Args:
+        kind: ending of the source's name, in small letters.
+        of_pushes: the options that go with a push log only, by their names.
+        out: the page to write.
+    """
     for name, value in of_pushes.items():
         if value and kind != ".csv":
             raise ViewError(f"{name}: goes with a push log (.csv) only")
@@ -136,7 +208,7 @@ def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> No
 
 
 def _check_recording(path: Path) -> None:
-
+    """Raises ViewError where a file is no recording."""
     if not is_file(path):
         raise ViewError(f"{path}: there is no such file")
     if not looks_like_recording(path):
@@ -145,22 +217,35 @@ def _check_recording(path: Path) -> None:
         )
 
 
-def _view_model(
-    source: str, largest_piece: bool, shows: Shows, height: float | None, port: int | None, serve: Serve
-) -> None:  # fmt: skip
+def _open_recording(path: Path, open_page: bool, json: bool) -> None:
+    """Opens a recording in the browser, or prints its address; it needs no server."""
+    address = path.resolve().as_uri()
+    opened = open_page and _open(address)
+    line = f"{'Opened' if opened else 'Open this in a browser:'} {address}"
+    found = {"kind": "recording", "url": address, "opened": opened, "written": []}
+    print_found(found, [line], json)
 
-    target = options.load_target(source, largest_piece)
-    page = LivePage(port)
-    AddModel(page.meshcat, target, shows, options.choose_height(height, target.obj))
-    lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(shows)]
+
+def _show_model(target: options.Target, look: Look) -> Scene:
+    """Draws a model or an object at rest."""
+    page = LivePage(look.port)
+    AddModel(page.meshcat, target, look.shows, options.choose_height(look.height, target.obj))
     kind = "model" if target.model else "object"
-    serve(page, make_overlay(target, shows), {"kind": kind, "object": target.obj.name}, lines)
+    return Scene(
+        page=page,
+        overlay=make_overlay(target, look.shows),
+        found={"kind": kind, "object": target.obj.name},
+        lines=[f"{target.obj.name}: {target.obj.n} cells", describe_colors(look.shows)],
+    )
 
 
 def _find_target(
     log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool
 ) -> options.Target:
-    """The model or object of a push log: as told, or by the names the demo uses."""
+    """Reads the model or the object of a push log.
+
+    It is the one that the user names, else the one beside the log under a name that the demo uses.
+    """
     if model_file is not None and not looks_like_model(model_file):
         raise ViewError(
             f"--model: {model_file} is not a model; expected a file that `gridpush identify` wrote"
@@ -171,67 +256,79 @@ def _find_target(
         raise ViewError(f"{log}: there is no such file")
     if told is None:
         raise ViewError(
-            f"{log}: its object is unknown; expected --object, --model, or {MODEL_BESIDE} or {OBJECT_BESIDE} beside it"
+            f"{log}: its object is unknown; expected --object, --model, or {MODEL_BESIDE} or "
+            f"{OBJECT_BESIDE} beside it"
         )
     return options.load_target(str(told), largest_piece)
 
 
-def _view_pushes(
-    path: Path, target: options.Target, names: list[str] | None, shows: Shows, height: float | None, port: int | None,
-    serve: Serve,
-) -> None:  # fmt: skip
+def _show_pushes(path: Path, target: options.Target, names: list[str] | None, look: Look) -> Scene:
+    """Records a replay of pushes, beside their predictions if there is a learned model.
 
-    log = options.load_log(path, target.obj, require_final=False)
-    known = [seen.name for seen in log]
-    for name in names or ():
-        if name not in known:
-            raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
-    picked = log.subset([i for i, name in enumerate(known) if not names or name in names])
+    Args:
+        path: the push log.
+        target: the model or the object that was pushed.
+        names: names of the pushes to replay; None for all.
+        look: how they are shown.
+
+    Raises:
+        ViewError: the log has no push of a name.
+    """
+    picked = _pick_pushes(path, target, names)
     predictions = None
     if target.model:
         options.compile_kernels()
         predictions = predict(
             target.obj, target.params, picked, physics=target.make_physics("auto")
         )
+    page = LivePage(look.port)
+    height = options.choose_height(look.height, target.obj)
+    AddPushes(page.meshcat, target, picked, predictions, look.shows, height)
+
+    # The model assumes a table below all of the object, so pushes over its edge are not judged
     overhanging = [seen.name for seen in picked.overhanging]
     judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
     errors = summarize_errors(target.obj, judged, picked.supported) if judged else []
-
-    page = LivePage(port)
-    tall = options.choose_height(height, target.obj)
-    AddPushes(page.meshcat, target, picked, predictions, shows, tall)
     lines = [f"{target.obj.name}: {count_noun(len(picked), 'push')}"]
     if predictions:
-        lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(shows)]
-    cell = [error for error in errors if error.name == "cell"]
-    lines += [
-        f"Mean cell error of the final poses: {error.mean * error.scale:.1f} {error.unit}"
-        for error in cell
-    ]
+        lines.append("Solid: as observed. Orange: as the model predicts it.")
+        lines.append(describe_colors(look.shows))
+    for error in errors:
+        if error.name == "cell":
+            mean = error.mean * error.scale
+            lines.append(f"Mean cell error of the final poses: {mean:.1f} {error.unit}")
     if predictions and overhanging:
-        lines.append(f"Of these errors, {options.describe_overhanging(overhanging)}")
-    found = {"kind": "pushes", "object": target.obj.name, "pushes": [seen.name for seen in picked]}
-    overlay = make_overlay(target, shows, picked, predictions)
-    serve(page, overlay, {**found, "errors": [vars(error) for error in errors]}, lines)
+        lines.append(f"These errors have {options.describe_overhanging(overhanging)}")
+    found = {
+        "kind": "pushes",
+        "object": target.obj.name,
+        "pushes": [seen.name for seen in picked],
+        "errors": [vars(error) for error in errors],
+    }
+    overlay = make_overlay(target, look.shows, picked, predictions)
+    return Scene(page=page, overlay=overlay, found=found, lines=lines)
 
 
-def _write_or_serve(
-    page: LivePage, overlay: Overlay, found: dict[str, Any], lines: list[str], out: Path | None, open_page: bool,
-    force: bool, json: bool,
-) -> None:  # fmt: skip
-    """Writes the page, or serves it until told to stop."""
-    url = page.url
-    page.overlay = overlay
-    if out is not None:
-        write_recording(page.meshcat, out, force, overlay)
-        print_found(
-            {**found, "written": [str(out)]}, [*lines, *options.describe_written(out)], json
-        )
-        return
-    try:  # from the first line on: who reads the address may interrupt at once
-        PublishOnce(page.meshcat)
-        last = f"Meshcat shows it at {url} (Enter or Ctrl-C to end)"
-        print_found({**found, "url": url, "written": []}, [*lines, last], json)
+def _pick_pushes(path: Path, target: options.Target, names: list[str] | None) -> PushLog:
+    """Reads the pushes with some names, or all pushes, from a log."""
+    log = options.load_log(path, target.obj, require_final=False)
+    known = [seen.name for seen in log]
+    for name in names or ():
+        if name not in known:
+            raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
+    return log.subset([i for i, name in enumerate(known) if not names or name in names])
+
+
+def _serve(scene: Scene, open_page: bool, json: bool) -> None:
+    """Serves a page until the user ends the command."""
+    url = scene.page.url
+    # Whoever reads the address may interrupt at once, so everything from the first line on is
+    # guarded
+    try:
+        PublishOnce(scene.page.meshcat)
+        last = f"The page is at {url} (Enter or Ctrl-C ends it)"
+        found = {**scene.found, "url": url, "written": []}
+        print_found(found, [*scene.lines, last], json)
         if open_page:
             _open(url)
         _wait()
@@ -240,7 +337,7 @@ def _write_or_serve(
 
 
 def _open(address: str) -> bool:
-    """Opens a page in the desktop's browser; False where there is none."""
+    """Opens a page in the desktop's browser. Returns False if there is none."""
     # Without a display Python would start a browser in the terminal itself, if it finds one.
     if sys.platform.startswith("linux") and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -250,7 +347,7 @@ def _open(address: str) -> bool:
 
 
 def _wait() -> None:
-    """Returns on Enter at a terminal; elsewhere never."""
+    """Waits for Enter at a terminal; without one, until the process is interrupted."""
     if sys.stdin is not None and sys.stdin.isatty():
         sys.stdin.readline()
     else:

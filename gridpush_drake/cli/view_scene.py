@@ -1,4 +1,4 @@
-"""What `gridpush view` puts into Meshcat: a model, or pushes to be replayed with their predictions."""
+"""What `gridpush view` shows: a learned model, or pushes replayed beside their predictions."""
 
 from collections.abc import Sequence
 
@@ -33,26 +33,51 @@ from gridpush_drake.identification.prediction import Prediction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-OBJECT, GHOST, FINGER, PUSHES, TABLE = "object", "predicted", "finger", "pushes", "table"
-"""Paths in Meshcat."""
+OBJECT = "object"
+"""Path of the object in Meshcat."""
 
-TABLE_COLOR, FINGER_COLOR = Rgba(0.86, 0.84, 0.80), Rgba(0.25, 0.27, 0.30)
+GHOST = "predicted"
+"""Path in Meshcat of the object as the model predicts it."""
+
+FINGER = "finger"
+"""Path of the finger in Meshcat, below the path of its push."""
+
+PUSHES = "pushes"
+"""Path in Meshcat below which each push has its number."""
+
+TABLE = "table"
+"""Path of the table in Meshcat."""
+
+TABLE_COLOR = Rgba(0.86, 0.84, 0.80)
+"""Color of the table."""
+
+FINGER_COLOR = Rgba(0.25, 0.27, 0.30)
+"""Color of the finger."""
+
 PLAIN_COLOR = (0.62, 0.66, 0.70)
-"""Cells of which nothing is known, sRGB."""
+"""Color of cells of which nothing is known, sRGB."""
 
-TABLE_MARGIN, TABLE_THICKNESS = 0.05, 0.01
-"""About what stands on the table, and of the table, m."""
+TABLE_MARGIN = 0.05
+"""How far the table reaches beyond everything that is shown on it, m."""
 
-VIEW_SHARE, FINGER_SHARE = 0.65, 2.0
-"""Distance of the camera, in diagonals of what is to be seen, and height of the finger, in heights
-of the object."""
+TABLE_THICKNESS = 0.01
+"""Thickness of the table that is drawn, m."""
 
-FRAMES_PER_SECOND, HOLD = 30.0, 0.8
-"""Of a replay, and s for which a push's first and last poses are held."""
+VIEW_SHARE = 0.65
+"""Distance of the camera from the middle, as a share of the diagonal of what is shown."""
+
+FINGER_SHARE = 2.0
+"""Height of the finger that is drawn, as a multiple of the object's height."""
+
+FRAMES_PER_SECOND = 30.0
+"""How many poses a second are drawn in a replay."""
+
+HOLD = 0.8
+"""How long the first and the last pose of a push are held in a replay, s."""
 
 
 def describe_colors(shows: Shown) -> str:
-    """What the colors mean, in a sentence."""
+    """Returns a sentence that says what the colors of the cells mean."""
     low, high = CellColors(shows).resolve_limits()
     if shows == "friction":
         return f"Colors: the cells' friction coefficient, from {low:g} (dark) to {high:g} (bright)."
@@ -63,7 +88,17 @@ def describe_colors(shows: Shown) -> str:
 
 
 def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> None:
-    """Draws a model at rest in its body frame: its cells in their colors, the center of mass and its ellipse."""
+    """Draws a model at rest in its body frame.
+
+    Of a learned model the cells have colors, and the center of mass is marked with the ellipse that
+    shows how sure it is.
+
+    Args:
+        meshcat: where to draw it.
+        target: the model, or an object of which nothing was learned.
+        shows: what the colors of the cells stand for.
+        height: height of the object, m.
+    """
     _AddObject(meshcat, target, CellColors(shows), height)
     _FrameScene(meshcat, np.array(target.obj.outline.bounds).reshape(2, 2))
 
@@ -74,7 +109,14 @@ def make_overlay(
     log: PushLog | None = None,
     predictions: Sequence[Prediction] | None = None,
 ) -> Overlay:
-    """What stands beside the page of a model, or of the pushes that `AddPushes` records."""
+    """Makes the legend and the captions of a page that shows a model or a replay of pushes.
+
+    Args:
+        target: the model or object that is shown.
+        shows: what the colors of the cells stand for.
+        log: the pushes that `AddPushes` records; None if no pushes are shown.
+        predictions: the predictions that are shown beside the pushes; None if there are none.
+    """
     scale = make_color_scale(target.obj, CellColors(shows)) if target.model is not None else None
     marks = list_center_marks() if target.model is not None else ()
     if log is not None:
@@ -83,7 +125,8 @@ def make_overlay(
         marks += (
             Mark(to_css(PLAN_COLOR), "the object as the model predicts it; solid: as observed"),
         )
-    phases, begin = [], 0.0
+    phases = []
+    begin = 0.0
     for seen in log or ():
         detail = f"{MM * seen.push.length:.0f} mm in {seen.push.duration:.1f} s"
         over = "; a part of the object hangs over the table's edge" if seen.overhang else ""
@@ -100,10 +143,19 @@ def AddPushes(
     shows: Shown,
     height: float,
 ) -> None:
-    """Records pushes one after the other: the object as observed, the finger, and the predicted poses as a ghost.
+    """Records a replay of pushes, one after the other.
 
-    Between two observations the object is drawn on the straight line from one to the other. The
-    recording is begun here and left for the caller to publish.
+    Shown are the object as it was observed, the finger, and as a ghost the object as it is
+    predicted. Between two observations the object is drawn on the straight line from one to the
+    other. The caller has to publish the recording.
+
+    Args:
+        meshcat: where to draw it.
+        target: the model or object that was pushed.
+        log: the pushes.
+        predictions: the predicted motion of each push, in the order of the log; None for no ghost.
+        shows: what the colors of the cells stand for.
+        height: height of the object, m.
     """
     obj = target.obj
     _AddObject(meshcat, target, CellColors(shows), height)
@@ -114,22 +166,27 @@ def AddPushes(
     begin = 0.0
     for i, seen in enumerate(log):
         _AddPush(meshcat, seen, i, begin, height)
-        first, last = begin + HOLD, begin + HOLD + seen.push.duration
-        times, poses = np.append(0.0, seen.t_observed), np.vstack([seen.pose, seen.poses_observed])
-        _RecordPoses(meshcat, OBJECT, first + times, poses, begin, last + HOLD)
+        first = begin + HOLD
+        last = first + seen.push.duration
+        times = np.append(0.0, seen.t_observed)
+        poses = np.vstack([seen.pose, seen.poses_observed])
+        _RecordPoses(meshcat, OBJECT, first + times, poses, begin=begin, end=last + HOLD)
         if predictions is not None:
             motion = predictions[i]
             at = _sample(motion.times)
             poses = np.column_stack(
                 [np.interp(at, motion.times, column) for column in motion.poses.T]
             )
-            _RecordPoses(meshcat, GHOST, first + at, poses, begin, last + HOLD)
+            _RecordPoses(meshcat, GHOST, first + at, poses, begin=begin, end=last + HOLD)
         begin = last + HOLD
     meshcat.StopRecording()
 
 
 def _AddObject(meshcat: Meshcat, target: Target, colors: CellColors, height: float) -> None:
-    obj, params, model = target.obj, target.params, target.model
+    """Draws the cells of an object, and the center of mass of a learned model."""
+    obj = target.obj
+    params = target.params
+    model = target.model
     drawn = (
         np.tile(PLAIN_COLOR, (obj.n, 1))
         if model is None
@@ -144,8 +201,17 @@ def _AddObject(meshcat: Meshcat, target: Target, colors: CellColors, height: flo
 
 
 def _AddPush(meshcat: Meshcat, seen: ObservedPush, i: int, begin: float, height: float) -> None:
-    """Draws a push's arrow and its finger, and moves the finger from `begin` + HOLD on."""
-    path, push = f"{PUSHES}/{i}", seen.push
+    """Draws a push's arrow and its finger, and records how the finger moves.
+
+    Args:
+        meshcat: where to draw it.
+        seen: the push.
+        i: number of the push in the log, from 0.
+        begin: when the push is shown first, s. The finger starts to move HOLD later.
+        height: height of the object, m.
+    """
+    path = f"{PUSHES}/{i}"
+    push = seen.push
     if push.length > 0:
         AddArrow(meshcat, f"{path}/arrow", push.xy[0], push.xy[-1], height + 4 * LAYER)
     meshcat.SetObject(
@@ -155,7 +221,15 @@ def _AddPush(meshcat: Meshcat, seen: ObservedPush, i: int, begin: float, height:
     tips = np.column_stack([push.tip_at(at), np.zeros(len(at))])
     middle = FINGER_SHARE * height / 2
     end = begin + HOLD + push.duration + HOLD
-    _RecordPoses(meshcat, f"{path}/{FINGER}", begin + HOLD + at, tips, begin, end, middle)
+    _RecordPoses(
+        meshcat,
+        f"{path}/{FINGER}",
+        begin + HOLD + at,
+        tips,
+        begin=begin,
+        end=end,
+        height=middle,
+    )
     SwapVisible(meshcat, path, f"{PUSHES}/{i - 1}" if i else None, begin, 1 / FRAMES_PER_SECOND)
 
 
@@ -168,29 +242,45 @@ def _RecordPoses(
     end: float,
     height: float = 0.0,
 ) -> None:
-    """Records planar poses (k, 3) at `times` (k,), s, the first held from `begin` on and the last until `end`."""
+    """Records how a path in Meshcat moves.
+
+    Args:
+        meshcat: where it is drawn.
+        path: the path.
+        times: times (k,) of the poses, s.
+        poses: planar poses (k, 3), m and rad.
+        begin: the first pose is held from this time on, s.
+        end: the last pose is held until a frame before this time, s.
+        height: height of the path's origin above the table, m.
+    """
     still_held = end - 1 / FRAMES_PER_SECOND
     for time, pose in zip([begin, *times, still_held], [poses[0], *poses, poses[-1]], strict=True):
         meshcat.SetTransform(path, MakePlanarTransform(pose, height), float(time))
 
 
 def _sample(times: Array) -> Array:
-    """Times from the first to the last, a frame apart or, where there are fewer, those themselves."""
+    """Returns the times at which a motion is recorded, one frame or more apart."""
     count = int(np.ceil((times[-1] - times[0]) * FRAMES_PER_SECOND)) + 1
     return times if len(times) <= count else np.linspace(times[0], times[-1], count)
 
 
 def _calc_extent(obj: GridObject, log: PushLog) -> Array:
-    """(2, 2) min and max x, y, m, of all observed cells and of the finger's paths."""
+    """Returns the smallest and largest x, y (2, 2) of observed cells and finger paths, m."""
     poses = np.concatenate([np.vstack([seen.pose, seen.poses_observed]) for seen in log])
     points = np.concatenate([obj.cells_at(poses).reshape(-1, 2), *(seen.push.xy for seen in log)])
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 
 def _FrameScene(meshcat: Meshcat, extent: ArrayLike) -> None:
-    """Puts a table below (2, 2) `extent`, min and max x, y, m, and points the camera at it."""
+    """Draws a table below what is shown, and points the camera at it.
+
+    Args:
+        meshcat: where to draw it.
+        extent: smallest and largest x, y (2, 2) of what is shown, m.
+    """
     low, high = np.asarray(extent, dtype=np.float64)
-    middle, size = (low + high) / 2, high - low
+    middle = (low + high) / 2
+    size = high - low
     width, depth = size + 2 * TABLE_MARGIN
     meshcat.SetObject(TABLE, Box(width, depth, TABLE_THICKNESS), TABLE_COLOR)
     meshcat.SetTransform(TABLE, MakePlanarTransform([*middle, 0.0], -TABLE_THICKNESS / 2 - LAYER))

@@ -1,4 +1,4 @@
-"""`gridpush warm-up`: compiles the kernels before they are needed."""
+"""`gridpush warm-up`: compiles the simulation to machine code before it is needed."""
 
 from time import monotonic
 
@@ -11,15 +11,25 @@ from gridpush_drake.dynamics.warm_up import is_compiled
 
 
 def warm_up(json: options.Json = False) -> None:
-    """Compile the kernels now, so that no later command has to; once a machine and version.
+    """Compile the simulation to machine code now, so that no later command has to wait for it.
 
-    They are kept in $NUMBA_CACHE_DIR, $XDG_CACHE_HOME/gridpush_drake or ~/.cache/gridpush_drake.
+    This is needed once for each computer and each version of the package, and takes about 20
+    seconds on two idle cores. Without it, the first command that simulates a push does it. The
+    compiled code is kept in the folder that NUMBA_CACHE_DIR names, else in gridpush_drake below
+    XDG_CACHE_HOME, else in ~/.cache/gridpush_drake.
+
+    Example: gridpush warm-up
     """
-    known, begin = is_compiled(), monotonic()
+    known = is_compiled()
+    begin = monotonic()
     compile_all()
     folder = get_cache(rollout).cache_path or None
     seconds = monotonic() - begin
     found = {"folder": folder, "compiled": not known, "seconds": seconds}
-    did = "were compiled before" if known else f"were compiled in {seconds:.0f} s"
-    kept = f"are kept in {folder}" if folder else "cannot be kept: no folder will do"
-    print_found(found, [f"The kernels {did}; they {kept}."], json)
+    did = "was compiled before" if known else f"was compiled in {seconds:.0f} s"
+    kept = (
+        f"is kept in {folder}"
+        if folder
+        else "cannot be kept, as there is no folder that only you can change"
+    )
+    print_found(found, [f"The simulation {did}; the compiled code {kept}."], json)

@@ -1,21 +1,22 @@
-"""How the arm comes to a posture, whether it can follow a path, and what moves it along one.
+"""The arm: which posture it takes (`ArmPosture`), and which paths it can follow (`ArmReach`).
 
-Posture: of all in which the finger's tip is somewhere, the one that is nearest to the nominal
-posture. With q the joint angles, J(q) the tip's Jacobian (rotation above translation) and e the
-pose's error, one step of
+Posture: many postures bring the finger's tip to the same place. Of these, the one that is nearest
+to a nominal posture is taken. With q the joint angles, J(q) the tip's Jacobian (rotation above
+translation), J+ its pseudoinverse and e the pose's error, one step of
 
     dq = J+ e + (I - J+ J)(q_nominal - q) = J+ (e - J (q_nominal - q)) + q_nominal - q
 
 moves the tip where it should be and, in the null space, as near to q_nominal as possible. Drake's
 differential inverse kinematics with joint centering, which moves the arm by way of its driver, has
-the same fixed point: what is found here is what the moving arm does. The tool points down; its turn
-about the vertical (yaw) is zero at `R_WP_DOWN`. An arm of fewer than six joints, such as a gantry,
-need not be able to turn its tool, only to keep it pointing down.
+the same fixed point: a posture found here is the one that the moving arm takes. The tool points
+down; its turn about the vertical (yaw) is zero at `R_WP_DOWN`. An arm of fewer than six joints,
+such as a gantry, need not be able to turn its tool, only to keep it pointing down.
 
-Path: followed in steps before the arm goes. Measured on 30 pushes' paths, of which 19 can be
-followed: this search takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms,
-and takes joints at their limits for arrived (7 paths of 10 instead of 6); Drake's
-`InverseKinematics` by SNOPT 510 ms, and misses a quarter of the postures.
+Path: before the arm moves, it is led along the path in steps. On the paths of 30 pushes, of which
+19 can be followed, this search takes 8 ms a path. Two of Drake's methods were tried instead. Its
+differential inverse kinematics takes 11 ms, and accepts postures with joints at their limits (7
+paths of 10 instead of 6). Its `InverseKinematics` with SNOPT takes 510 ms, and misses a quarter of
+the postures.
 """
 
 from functools import lru_cache
@@ -24,28 +25,9 @@ from threading import RLock
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
-from pydrake.manipulation import IiwaDriver, SimIiwaDriver
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.inverse_kinematics import (
-    DifferentialInverseKinematicsIntegrator,
-    DifferentialInverseKinematicsParameters,
-)
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import (
-    Frame,
-    JacobianWrtVariable,
-    ModelInstanceIndex,
-    PdControllerGains,
-    PrismaticJoint,
-)
-from pydrake.systems.controllers import InverseDynamics
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
-from pydrake.systems.primitives import (
-    Demultiplexer,
-    PassThrough,
-    SharedPointerSystem,
-    StateInterpolatorWithDiscreteDerivative,
-)
+from pydrake.multibody.tree import Frame, JacobianWrtVariable, PrismaticJoint
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import StationError
@@ -54,45 +36,39 @@ from gridpush_drake.multibody.tool_motion import R_WP_DOWN, TURNING_RADIUS, calc
 from gridpush_drake.station.robot import AddRobot, Robot
 
 POSITION_TOLERANCE = 1e-6
-"""m and rad, of a pose that counts as reached."""
+"""A posture is found once the tip's pose is off by less than this, m and rad."""
 
 CENTERING_TOLERANCE = 1e-6
-"""rad, of the last step."""
-
-SPATIAL = 6
-"""Directions in which a body can turn and move."""
-
-ROUND_OFF = 1e-6
-"""Of a Jacobian's entry that is zero; a model's pi has eight digits or so."""
+"""A posture is found only once the last step turns each joint by less than this, rad. Until then
+the arm still moves toward the nominal posture in its null space."""
 
 MAX_STEPS = 200
-"""Of the search for one posture from another that may be far off."""
+"""Greatest number of steps in the search for a posture from one that may be far off."""
+
+FULL_TURN = 2.0 * np.pi
+"""If a joint has gone further than this, the search for a posture has got lost, rad."""
 
 
 class ArmPosture:
-    """The tip's kinematics and their inverse.
+    """Kinematics of the finger's tip, and their inverse.
+
+    It may be asked by several threads: planning may go on beside the Diagram, see `systems.worker`.
 
     Attributes:
-        lower: (n,) joint limits, rad.
-        upper: likewise.
-        speed: (n,) rad/s.
+        lower: (n,) lower limits of the joints, rad.
+        upper: (n,) upper limits of the joints, rad.
+        speed: (n,) greatest speeds of the joints, rad/s.
     """
 
     def __init__(self, control_plant: MultibodyPlant, robot: Robot):
         """Takes the plant that `MakeControlPlant` makes of a robot."""
         self._plant = control_plant
         self._context = control_plant.CreateDefaultContext()
-        self._lock = (
-            RLock()
-        )  # of the Context: planning may go on beside the Diagram (`systems.worker`)
-        self._tip, self._world = (
-            control_plant.GetFrameByName(robot.finger.tip_frame),
-            control_plant.world_frame(),
-        )
-        self.lower, self.upper = (
-            control_plant.GetPositionLowerLimits(),
-            control_plant.GetPositionUpperLimits(),
-        )
+        self._lock = RLock()  # guards the Context
+        self._tip = control_plant.GetFrameByName(robot.finger.tip_frame)
+        self._world = control_plant.world_frame()
+        self.lower = control_plant.GetPositionLowerLimits()
+        self.upper = control_plant.GetPositionUpperLimits()
         self.speed = control_plant.GetVelocityUpperLimits()
         joints = (control_plant.get_joint(index) for index in control_plant.GetJointIndices())
         self._slides = {
@@ -103,25 +79,26 @@ class ArmPosture:
 
     def describe_speed(self, k: int, speed: float) -> str:
         """Says that joint k, counted from 0, would have to move at a speed, rad/s or m/s."""
-        slides = k in self._slides
-        return (
-            f"joint {k + 1} of the arm would have to {'slide' if slides else 'turn'} at {speed:.2f} "
-            + ("m/s" if slides else "rad/s")
-        )
+        moves, unit = ("slide", "m/s") if k in self._slides else ("turn", "rad/s")
+        return f"joint {k + 1} of the arm would have to {moves} at {speed:.2f} {unit}"
 
     def calc_tip_pose(self, q: Array) -> RigidTransform:
-        """X_WP of the tip's frame at the joint angles q (n,), rad."""
+        """Calculates X_WP of the tip's frame at the joint positions q (n,), rad."""
         with self._lock:
             self._plant.SetPositions(self._context, q)
             return self._tip.CalcPoseInWorld(self._context)
 
     def calc_jacobian(self, q: Array) -> Array:
-        """(6, n) of the tip's rotation and translation, in the tip's frame, at the joint positions q (n,)."""
+        """Calculates the tip's Jacobian (6, n), expressed in the tip's own frame.
+
+        Rotation stands above translation. The joint positions are q (n,), rad.
+        """
         with self._lock:
             self.calc_tip_pose(q)
             return self._calc_jacobian(self._tip)
 
     def _calc_jacobian(self, frame: Frame) -> Array:
+        """Calculates the tip's Jacobian (6, n) at the Context's positions, expressed in a frame."""
         return np.asarray(
             self._plant.CalcJacobianSpatialVelocity(
                 self._context, JacobianWrtVariable.kV, self._tip, np.zeros(3), self._world, frame
@@ -131,43 +108,48 @@ class ArmPosture:
     def calc_step(
         self, q: Array, p_WP: Array, q_nominal: Array, R_WP: RotationMatrix = R_WP_DOWN
     ) -> tuple[Array, float]:
-        """One step towards the tool pointing down with its tip at p_WP.
+        """Calculates one step toward the posture with the tip at p_WP, see the module's equation.
 
         Args:
-            q: (n,) rad.
-            p_WP: (3,) m.
-            q_nominal: (n,) rad.
-            R_WP: of the tool, see `calc_tool_rotation`.
+            q: (n,) joint positions before the step, rad.
+            p_WP: (3,) wanted position of the tip, m.
+            q_nominal: (n,) posture to stay near to, rad.
+            R_WP: wanted rotation of the tool, see `calc_tool_rotation`.
 
         Returns:
-            dq (n,), rad, and the error's norm before the step, m and rad.
+            The step dq (n,), rad, and the norm of the error e before the step, m and rad.
         """
         with self._lock:
             X_WP = self.calc_tip_pose(q)
             J = self._calc_jacobian(self._world)
         turn = (R_WP @ X_WP.rotation().inverse()).ToAngleAxis()
         e = np.concatenate([turn.angle() * turn.axis(), p_WP - X_WP.translation()])
-        away = q_nominal - q
-        return np.linalg.lstsq(J, e - J @ away)[0] + away, float(np.linalg.norm(e))
+        to_nominal = q_nominal - q
+        # Least squares gives J+ times the right-hand side without forming J+.
+        dq = np.linalg.lstsq(J, e - J @ to_nominal)[0] + to_nominal
+        return dq, float(np.linalg.norm(e))
 
     def solve(self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array) -> Array | None:
-        """Finds the posture with the tool down and its tip at p_WP.
+        """Finds the posture with the tool pointing down and its tip at p_WP.
+
+        Joint limits are not looked at.
 
         Args:
-            p_WP: (3,) m.
+            p_WP: (3,) wanted position of the tip, m.
             q_nominal: (n,) posture to stay near to, rad.
-            q_seed: (n,) where the search begins, rad.
+            q_seed: (n,) posture at which the search begins, rad.
 
         Returns:
-            (n,) rad, or None where the search does not arrive. Joint limits are not looked at.
+            (n,) joint positions, rad; None if the search does not converge.
         """
-        q, target = q_seed, np.asarray(p_WP, float)
+        q = q_seed
+        target = np.asarray(p_WP, float)
         for _ in range(MAX_STEPS):
             dq, error = self.calc_step(q, target, q_nominal)
             q = q + dq
             if error < POSITION_TOLERANCE and np.abs(dq).max() < CENTERING_TOLERANCE:
                 return q
-            if not np.abs(q).max() < 2.0 * np.pi:
+            if not np.abs(q).max() < FULL_TURN:  # also true of NaN
                 return None
         return None
 
@@ -176,17 +158,18 @@ def CalcStartPosture(control_plant: MultibodyPlant, robot: Robot, p_WP: ArrayLik
     """Calculates the posture in which the tool points down with its tip at p_WP.
 
     Args:
-        control_plant: as `MakeControlPlant` makes it.
+        control_plant: the robot alone, as `MakeControlPlant` makes it.
         robot: the robot; the search begins at its `posture`.
-        p_WP: (3,) m.
+        p_WP: (3,) position of the tip, m.
 
     Returns:
-        (n,) rad.
+        (n,) joint positions, rad.
 
     Raises:
-        StationError: there is none within the joint limits.
+        StationError: there is no such posture within the joint limits.
     """
-    posture, seed = ArmPosture(control_plant, robot), np.array(robot.arm.posture)
+    posture = ArmPosture(control_plant, robot)
+    seed = np.array(robot.arm.posture)
     q = posture.solve(p_WP, seed, seed)
     if q is None or (q < posture.lower).any() or (q > posture.upper).any():
         where = np.round(np.asarray(p_WP, float), 3).tolist()
@@ -195,27 +178,31 @@ def CalcStartPosture(control_plant: MultibodyPlant, robot: Robot, p_WP: ArrayLik
 
 
 STEP = 0.02
-"""m along the path, between the postures searched."""
+"""Distance along a path from one posture that is searched for to the next, m."""
 
 STEPS_PER_POSTURE = 8
-"""Newton's, at most, from one posture to the next; three or four are enough where the arm is not
-stretched."""
+"""Greatest number of Newton steps from one posture to the next. Three or four are enough while the
+arm is not stretched."""
 
 ARRIVED = 1e-5
-"""m and rad, of a posture that is reached."""
+"""A posture on a path is reached once the tip's pose differs by less than this, m and rad."""
 
 LEADS = 1024
-"""Straight pieces of paths whose postures are kept."""
+"""Number of straight pieces of paths whose postures are remembered. The same path is asked about
+again at other speeds, which need no new search."""
 
 REGION_STEP = 0.025
-"""m, between places that are tried to find out how far an arm reaches."""
+"""Distance between the places that are tried to find out how far an arm reaches, m."""
+
+NEIGHBORS = ((-1, 0), (1, 0), (0, -1), (0, 1))
+"""Steps from a cell of a grid to those beside it."""
 
 
 class ArmReach:
-    """Leads the arm along a path in steps and says what stops it.
+    """Leads the arm along a path in steps, and says what stops it.
 
-    It is what a `PushExecutor` and a `GraspExecutor` take as `reach`. The postures are those of
-    `ArmPosture`, to which the moving arm is drawn.
+    A `PushExecutor` and a `GraspExecutor` take it as `reach`. The postures are those of
+    `ArmPosture`, which the moving arm takes, too.
     """
 
     def __init__(
@@ -224,33 +211,32 @@ class ArmReach:
         robot: Robot,
         q_nominal: ArrayLike,
     ):
-        """Makes the question.
+        """Prepares the search.
 
         Args:
-            control_plant: as `MakeControlPlant` makes it.
+            control_plant: the robot alone, as `MakeControlPlant` makes it.
             robot: the robot; its `control` says how far paths keep from the joints' limits.
-            q_nominal: (n,) the posture that the arm is drawn to, rad.
+            q_nominal: (n,) nominal posture, rad. Paths begin at it, and postures stay near to it.
         """
         self._posture = ArmPosture(control_plant, robot)
-        margin, share = robot.arm.control.path_limit_margin, robot.arm.control.path_speed_share
+        control = robot.arm.control
         self._nominal = np.array(q_nominal, float)
         self._p_WN = self._posture.calc_tip_pose(self._nominal).translation()
-        self._lower, self._upper = self._posture.lower + margin, self._posture.upper - margin
-        self._speed = share * self._posture.speed
-        self._lead = lru_cache(LEADS)(
-            self._find_postures
-        )  # a path is asked about at several speeds
+        self._lower = self._posture.lower + control.path_limit_margin
+        self._upper = self._posture.upper - control.path_limit_margin
+        self._speed = control.path_speed_share * self._posture.speed
+        self._lead = lru_cache(LEADS)(self._find_postures)
 
     def __call__(
         self, path: ArrayLike, speeds: ArrayLike, yaws: ArrayLike | None = None
     ) -> str | None:
-        """None where the tip can go along `path`, else a sentence that says why not.
+        """Says in a sentence why the tip cannot go along a path; None if it can.
 
         Args:
             path: (k, 3) corners p_WP of the tip's path, m.
-            speeds: (k - 1,) greatest on its pieces, m/s; of the path that `tool_motion` measures
-                where the tool turns.
-            yaws: (k,) of the tool at the corners, rad; None where it does not turn.
+            speeds: (k - 1,) greatest speed on each piece, m/s. If the tool turns, the turn counts
+                as length, as in `tool_motion`.
+            yaws: (k,) yaw of the tool at the corners, rad; None if it does not turn.
         """
         corners = np.array(path, float)
         turns = np.zeros(len(corners)) if yaws is None else np.asarray(yaws, float)
@@ -267,24 +253,28 @@ class ArmReach:
     def find_region(
         self, bounds: ArrayLike, height: float, step: float = REGION_STEP
     ) -> BaseGeometry:
-        """Finds where the tip can be, led from the start's posture from place to place.
+        """Finds where the tip can be, by leading it from place to place on a square grid.
 
         Args:
-            bounds: (4,) least x and y, greatest x and y, W, m.
-            height: of the tip's center, z in W, m.
-            step: between places, m.
+            bounds: (4,) least x and y, greatest x and y, in W, m.
+            height: z of the tip's center in W, m.
+            step: distance between places, m.
 
         Returns:
-            The squares of that side about the places that are reached, within the bounds, W, m; it
-            may be empty.
+            The union of the grid's squares whose middle is reached, within the bounds, a polygon or
+            several in W, m; it may be empty.
         """
         x0, y0, x1, y1 = np.asarray(bounds, float).tolist()
-        xs, ys = (np.arange(low + step / 2, high, step) for low, high in ((x0, x1), (y0, y1)))
+        xs = np.arange(x0 + step / 2, x1, step)
+        ys = np.arange(y0 + step / 2, y1, step)
+        # Tip (x, y, z), m, and yaw, rad, at each place of the grid.
         places = {
             (i, j): np.array([x, y, height, 0.0])
             for i, x in enumerate(xs)
             for j, y in enumerate(ys)
         }
+        # The posture at each place that is reached. The first is the nearest to home that can be
+        # reached from there in a straight line.
         reached: dict[tuple[int, int], Array] = {}
         home = np.append(self._p_WN, 0.0)
         for first in sorted(places, key=lambda at: float(np.linalg.norm(places[at] - home))):
@@ -292,10 +282,12 @@ class ArmReach:
             if reason is None:
                 reached[first] = q
                 break
+        # From each place that is reached, the arm is led to those beside it.
         front = list(reached)
         while front:
-            i, j = at = front.pop(0)
-            for near in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
+            at = front.pop(0)
+            for di, dj in NEIGHBORS:
+                near = (at[0] + di, at[1] + dj)
                 if near in places and near not in reached:
                     q, reason = self._follow(reached[at], places[at], places[near], None)
                     if reason is None:
@@ -309,51 +301,75 @@ class ArmReach:
     def _follow(
         self, q: Array, start: Array, end: Array, speed: float | None
     ) -> tuple[Array, str | None]:
-        """Leads the arm from posture q, tip and yaw at `start` (4,), to `end`; returns its last posture and stop."""
+        """Leads the arm along a straight piece of a path.
+
+        Args:
+            q: (n,) posture at the start, rad.
+            start: (4,) position of the tip, m, and yaw of the tool, rad.
+            end: (4,) position and yaw at the end.
+            speed: greatest speed on the way, m/s; None if it does not matter.
+
+        Returns:
+            The last posture (n,), rad, and a sentence about what stops the arm there; None if it
+            gets to the end.
+        """
         postures, reason = self._lead(tuple(q), tuple(start), tuple(end))
         if speed is not None and len(postures) > 1:
             length, count = _measure(start, end)
+            # A step takes length / count / speed, s. In it each joint uses this share of its speed.
             shares = np.abs(np.diff(postures, axis=0)) * speed * count / length / self._speed
             too_fast = np.flatnonzero(shares.max(axis=1) > 1.0)
             if too_fast.size:
                 i = int(too_fast[0])
                 k = int(shares[i].argmax())
                 where = _describe_place(start, end, (i + 1) / count)
-                return postures[
-                    i + 1
-                ], f"{self._posture.describe_speed(k, shares[i, k] * self._speed[k])} at {where}"
+                what = self._posture.describe_speed(k, shares[i, k] * self._speed[k])
+                return postures[i + 1], f"{what} at {where}"
         return postures[-1], reason
 
     def _find_postures(
         self, q: tuple[float, ...], start: tuple[float, ...], end: tuple[float, ...]
     ) -> tuple[Array, str | None]:
-        """(k, n) the postures on the way, from q itself to the last within the limits, and what stops the arm."""
-        first, last = np.array(start), np.array(end)
-        count, postures = _measure(first, last)[1], [np.array(q)]
+        """Searches for the postures along a straight piece of a path, each from the one before.
+
+        The arguments are those of `_follow`, as tuples, which `lru_cache` can compare.
+
+        Returns:
+            The postures (k, n), rad, from q itself to the last within the limits, and a sentence
+            about what stops the arm there; None if it gets to the end.
+        """
+        first = np.array(start)
+        last = np.array(end)
+        _, count = _measure(first, last)
+        postures = [np.array(q)]
         for i in range(1, count + 1):
-            *p_WP, yaw = first + (last - first) * (i / count)
-            posture, target, R_WP = postures[-1], np.array(p_WP), calc_tool_rotation(float(yaw))
+            share = i / count
+            target = first + (last - first) * share
+            p_WP = target[:3]
+            R_WP = calc_tool_rotation(float(target[3]))
+            posture = postures[-1]
             for _ in range(STEPS_PER_POSTURE):
-                dq, error = self._posture.calc_step(posture, target, self._nominal, R_WP)
+                dq, error = self._posture.calc_step(posture, p_WP, self._nominal, R_WP)
                 posture = posture + dq
                 if error < ARRIVED:
                     break
             if not error < ARRIVED:
-                return np.array(
-                    postures
-                ), f"the arm does not reach {_describe_place(first, last, i / count)}"
+                where = _describe_place(first, last, share)
+                return np.array(postures), f"the arm does not reach {where}"
             stopped = np.flatnonzero((posture < self._lower) | (posture > self._upper))
             if stopped.size:
-                where = _describe_place(first, last, i / count)
-                return np.array(
-                    postures
-                ), f"joint {stopped[0] + 1} of the arm would come to its limit at {where}"
+                where = _describe_place(first, last, share)
+                reason = f"joint {stopped[0] + 1} of the arm would come to its limit at {where}"
+                return np.array(postures), reason
             postures.append(posture)
         return np.array(postures), None
 
 
 def _measure(start: Array, end: Array) -> tuple[float, int]:
-    """Length of a straight piece of a path, m, a turn counted at TURNING_RADIUS, and its number of steps."""
+    """Measures a straight piece of a path: its length, m, and the number of steps along it.
+
+    A turn of the tool counts as the way of a point at a distance of `TURNING_RADIUS`.
+    """
     length = float(
         np.hypot(np.linalg.norm(end[:3] - start[:3]), TURNING_RADIUS * (end[3] - start[3]))
     )
@@ -361,174 +377,19 @@ def _measure(start: Array, end: Array) -> tuple[float, int]:
 
 
 def _describe_place(start: Array, end: Array, share: float) -> str:
+    """Describes the place after a share of the way from start to end."""
     return "({:.2f}, {:.2f}, {:.2f}) m".format(*(start + (end - start) * share)[:3])
 
 
-DRIVER_OUTPUTS = (
-    "position_commanded",
-    "position_measured",
-    "velocity_estimated",
-    "state_estimated",
-    "torque_commanded",
-    "torque_measured",
-    "torque_external",
-)
-"""Ports of an arm's driver."""
-
-
 def MakeControlPlant(robot: Robot, X_WB: RigidTransform | None = None) -> MultibodyPlant:
-    """Makes the plant that the controllers know: the robot, its gripper rigid, and nothing else.
+    """Makes the plant that controllers calculate with: the robot alone, with a rigid gripper.
 
     Args:
         robot: the robot.
-        X_WB: of its base; identity by default.
+        X_WB: pose of its base B in the world; identity by default.
     """
     plant = MultibodyPlant(time_step=0.0)
     AddRobot(plant, robot, X_WB)
     plant.Finalize()
     plant.set_name("control_plant")
     return plant
-
-
-def AddArmDriver(
-    builder: DiagramBuilder,
-    plant: MultibodyPlant,
-    robot: Robot,
-    arm: ModelInstanceIndex,
-    control_plant: MultibodyPlant,
-) -> System:
-    """Adds what stands between the joint positions wanted and the joints, as the robot's measures say.
-
-    Args:
-        builder: the plant is in it; it keeps the control plant alive.
-        plant: has the arm, on which `SetJointServos` was called; finalised.
-        robot: the robot.
-        arm: its arm's model instance.
-        control_plant: as `MakeControlPlant` makes it.
-
-    Returns:
-        The driver; whichever it is, its output ports are those of Drake's `SimIiwaDriver`,
-        `DRIVER_OUTPUTS`.
-    """
-    SharedPointerSystem.AddToBuilder(builder, control_plant)
-    control = robot.arm.control
-    if control.driver == "position":
-        return _AddServoDriver(builder, plant, arm, control_plant, control.period)
-    gains = _expand(control.stiffness, plant.num_positions(arm))
-    config = IiwaDriver(control_mode="position_only", desired_kp_gains=gains)
-    return SimIiwaDriver.AddToBuilder(builder, plant, arm, config, control_plant)
-
-
-def AddArmKinematics(
-    builder: DiagramBuilder, robot: Robot, control_plant: MultibodyPlant, q_nominal: Array
-) -> DifferentialInverseKinematicsIntegrator:
-    """Adds the inverse kinematics of the tip.
-
-    Its Context begins at zero: on every fresh one call its `SetPositions`.
-
-    Args:
-        builder: to add it to.
-        robot: the robot.
-        control_plant: as `MakeControlPlant` makes it; it must outlive the builder's Diagram, see
-            `AddArmDriver`.
-        q_nominal: (n,) the posture that the arm is drawn to, rad.
-    """
-    kinematics: DifferentialInverseKinematicsIntegrator = builder.AddNamedSystem(
-        f"{robot.arm_model}_kinematics",
-        DifferentialInverseKinematicsIntegrator(
-            control_plant,
-            control_plant.GetFrameByName(robot.finger.tip_frame),
-            robot.arm.control.period,
-            _make_parameters(control_plant, q_nominal, robot),
-        ),
-    )
-    return kinematics
-
-
-def SetJointServos(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) -> None:
-    """Gives the joints of an arm whose driver is "position" their servos. Call it before Finalize."""
-    control = robot.arm.control
-    if control.driver != "position" or control.damping is None:
-        return
-    motors = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
-    motors = [motor for motor in motors if motor.model_instance() == arm]
-    gains = (_expand(gain, len(motors)).tolist() for gain in (control.stiffness, control.damping))
-    for motor, p, d in zip(motors, *gains, strict=True):
-        motor.set_controller_gains(PdControllerGains(p=p, d=d))
-
-
-def _expand(gains: tuple[float, ...], count: int) -> Array:
-    """One for each joint, where one may stand for all."""
-    return np.array(np.broadcast_to(gains, count), float)
-
-
-def _AddServoDriver(
-    builder: DiagramBuilder,
-    plant: MultibodyPlant,
-    arm: ModelInstanceIndex,
-    control_plant: MultibodyPlant,
-    period: float,
-) -> Diagram:
-    """Adds what asks the joints' servos for positions, and compensates gravity; connects it to the plant."""
-    n, inner = plant.num_positions(arm), DiagramBuilder()
-    wanted = inner.AddNamedSystem(
-        "wanted", StateInterpolatorWithDiscreteDerivative(n, period, True)
-    )
-    gravity = InverseDynamics(
-        control_plant, InverseDynamics.InverseDynamicsMode.kGravityCompensation
-    )
-    gravity = inner.AddNamedSystem("gravity", gravity)
-    parts = inner.AddNamedSystem("parts", Demultiplexer([n, n]))
-    passed = [
-        inner.AddNamedSystem(f"passed_{k}", PassThrough(size))
-        for k, size in enumerate((n, 2 * n, n, n))
-    ]
-    position, state, torque, external = passed
-    inner.ExportInput(position.get_input_port(), "position")
-    inner.ConnectInput("position", wanted.get_input_port())
-    inner.ExportInput(state.get_input_port(), "state")
-    for consumer in (gravity.get_input_port_estimated_state(), parts.get_input_port()):
-        inner.ConnectInput("state", consumer)
-    inner.ExportInput(torque.get_input_port(), "torque")
-    inner.ExportInput(external.get_input_port(), "external")
-    outputs = (
-        position.get_output_port(), parts.get_output_port(0), parts.get_output_port(1), state.get_output_port(),
-        torque.get_output_port(), torque.get_output_port(), external.get_output_port(),
-    )  # fmt: skip
-    for name, port in zip(DRIVER_OUTPUTS, outputs, strict=True):
-        inner.ExportOutput(port, name)
-    inner.ExportOutput(wanted.get_output_port(), "wanted_state")
-    inner.ExportOutput(gravity.get_output_port(), "gravity_torque")
-    driver: Diagram = builder.AddNamedSystem("servo_driver", inner.Build())
-    for source, target in (
-        (plant.get_state_output_port(arm), driver.GetInputPort("state")),
-        (plant.get_net_actuation_output_port(arm), driver.GetInputPort("torque")),
-        (plant.get_generalized_contact_forces_output_port(arm), driver.GetInputPort("external")),
-        (driver.GetOutputPort("wanted_state"), plant.get_desired_state_input_port(arm)),
-        (driver.GetOutputPort("gravity_torque"), plant.get_actuation_input_port(arm)),
-    ):
-        builder.Connect(source, target)
-    return driver
-
-
-def _make_parameters(
-    control_plant: MultibodyPlant, q_nominal: Array, robot: Robot
-) -> DifferentialInverseKinematicsParameters:
-    """Limits and centering of the inverse kinematics, and what of the tool's motion the arm can choose."""
-    n, control = control_plant.num_positions(), robot.arm.control
-    parameters = DifferentialInverseKinematicsParameters(n, n)
-    parameters.set_nominal_joint_position(q_nominal)
-    parameters.set_joint_centering_gain(control.centering_gain * np.eye(n))
-    lower, upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
-    parameters.set_joint_position_limits(
-        (lower + control.limit_margin, upper - control.limit_margin)
-    )
-    slowest, fastest = (
-        control_plant.GetVelocityLowerLimits(),
-        control_plant.GetVelocityUpperLimits(),
-    )
-    parameters.set_joint_velocity_limits((slowest, fastest))
-    if n < SPATIAL:
-        J = ArmPosture(control_plant, robot).calc_jacobian(q_nominal)
-        parameters.set_end_effector_velocity_flag(np.abs(J).max(axis=1) > ROUND_OFF)
-    return parameters

@@ -1,9 +1,9 @@
-"""The station's cameras: an ideal one, or one of color and depth, rendered, through which the robot sees all it knows.
+"""The station's cameras: an ideal one that measures poses, or one of which pictures are rendered.
 
-With a color and depth camera (`camera.kind: rgbd` in the scenario) the robot is told neither
-outline nor height: `find_object` takes a photograph of the scene at its beginning, and what the
-detector makes of it is the robot's object. Its body frame F is chosen then; the plant's object is
-given in it, so that poses mean the same on both sides.
+With a color and depth camera (`camera.kind: rgbd` in the scenario) the robot is told neither the
+object's outline nor its height: `find_object` takes a photograph of the scene at its beginning, and
+what the detector finds in it is the robot's object. The detector chooses the object's body frame F.
+The plant's object is then moved into the same frame, so that a pose means the same to both.
 """
 
 import ctypes
@@ -42,44 +42,53 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import DetectedObject
 from gridpush_drake.perception.tracking import PoseTracker, TrackerOptions
-from gridpush_drake.station.scenario import CameraConfig, PushScenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_camera import CameraConfig
 from gridpush_drake.systems.object_detector import Detection, ObjectDetector, ObjectNaming
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.rgbd_noise import RgbdNoise
 
 LOST_BELOW = -0.01
-"""z of an object's bottom in W below which cameras have lost it, m: it has left the table."""
+"""An ideal camera loses an object whose bottom is lower than this in W, m."""
 
 RENDERER = "station_camera"
+"""Name of the render engine that is added to the scene graph."""
 
 LIGHT = (0.15, 0.25, 1.0)
-"""Direction of the light in the camera's frame."""
+"""Direction of the light in the camera's frame (of any length). It comes about from where the
+camera is, so that what the camera sees is lit."""
 
 OBJECT_COLOR = (0.42, 0.13, 0.11, 1.0)
-"""Of the plant's object in the camera's pictures: red, green, blue and opacity."""
+"""Color of the plant's objects in the camera's pictures: red, green, blue and opacity."""
 
 LIVE = TrackerOptions(search_period=0.5)
-"""Of a tracker that keeps up with its camera, also while the gripper holds the object and there is
-nothing to find."""
+"""Options of a tracker that keeps up with its camera. A search of the whole picture takes several
+times as long as the look where the object was. While the gripper holds the object there is nothing
+to find, and every picture would be searched."""
 
 
 def check_renderer() -> None:
-    """Raises StationError where pictures cannot be rendered: VTK wants EGL, with a display or without."""
+    """Checks that this computer can render pictures: VTK needs EGL, with a display or without.
+
+    Raises:
+        StationError: there is no EGL; the message says how to get it.
+    """
     try:
         ctypes.CDLL("libEGL.so.1")
     except OSError as error:
         raise StationError(
-            "a color and depth camera (rgbd) cannot be simulated here, as there is no EGL to render its pictures; get "
-            "it with apt-get install libegl1 libgl1-mesa-dri"
+            "a color and depth camera (rgbd) cannot be simulated here, as there is no EGL to "
+            "render its pictures; get it with apt-get install libegl1 libgl1-mesa-dri"
         ) from error
 
 
 def make_camera(config: CameraConfig) -> Camera:
-    """The camera that a scenario describes, with its pose in W, as `gridpush object` reads it of a file.
+    """Makes the camera model, with X_WC, of the color and depth camera that a scenario describes.
 
     Raises:
-        ScenarioError: it is not in the world, or color and depth are not from one place.
+        ScenarioError: the camera is not placed in the world, or color and depth are not taken from
+            one place.
     """
     try:
         return Camera.parse(Path("camera.rgbd"), yaml_dump_typed(config.rgbd))
@@ -88,20 +97,37 @@ def make_camera(config: CameraConfig) -> Camera:
 
 
 def calc_pose_age(config: CameraConfig) -> float:
-    """How old a pose is when the identifier reads it, s: it sees the picture before the one being taken, or older."""
-    pictures = (
-        1.0 if config.kind == "ideal" else max(1.0, np.ceil(config.rgbd.output_delay * config.rate))
-    )
+    """Calculates how old a pose is when the identifier reads it, s.
+
+    Camera and identifier work at the same times, and the identifier reads what was there before.
+    So it reads the pose of the last picture, one period old. If that takes a delay longer than a
+    period to appear, it reads the pose of an older picture.
+    """
+    pictures = 1.0
+    if config.kind == "rgbd":
+        pictures = max(pictures, np.ceil(config.rgbd.output_delay * config.rate))
     return float(pictures / config.rate)
 
 
 def AddIdealCamera(
     builder: DiagramBuilder, part: GridObjectInPlant, config: CameraConfig, name: str, seed: int
 ) -> PlanarPoseSensor:
-    """Adds what sees an object in a plant by its pose, with noise by a seed, and connects it to the plant."""
-    noise = {"position_noise": config.position_noise, "angle_noise": config.angle_noise}
+    """Adds a camera that measures an object's pose in the plant, with noise.
+
+    Args:
+        builder: the builder that has the plant.
+        part: the object in the plant.
+        config: the camera's rate and noise.
+        name: name of the camera's system.
+        seed: seed of the noise.
+    """
     sensor = PlanarPoseSensor(
-        part.body_index, period=1 / config.rate, **noise, lowest=LOST_BELOW, seed=seed
+        part.body_index,
+        period=1 / config.rate,
+        position_noise=config.position_noise,
+        angle_noise=config.angle_noise,
+        lowest=LOST_BELOW,
+        seed=seed,
     )
     builder.AddNamedSystem(name, sensor)
     builder.Connect(part.plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
@@ -109,7 +135,10 @@ def AddIdealCamera(
 
 
 def AddSeenVisual(plant: MultibodyPlant, scene_graph: SceneGraph, part: GridObjectInPlant) -> None:
-    """Gives the plant's object a color and a height that cameras see, and Meshcat does not; before Finalize."""
+    """Adds a solid, colored shape of an object for cameras to a plant, before Finalize.
+
+    Meshcat does not show it: there the object's estimate is drawn.
+    """
     file = MemoryFile(
         make_outline_mesh(part.obj.outline, part.height, normals=True),
         ".obj",
@@ -127,10 +156,11 @@ class RgbdCamera:
     """A color and depth camera in a builder.
 
     Attributes:
-        sensor: Drake's.
-        noise: what its pictures go through.
-        camera: its measures and pose.
-        hidden_by: labels of the robot's bodies, and of other objects, in its label image.
+        sensor: Drake's sensor, which renders the pictures.
+        noise: the system that adds noise to its pictures.
+        camera: its intrinsics and pose.
+        hidden_by: labels, in the label image, of whatever may hide the object: the robot's bodies
+            and other objects.
     """
 
     sensor: System
@@ -149,21 +179,22 @@ def AddRgbdCamera(
     """Adds the scenario's camera to a builder, and connects it to the scene.
 
     Args:
-        builder: plant and scene graph are in it.
-        plant: finalised.
-        scene_graph: of the plant.
-        scenario: its `camera.rgbd`.
-        part: the object in the plant; None where it is not.
+        builder: the builder that has plant and scene graph.
+        plant: the scene's plant, finalised.
+        scene_graph: the plant's scene graph.
+        scenario: the scenario, with `camera.rgbd`.
+        part: the object in the plant; None if there is none.
 
     Returns:
-        The camera, as yet connected to nothing that reads it.
+        The camera. Its outputs are not connected yet.
 
     Raises:
         ScenarioError: the camera makes no sense, see `make_camera`.
-        StationError: nothing can be rendered here.
+        StationError: nothing can be rendered on this computer.
     """
     check_renderer()
-    config, drake = scenario.camera, scenario.camera.rgbd
+    config = scenario.camera
+    drake = config.rgbd
     camera = make_camera(config)
     light = LightParameter(type="directional", direction=LIGHT, frame="camera")
     params = RenderEngineVtkParams(lights=[light], default_clear_color=drake.background.rgba[:3])
@@ -195,24 +226,40 @@ def AddRgbdCamera(
 
 
 def _find_labels(plant: MultibodyPlant, part: GridObjectInPlant | None) -> tuple[int, ...]:
-    """Of all bodies but the table's and the object's: a MultibodyPlant labels what it renders with a body's index."""
-    seen = {plant.GetModelInstanceByName(TABLE)} | (
-        set() if part is None else {part.model_instance}
-    )
-    bodies = map(BodyIndex, range(1, plant.num_bodies()))
-    return tuple(int(body) for body in bodies if plant.get_body(body).model_instance() not in seen)
+    """Lists the labels of all bodies but the table's and the object's.
+
+    A MultibodyPlant labels what it renders with the index of the body. Body 0 is the world.
+    """
+    looked_at = {plant.GetModelInstanceByName(TABLE)}
+    if part is not None:
+        looked_at.add(part.model_instance)
+    bodies = [plant.get_body(BodyIndex(index)) for index in range(1, plant.num_bodies())]
+    return tuple(int(body.index()) for body in bodies if body.model_instance() not in looked_at)
 
 
 def AddPoseEstimator(
     builder: DiagramBuilder, camera: RgbdCamera, scenario: PushScenario, found: "FoundObject"
 ) -> ObjectPoseEstimator:
-    """Adds what tracks the object that was found through the camera's pictures."""
+    """Adds the system that tracks the object through the camera's pictures.
+
+    Args:
+        builder: the builder that has the camera.
+        camera: the camera.
+        scenario: the scenario, with the camera's rate and delay.
+        found: the object as it was found in the photograph.
+    """
     config = scenario.camera
     height = found.obj.height or scenario.object_height
     estimator = builder.AddNamedSystem(
         "camera",
         ObjectPoseEstimator(
-            PoseTracker(found.obj.outline, height, camera.camera, LIVE, found.table_top),
+            PoseTracker(
+                found.obj.outline,
+                height,
+                camera.camera,
+                options=LIVE,
+                table_top=found.table_top,
+            ),
             config.rgbd.width,
             config.rgbd.height,
             period=1 / config.rate,
@@ -226,13 +273,24 @@ def AddPoseEstimator(
 
 
 class StationCamera:
-    """What a station's run sets in its camera, of either kind."""
+    """A station's camera of either kind, for what is set in it at the beginning of a run.
+
+    Attributes:
+        source: the system whose port `object_pose` has the poses.
+    """
 
     def __init__(
         self, source: PlanarPoseSensor | ObjectPoseEstimator, noise: RgbdNoise | None = None
     ) -> None:
-        """Takes what tells the poses, and what spoils the pictures; where there are none, the poses are spoilt."""
-        self.source, self._noise = source, noise
+        """Takes the camera's systems.
+
+        Args:
+            source: the system that gives the poses.
+            noise: the system that adds noise to the pictures; None for an ideal camera, which adds
+                noise to the poses by itself.
+        """
+        self.source = source
+        self._noise = noise
 
     def SetSeed(self, root_context: Context, seed: int) -> None:
         """Sets the seed of the noise in a Diagram's Context."""
@@ -241,20 +299,20 @@ class StationCamera:
         noisy.SetSeed(root_context, seed)
 
     def SetCovered(self, root_context: Context, covered: bool) -> None:
-        """Covers the lens in a Diagram's Context, or uncovers it; it counts from the next picture."""
+        """Covers the lens in a Diagram's Context, or uncovers it, from the next picture on."""
         self.source.SetCovered(root_context, covered)
 
 
 @dataclass(frozen=True, eq=False)
 class FoundObject:
-    """What the robot makes of its photograph, and what only the simulated world knows of it.
+    """The object that the robot found in its photograph, and the plant's object in the same frame.
 
     Attributes:
-        obj: the robot's object, in the frame F that it chose.
+        obj: the robot's object, in the body frame F that the detector chose.
         pose: (3,) X_WF in the photograph, m and rad.
-        detected: what the detector says.
-        true_obj: the plant's object, in F.
-        table_top: W, m.
+        detected: what the detector found, with a close-up of the photograph.
+        true_obj: the plant's object, moved into F.
+        table_top: the table's top, a polygon in W, m.
     """
 
     obj: GridObject
@@ -273,30 +331,41 @@ def find_object(
     """Photographs the scene at its beginning and finds the object in it.
 
     Args:
-        scenario: with a color and depth camera.
-        true_obj: the plant's object, in its own frame.
-        builder: of a Diagram with nothing else in it, with the scene.
-        scene: what is in the builder.
+        scenario: a scenario with a color and depth camera.
+        true_obj: the plant's object, in its own body frame B.
+        builder: a builder with the scene and nothing else; a Diagram is built of it.
+        scene: what stands before the camera, in the builder.
 
     Returns:
-        The object; its frame's heading is the scenario's, which is as good as any.
+        The object. The heading of its frame F is the scenario's: nothing in the picture makes one
+        heading better than another.
 
     Raises:
-        ScenarioError: the camera does not see an object there.
+        ScenarioError: the camera sees no object.
+        StationError: nothing can be rendered on this computer.
     """
-    _, detector, root = _take_photograph(scenario, true_obj, builder, scene)
-    own = detector.GetMyContextFromRoot(root)
-    seen: Detection = detector.GetOutputPort("detection").Eval(own)
-    obj, detected = seen.obj, seen.detected
+    _, detector, root_context = _take_photograph(scenario, true_obj, builder, scene)
+    seen: Detection = detector.GetOutputPort("detection").Eval(
+        detector.GetMyContextFromRoot(root_context)
+    )
+    obj = seen.obj
+    detected = seen.detected
     if obj is None or detected is None:
         raise ScenarioError(f"camera: no object is found in the first picture: {seen.message}")
-    shift = transform_back(np.array(scenario.object_pose), detected.X_WB[:2])
+    # B and F have the same heading, so that a shift by F's origin moves the plant's object into F.
+    p_BF = transform_back(np.array(scenario.object_pose), detected.X_WB[:2])
     moved = replace(
         true_obj,
-        p_BC=true_obj.p_BC - shift,
-        outline=shapely.transform(true_obj.outline, lambda points: points - shift),
+        p_BC=true_obj.p_BC - p_BF,
+        outline=shapely.transform(true_obj.outline, lambda points: points - p_BF),
     )
-    return FoundObject(obj, detected.X_WB, detected, moved, scene.table_top)
+    return FoundObject(
+        obj=obj,
+        pose=detected.X_WB,
+        detected=detected,
+        true_obj=moved,
+        table_top=scene.table_top,
+    )
 
 
 def AddDetector(
@@ -304,14 +373,22 @@ def AddDetector(
     camera: RgbdCamera,
     scenario: PushScenario,
     table_top: BaseGeometry,
-    told: GridObject,
+    named_after: GridObject,
 ) -> ObjectDetector:
-    """Adds what finds the object in the camera's pictures; name and prior are those of the one that is told."""
+    """Adds the system that finds the object in the camera's pictures.
+
+    Args:
+        builder: the builder that has the camera.
+        camera: the camera.
+        scenario: the scenario, with the camera's rate, the seed, and the heading of the frame.
+        table_top: the table's top, a polygon in W, m.
+        named_after: the object whose name and prior the found object gets: a picture tells neither.
+    """
     detector = builder.AddNamedSystem(
         "detector",
         ObjectDetector(
             camera.camera,
-            naming=ObjectNaming(told.name, told.prior, scenario.object_pose[2]),
+            naming=ObjectNaming(named_after.name, named_after.prior, scenario.object_pose[2]),
             table_top=table_top,
             hidden_by=camera.hidden_by,
             seed=scenario.seed,
@@ -323,7 +400,7 @@ def AddDetector(
 
 
 def ConnectPictures(builder: DiagramBuilder, camera: RgbdCamera, system: System) -> None:
-    """Connects what looks at the camera's pictures."""
+    """Connects the camera's color, depth and label images to the inputs of the same names."""
     for name in ("color_image", "depth_image"):
         builder.Connect(camera.noise.GetOutputPort(name), system.GetInputPort(name))
     builder.Connect(camera.sensor.label_image_output_port(), system.GetInputPort("label_image"))
@@ -331,16 +408,16 @@ def ConnectPictures(builder: DiagramBuilder, camera: RgbdCamera, system: System)
 
 @dataclass(frozen=True, eq=False)
 class PhotographedScene:
-    """What stands before the camera.
+    """What stands before the camera when the photograph is taken.
 
     Attributes:
-        plant: finalised, in the builder.
-        scene_graph: of the plant.
-        arm: its model instance.
-        part: the object in the plant.
-        others: further objects in the plant, by what they are and where, (x, y, theta), m and rad.
-        q_start: of the arm, rad.
-        table_top: W, m.
+        plant: the scene's plant, finalised.
+        scene_graph: the plant's scene graph.
+        arm: the arm's model instance.
+        part: the object that is pushed.
+        others: the other objects, each with its pose X_WB, (x, y, theta), m and rad.
+        q_start: (n,) positions of the arm's joints, rad.
+        table_top: the table's top, a polygon in W, m.
     """
 
     plant: MultibodyPlant
@@ -353,16 +430,24 @@ class PhotographedScene:
 
 
 def _take_photograph(
-    scenario: PushScenario, told: GridObject, builder: DiagramBuilder, scene: PhotographedScene
+    scenario: PushScenario, obj: GridObject, builder: DiagramBuilder, scene: PhotographedScene
 ) -> tuple[RgbdCamera, ObjectDetector, Context]:
-    """The camera, the detector, and the Diagram's Context in which it has looked at the first picture."""
+    """Builds the Diagram of camera and detector, and lets the detector look at one picture.
+
+    Returns:
+        The camera, the detector, and the Diagram's Context with what the detector found.
+    """
     camera = AddRgbdCamera(builder, scene.plant, scene.scene_graph, scenario, scene.part)
-    detector = AddDetector(builder, camera, scenario, scene.table_top, told)
+    detector = AddDetector(builder, camera, scenario, scene.table_top, obj)
     diagram = builder.Build()
-    root = diagram.CreateDefaultContext()
-    context = scene.plant.GetMyMutableContextFromRoot(root)
-    scene.plant.SetPositions(context, scene.arm, scene.q_start)
+
+    # Arm and objects stand where the run will begin.
+    root_context = diagram.CreateDefaultContext()
+    plant_context = scene.plant.GetMyMutableContextFromRoot(root_context)
+    scene.plant.SetPositions(plant_context, scene.arm, scene.q_start)
     for part, pose in ((scene.part, scenario.object_pose), *scene.others):
-        SetGridObjectPose(scene.plant, context, part, pose)
-    diagram.ExecuteInitializationEvents(root)
-    return camera, detector, root
+        SetGridObjectPose(scene.plant, plant_context, part, pose)
+
+    # The detector looks for the first time in its initialization event.
+    diagram.ExecuteInitializationEvents(root_context)
+    return camera, detector, root_context

@@ -1,9 +1,8 @@
-"""What the station has where its scene has a gripper: what grasps, what moves the gripper, and their ports.
+"""The systems that a station has only if its scene has a gripper, and how they are connected.
 
-`GraspClearance`: whether a grasp from the side keeps clear of the table: the gripper reaches in
-below the table's top.
-
-Ports of a Diagram's parts, exported under a common prefix.
+`AddGraspExecutor` moves the tool in a grasp, `AddGripperController` a simulated gripper's fingers.
+`GraspClearance` tells whether the gripper keeps clear of the table: in a grasp from the side it
+reaches in below the table's top.
 """
 
 from collections.abc import Sequence
@@ -31,19 +30,20 @@ from gridpush_drake.systems.push_executor import PushExecutor
 from gridpush_drake.systems.pusher_gate import PusherGate
 
 DAMPING = 5.0
-"""Of Drake's controller, with a coupling of COUPLING, N s/m."""
+"""Damping of Drake's gripper controller at a coupling of `COUPLING`, N s/m. It grows with the root
+of the coupling, so that the fingers' middle stays damped by the same ratio."""
 
 
 @dataclass(frozen=True, eq=False)
 class GraspClearance:
-    """What a `GraspExecutor` takes as `validator`.
+    """Tells if the gripper keeps clear of the table; a `GraspExecutor` takes it as `validator`.
 
     Attributes:
-        table_top: the table's, a polygon in W, m.
-        style: of the executor.
-        gripper: its measures.
-        clearance: least between table and gripper, m; a little less than what grasps are planned
-            with.
+        table_top: the table's top, a polygon in W, m.
+        style: options of the executor, with the distance from which the gripper comes in.
+        gripper: lengths of the gripper.
+        clearance: least distance between table and gripper, m. It is a little less than the
+            clearance with which grasps are planned, so that no planned grasp is refused.
     """
 
     table_top: BaseGeometry
@@ -52,27 +52,31 @@ class GraspClearance:
     clearance: float = 0.001
 
     def __call__(self, command: GraspCommand) -> str | None:
-        """None where the gripper is clear of the table all the way in, else a sentence."""
+        """Says in a sentence that the gripper would hit the table on its way in; None if not."""
         gripper = self.gripper
-        lanes = [(gripper.body_front, -gripper.jaw_reach, gripper.jaw_width)]
-        lanes.append((gripper.body_back, gripper.body_front, gripper.body_width))
-        u = command.heading
-        v = np.array([-u[1], u[0]])
-        for back, front, width in lanes:
-            far, near = (
-                command.p_WG[:2] - (back + self.style.standoff) * u,
-                command.p_WG[:2] - front * u,
-            )
-            lane = shapely.Polygon(
+        # Jaws and body, seen from above, are rectangles: back and front by their distance behind
+        # the grasp's point G, and width, m.
+        jaws = (gripper.body_front, -gripper.jaw_reach, gripper.jaw_width)
+        body = (gripper.body_back, gripper.body_front, gripper.body_width)
+        forward = command.heading
+        left = np.array([-forward[1], forward[0]])
+        for back, front, width in (jaws, body):
+            # What the rectangle sweeps on its straight way in, which is `standoff` long.
+            p_WStart = command.p_WG[:2] - (back + self.style.standoff) * forward
+            p_WEnd = command.p_WG[:2] - front * forward
+            swept = shapely.Polygon(
                 [
-                    far - width / 2 * v,
-                    near - width / 2 * v,
-                    near + width / 2 * v,
-                    far + width / 2 * v,
+                    p_WStart - width / 2 * left,
+                    p_WEnd - width / 2 * left,
+                    p_WEnd + width / 2 * left,
+                    p_WStart + width / 2 * left,
                 ]
             )
-            if lane.distance(self.table_top) < self.clearance:
-                return f"the gripper would hit the table on its way to ({command.x:.3f}, {command.y:.3f}) m"
+            if swept.distance(self.table_top) < self.clearance:
+                return (
+                    "the gripper would hit the table on its way to "
+                    f"({command.x:.3f}, {command.y:.3f}) m"
+                )
         return None
 
 
@@ -87,8 +91,16 @@ def ExportOutputs(
 def make_grasp_trajectory_options(
     scenario: PushScenario, control_plant: MultibodyPlant, gripper: GripperMeasures, tip_frame: str
 ) -> GraspTrajectoryOptions:
-    """How the scenario's gripper grasps, carried by the arm of a plant that `MakeControlPlant` made."""
-    grasp, tip = (control_plant.GetFrameByName(name) for name in (gripper.grasp_frame, tip_frame))
+    """Makes the options of grasps from scenario and gripper.
+
+    Args:
+        scenario: the scenario, with force, lift and time to hold.
+        control_plant: the robot, as `MakeControlPlant` makes it; it says where the gripper is.
+        gripper: measures of the gripper.
+        tip_frame: name of the frame at the finger's tip, by which the arm is led.
+    """
+    grasp = control_plant.GetFrameByName(gripper.grasp_frame)
+    tip = control_plant.GetFrameByName(tip_frame)
     x, y, z = grasp.CalcPose(control_plant.CreateDefaultContext(), tip).translation().tolist()
     pregrasp = scenario.pregrasp
     return GraspTrajectoryOptions(
@@ -109,18 +121,19 @@ def AddGraspExecutor(
     table_top: BaseGeometry,
     style: GraspTrajectoryOptions,
 ) -> GraspExecutor:
-    """Adds what moves the tool while it grasps; what moves the gripper is to be connected to it.
+    """Adds the executor of grasps, and connects it with the executor of pushes.
 
     Args:
-        builder: the executor of pushes is in it.
-        measures: the gripper's.
-        executor: of pushes, whose pose is passed on where nothing is grasped.
-        reach: of the arm.
-        table_top: the table's, a polygon in W, m.
-        style: how to grasp.
+        builder: the builder that has the executor of pushes.
+        measures: measures of the gripper.
+        executor: the executor of pushes. Its tip pose is passed on while nothing is grasped.
+        reach: says whether the arm can follow a path.
+        table_top: the table's top, a polygon in W, m.
+        style: options of grasps.
 
     Returns:
-        The executor of grasps, whose `tip_pose` is the tool's.
+        The executor of grasps. Its `tip_pose` leads the arm from now on; its outputs for the
+        gripper are not connected yet.
     """
     grasping: GraspExecutor = builder.AddNamedSystem(
         "grasp_executor",
@@ -138,7 +151,16 @@ def AddGripperController(
     gripper: ModelInstanceIndex,
     measures: GripperMeasures,
 ) -> SchunkWsgPositionController:
-    """Adds what moves a plant's gripper to the opening, m, and with the force, N, on its input ports."""
+    """Adds Drake's controller to a simulated gripper.
+
+    Its input ports are the opening, m, and the greatest force, N.
+
+    Args:
+        builder: the builder that has the plant.
+        plant: the plant with the gripper, finalised.
+        gripper: the gripper's model instance.
+        measures: measures of the gripper, with its coupling.
+    """
     damping = DAMPING * float(np.sqrt(measures.coupling / COUPLING))
     controller = builder.AddNamedSystem(
         "gripper_controller",
@@ -156,7 +178,7 @@ def AddGripperController(
 def AddPusherGate(
     builder: DiagramBuilder, pusher_state: OutputPort, grasping: GraspExecutor
 ) -> PusherGate:
-    """Keeps the tip's motions in a grasp from being taken for pushes."""
+    """Adds a gate that keeps the identifier from taking the tip's motions in a grasp for pushes."""
     gate: PusherGate = builder.AddNamedSystem("pusher_gate", PusherGate())
     builder.Connect(pusher_state, gate.GetInputPort("pusher_state"))
     builder.Connect(grasping.GetOutputPort("status"), gate.GetInputPort("grasp_status"))
@@ -164,7 +186,13 @@ def AddPusherGate(
 
 
 def ExportGrasping(builder: DiagramBuilder, state: OutputPort, grasping: GraspExecutor) -> None:
-    """Exports the ports that a station has only with a gripper; `state` is the gripper's (4,)."""
+    """Exports the ports that a station has only with a gripper.
+
+    Args:
+        builder: the builder of the station.
+        state: (4,) state of the gripper's fingers, see `Station`.
+        grasping: the executor of grasps.
+    """
     builder.ExportInput(grasping.GetInputPort("grasp_command"), "grasp_command")
     ExportOutputs(builder, grasping, "grasp", ("status",))
     builder.ExportOutput(state, "gripper.state")

@@ -1,4 +1,7 @@
-"""An experiment: the station pokes an object it knows nothing about, learns, and is tested on pushes it never saw."""
+"""An experiment: the station pokes an object that it knows nothing about, and learns it.
+
+Then it is tested on further pushes, which are only predicted.
+"""
 
 from dataclasses import dataclass, field
 
@@ -24,34 +27,36 @@ from gridpush_drake.station.task import (
 from gridpush_drake.systems.messages import PushStatus
 from gridpush_drake.systems.poke_policy import PokePolicy, PokeRegion, RandomPokeOptions
 
-FINISHED, OBJECT_LOST, STUCK = TaskStatus.FINISHED, TaskStatus.OBJECT_LOST, TaskStatus.STUCK
-
 EDGE_MARGIN = 0.03
-"""Between the object and the table's edge or another object, where pokes are meant to leave it,
-m."""
+"""Distance from the table's edge, and from other objects, that pokes are meant to leave, m."""
 
 MIDDLE_MARGIN = 0.09
-"""Between the object's centroid and the limits of where the finger can be, for the finger to get
-around it, m."""
+"""Distance from the object's centroid to the limits of where the finger can be that lets the finger
+get around the object, m. Pokes are chosen so that they keep it."""
 
-LOST_AFTER, HIDDEN_AFTER = 0.5, 5.0
-"""Simulated without the object being seen, after which it has left the table, s; and where the arm
-may hide it."""
+LOST_AFTER = 0.5
+"""If an ideal camera does not see the object for this long, it has left the table; simulated time,
+s."""
+
+HIDDEN_AFTER = 5.0
+"""If a color and depth camera, from which the arm may hide the object, does not see it for this
+long, it has left the table; simulated time, s."""
 
 LEARNING_TIME = 10.0
-"""For the last push to be learned from, where that goes on beside the Diagram, s."""
+"""Longest wait for the last push to be learned from, s. With a real arm learning goes on beside the
+Diagram, in a thread of its own."""
 
 REFUSALS = 20
-"""In a row, after which the experiment is stuck."""
+"""If this many pushes in a row are refused, the experiment is stuck."""
 
 
 @dataclass(repr=False)
 class IdentifyTaskRecord(TaskRecord):
-    """What came of an experiment: "finished", "object_lost", "interrupted" or "stuck"; filled while it runs.
+    """What came of an experiment. It is filled while the experiment runs.
 
     Attributes:
-        training: how many pushes, from the first, are to learn from.
-        phases: (time, s, and status) wherever the executor began something new.
+        training: number of pushes, from the first, that are to be learned from.
+        phases: time, s, and the executor's status, whenever the executor began something new.
     """
 
     training: int = 0
@@ -59,7 +64,7 @@ class IdentifyTaskRecord(TaskRecord):
 
     @property
     def training_log(self) -> PushLog:
-        """The pushes learned from."""
+        """The pushes that were learned from."""
         return self.log[: self.training]
 
     @property
@@ -73,10 +78,10 @@ class PokeJudge:
     """Decides when an experiment is over.
 
     Attributes:
-        pushes: to be carried out.
-        lost_after: s without the object being seen, after which it has left the table.
-        executed: when it last looked.
-        refused: up to the last push that was carried out.
+        pushes: number of pushes to be carried out.
+        lost_after: if the object is not seen for this long, it has left the table, s.
+        executed: number of pushes that had been carried out when it last judged.
+        refused: number of pushes that had been refused when the last push was carried out.
     """
 
     pushes: int
@@ -85,31 +90,30 @@ class PokeJudge:
     refused: int = 0
 
     def judge(self, status: PushStatus, waiting: Waiting) -> Judgment:
-        """Status and message."""
+        """Judges by the executor's status and by how long nothing was seen or happened."""
         if status.executed > self.executed:
-            self.executed, self.refused = status.executed, status.refused
+            self.executed = status.executed
+            self.refused = status.refused
         if waiting.unseen > self.lost_after:
-            return (
-                OBJECT_LOST,
-                f"The object left the table during push {status.executed + (not status.ready)}.",
-            )
+            push = status.executed + (not status.ready)
+            return TaskStatus.OBJECT_LOST, f"The object left the table during push {push}."
         if status.executed >= self.pushes:
-            return FINISHED, f"All {self.pushes} pushes were carried out."
+            return TaskStatus.FINISHED, f"All {self.pushes} pushes were carried out."
         if status.refused - self.refused >= REFUSALS:
-            return (
-                STUCK,
-                f"The last {REFUSALS} pushes were refused; the last one because {status.reason}.",
+            return TaskStatus.STUCK, (
+                f"The last {REFUSALS} pushes were refused; the last one because {status.reason}."
             )
         if waiting.idle > IdentifyTask.timeout:
-            return STUCK, (
-                f"No push was found for {IdentifyTask.timeout:g} s: from where the object lies, the finger reaches no "
-                "place from which it could push; is the object within the workspace?"
+            return TaskStatus.STUCK, (
+                f"No push was found for {IdentifyTask.timeout:g} s: from where the object lies, "
+                "the finger reaches no place from which it could push; is the object within the "
+                "workspace?"
             )
         return GO_ON
 
 
 class IdentifyTask(StationTask[IdentifyTaskRecord]):
-    """The station with a policy that pokes."""
+    """An experiment: the station with a policy that pokes an object to learn it."""
 
     lost_after = LOST_AFTER
     timeout = 10.0
@@ -123,12 +127,13 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
         """Makes the Diagram.
 
         Args:
-            scenario: resolved or not, what stands where, and how it is poked.
-            meshcat: to show it in; None for none.
-            make_station: of a scenario; a simulated one by default.
+            scenario: the scenario, resolved or not; its `pokes` say how the object is poked.
+            meshcat: Meshcat in which the station is shown; None for none.
+            make_station: makes the station; a simulated one by default.
 
         Raises:
-            ScenarioError, StationError: see `MakePushStation`.
+            ScenarioError: the scenario makes no sense.
+            StationError: nothing can be rendered on this computer; or see `MakeHardwareStation`.
         """
         resolved = resolve(scenario)
         scenario = resolved.scenario
@@ -138,15 +143,17 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
         super().__init__(builder, station, self.controller, meshcat)
 
     def prepare(self, context: Context, seed: int) -> None:
-        """Seeds the policy."""
+        """Sets the seed from which the policy draws its pokes."""
         self.controller.SetSeed(context, seed)
 
     def make_record(self) -> IdentifyTaskRecord:
-        """An empty record."""
+        """Makes the empty record of a run."""
         pokes = self.station.scenario.pokes
         lost_after = self.lost_after if self.station.found is None else HIDDEN_AFTER
         self._judge = PokeJudge(pokes.count + pokes.test_count, lost_after)
-        self._logged, self._logged_at = 0, -float("inf")
+        # Number of logged pushes to learn from, and when the last of them was logged, s.
+        self._logged = 0
+        self._logged_at = -float("inf")
         return IdentifyTaskRecord(self.station.obj, self.station.truth, training=pokes.count)
 
     def note(self, record: IdentifyTaskRecord, time: float) -> bool:
@@ -155,33 +162,42 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
         if not record.phases or record.phases[-1][1] != status:
             record.phases.append((time, status))
         if len(record.training_log) > self._logged:
-            self._logged, self._logged_at = len(record.training_log), time
+            self._logged = len(record.training_log)
+            self._logged_at = time
         return not status.ready
 
     def judge(self, record: IdentifyTaskRecord, waiting: Waiting) -> Judgment:
-        """Status and message; an experiment is over once its pushes were learned from."""
+        """Decides whether the experiment is over: all pushes are made, and were learned from."""
         judgment = self._judge.judge(self.read("executor.status"), waiting)
-        return (
-            GO_ON
-            if judgment[0] == FINISHED and not self._has_learned(record.duration)
-            else judgment
-        )
+        if judgment[0] == TaskStatus.FINISHED and not self._has_learned(record.duration):
+            return GO_ON
+        return judgment
 
     def _has_learned(self, time: float) -> bool:
-        """Whether the last push to learn from was learned from, or will not be."""
+        """Returns whether the last push to learn from was learned from, or never will be."""
+        # A message says why learning failed.
         if self.read("estimate.message") or time > self._logged_at + LEARNING_TIME:
             return True
+        # The present estimate was asked for, with all pushes logged by then, at `time - age`. The
+        # last push was noted up to an `ADVANCE` after it was logged.
         return bool(time - self.read("estimate.age")[0] >= self._logged_at - ADVANCE)
 
     def finish(self, record: IdentifyTaskRecord) -> None:
-        """Raises StationError where not a single push could be carried out."""
-        if not len(record.log) and record.status == STUCK:
+        """Checks that at least one push was carried out.
+
+        Raises:
+            StationError: the experiment is stuck, and not a single push could be carried out.
+        """
+        if not len(record.log) and record.status == TaskStatus.STUCK:
             raise StationError(record.message)
 
 
 def _make_policy(station: Station) -> PokePolicy:
-    scenario, pokes = station.scenario, station.scenario.pokes
+    """Makes the policy that draws pokes as the station's scenario says."""
+    scenario = station.scenario
+    pokes = scenario.pokes
     keep_in = leave_out(station.table_top.buffer(-EDGE_MARGIN), station.others, EDGE_MARGIN)
+    # In a small workspace the finger gets around the object nowhere; then any place will do.
     middle = MakeFingerRegion(station, MIDDLE_MARGIN)
     region = PokeRegion(MakeFingerRegion(station), keep_in, None if middle.is_empty else middle)
     style = RandomPokeOptions(

@@ -1,11 +1,14 @@
-"""How the robot behaves while it works: its limits, what it touches, how well its finger follows."""
+"""`LimitMonitor`: watches if the robot keeps its limits, what it touches, and how its tip follows.
+
+It only observes. What stops a real arm is `systems.arm_guard`.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any
 from weakref import ref
 
 import numpy as np
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, EventStatus
 
@@ -17,26 +20,29 @@ GRIPPING = (GraspPhase.CLOSING, GraspPhase.LIFTING, GraspPhase.HOLDING, GraspPha
 """Phases of a grasp in which the gripper's fingers may touch the object."""
 
 DEFAULT_PERIOD = 0.02
-"""Between two observations, s."""
+"""Time between two observations, s."""
 
 STRAYED = 0.02
-"""m between tip and where it should be, from which on a push was not the one that was planned."""
+"""If the tip is further than this from where it should be, a push is not the one planned, m."""
 
-MM = 1e3  # millimeters in a meter
+MM = 1e3
+"""Millimeters in a meter."""
 
 
 @dataclass
 class LimitReport:
-    """What was seen up to now; shares are of the limits, so that 1 is just allowed.
+    """How near the robot came to its limits so far. A share of 1 is a joint just at its limit.
 
     Attributes:
-        position_share: furthest that a joint was from the middle of its range.
-        velocity_share: fastest that a joint turned.
-        torque_share: greatest torque that a joint was asked for.
-        tracking_error: furthest that the tip was from where it should be at the time, during
-            pushes, m.
-        strayed: the same of those pushes, by their command, in which it was more than STRAYED.
-        touched: pairs of bodies that should not have touched and did.
+        position_share: greatest distance of a joint from the middle of its range, by half the
+            range.
+        velocity_share: greatest speed of a joint, by its limit.
+        torque_share: greatest torque commanded to a joint, by its limit.
+        tracking_error: greatest distance of the tip from where it should have been at the time, in
+            all pushes, m.
+        strayed: the greatest distance in each push in which it was more than `STRAYED`, m, by the
+            push's `command_id`.
+        touched: names of the pairs of bodies that touched but should not have.
     """
 
     position_share: float = 0.0
@@ -48,60 +54,66 @@ class LimitReport:
 
     @property
     def ok(self) -> bool:
-        """Whether all limits were kept and nothing was touched but the object, by the tip or a grasp."""
-        return (
-            max(self.position_share, self.velocity_share, self.torque_share) <= 1.0
-            and not self.touched
-        )
+        """Whether all limits were kept, and only the tip or a grasp touched the object."""
+        shares = (self.position_share, self.velocity_share, self.torque_share)
+        return max(shares) <= 1.0 and not self.touched
 
     def explain_strayed(self) -> str:
-        """Names the pushes in which the tip strayed, in a sentence; empty where there are none."""
-        told = [f"{MM * error:.0f} mm in push {command}" for command, error in self.strayed.items()]
+        """Names the pushes in which the tip strayed, in a sentence; empty if it strayed in none."""
+        if not self.strayed:
+            return ""
+        pushes = [
+            f"{MM * error:.0f} mm in push {command}" for command, error in self.strayed.items()
+        ]
         where = "The tip was far from where it should have been"
-        return f"{where}, {', '.join(told)}: is the arm held or stuck?" if told else ""
+        return f"{where}, {', '.join(pushes)}: is the arm held or stuck?"
 
 
 class LimitMonitor:
-    """Watches a station: `simulator.set_monitor(LimitMonitor(station))`. What a real one touches it does not see.
+    """Watches a station: `simulator.set_monitor(LimitMonitor(station))`.
+
+    With a real robot nobody knows what touches what: `touched` then stays empty.
 
     Attributes:
-        limit_report: what was seen up to now.
+        limit_report: what was observed so far.
     """
 
     def __init__(self, station: Station, period: float = DEFAULT_PERIOD) -> None:
         """Makes the monitor.
 
         Args:
-            station: the station, or a part of the Diagram that is simulated.
-            period: between two observations, s; 0 observes at every step.
+            station: the station; it may be a part of the Diagram that is simulated.
+            period: time between two observations, s; with 0 it observes at every step.
         """
         self.limit_report = LimitReport()
-        # a Simulator holds its monitor where the garbage collector does not see it
-        self._station, self._period, self._next = ref(station), period, -np.inf
-        plant, robot = station.plant, station.robot
-        instances = GetRobotInPlant(plant, robot)
-        arm = instances.arm
+        # A weak reference: a Simulator holds its monitor in C++, where Python's garbage collector
+        # does not see it, and the station would never be freed.
+        self._station = ref(station)
+        self._period = period
+        self._next = -np.inf
+        self._arm = station.robot.arm_model
+        instances = GetRobotInPlant(station.plant, station.robot)
+        self._read_limits(station.plant, instances.arm)
+        self._knows_contacts = station.HasOutputPort("contact_results")
+        if self._knows_contacts:
+            self._find_bodies(station, instances.gripper)
+
+    def _read_limits(self, plant: MultibodyPlant, arm: ModelInstanceIndex) -> None:
+        """Reads the limits of the arm's joints from the plant, each an array (n,)."""
         joints = [plant.get_joint(index) for index in plant.GetJointIndices(arm)]
         joints = [joint for joint in joints if joint.num_positions() == 1]
-        lower, upper = (
-            np.array([limits(joint)[0] for joint in joints])
-            for limits in (lambda j: j.position_lower_limits(), lambda j: j.position_upper_limits())
-        )
-        self._arm = station.robot.arm_model
-        self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
-        self._speed = np.array([joint.velocity_upper_limits()[0] for joint in joints])
-        self._torque = np.array(
-            [
-                plant.get_joint_actuator(index).effort_limit()
-                for index in plant.GetJointActuatorIndices(arm)
-            ]
-        )
-        self._speaks_of_contacts = station.HasOutputPort("contact_results")
-        if self._speaks_of_contacts:
-            self._note_bodies(station, instances.gripper)
+        motors = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(arm)]
+        lower = np.array([joint.position_lower_limits()[0] for joint in joints])
+        upper = np.array([joint.position_upper_limits()[0] for joint in joints])
+        self._middle = (lower + upper) / 2
+        self._half_range = (upper - lower) / 2
+        self._max_velocity = np.array([joint.velocity_upper_limits()[0] for joint in joints])
+        self._max_torque = np.array([motor.effort_limit() for motor in motors])
 
-    def _note_bodies(self, station: Any, gripper: ModelInstanceIndex | None) -> None:
-        plant, robot = station.plant, station.robot
+    def _find_bodies(self, station: Any, gripper: ModelInstanceIndex | None) -> None:
+        """Finds the indices of the bodies that may touch each other."""
+        plant = station.plant
+        robot = station.robot
         self._object = station.object_in_plant.body.index()
         self._others = {other.part.body_index for other in station.others}
         self._tip = plant.GetBodyByName(robot.finger.tip_frame).index()
@@ -114,7 +126,7 @@ class LimitMonitor:
         }
 
     def __call__(self, root_context: Context) -> EventStatus:
-        """Observes, where it is time to."""
+        """Observes if it is time to; a Simulator calls it after every step."""
         station = self._station()
         if station is not None and root_context.get_time() >= self._next:
             self._next = root_context.get_time() + self._period
@@ -122,44 +134,54 @@ class LimitMonitor:
         return EventStatus.DidNothing()
 
     def _observe(self, station: Station, context: Context) -> None:
-        seen = self.limit_report
+        report = self.limit_report
 
         def read(port: str) -> Any:
             return station.GetOutputPort(port).Eval(context)
 
-        def share(now: float, values: np.ndarray, limits: np.ndarray) -> float:
-            return max(now, float(np.max(np.abs(values) / limits)))
+        def raise_share(share: float, values: np.ndarray, limits: np.ndarray) -> float:
+            return max(share, float(np.max(np.abs(values) / limits)))
 
-        seen.position_share = share(
-            seen.position_share, read(f"{self._arm}.position_measured") - self._middle, self._half
-        )
-        seen.velocity_share = share(
-            seen.velocity_share, read(f"{self._arm}.velocity_estimated"), self._speed
-        )
-        seen.torque_share = share(
-            seen.torque_share, read(f"{self._arm}.torque_commanded"), self._torque
-        )
+        # The arm's joints.
+        from_middle = read(f"{self._arm}.position_measured") - self._middle
+        velocity = read(f"{self._arm}.velocity_estimated")
+        torque = read(f"{self._arm}.torque_commanded")
+        report.position_share = raise_share(report.position_share, from_middle, self._half_range)
+        report.velocity_share = raise_share(report.velocity_share, velocity, self._max_velocity)
+        report.torque_share = raise_share(report.torque_share, torque, self._max_torque)
+
+        # The tip, in pushes only: on its way from one to the next nothing depends on it.
         push = read("executor.status")
         if push.phase == PushPhase.PUSHING:
             gap = read("executor.tip_pose").translation() - read("pusher.state")[:3]
             error = float(np.linalg.norm(gap))
-            seen.tracking_error = max(seen.tracking_error, error)
+            report.tracking_error = max(report.tracking_error, error)
             if error > STRAYED:
-                seen.strayed[push.command_id] = max(seen.strayed.get(push.command_id, 0.0), error)
-        if not self._speaks_of_contacts:
-            return
-        contacts = read("contact_results")
-        gripping = station.HasOutputPort("grasp.status") and read("grasp.status").phase in GRIPPING
-        allowed = {self._tip, *self._table, *(self._fingers if gripping else ())}
+                before = report.strayed.get(push.command_id, 0.0)
+                report.strayed[push.command_id] = max(before, error)
+        if self._knows_contacts:
+            gripping = (
+                station.HasOutputPort("grasp.status") and read("grasp.status").phase in GRIPPING
+            )
+            self._judge_contacts(station.plant, read("contact_results"), gripping)
+
+    def _judge_contacts(
+        self, plant: MultibodyPlant, contacts: ContactResults, gripping: bool
+    ) -> None:
+        """Notes the pairs of bodies that touch but should not.
+
+        The object may touch tip and table, and the gripper's fingers while they grip. Other objects
+        may touch the table.
+        """
+        may_touch_object = {self._tip, *self._table}
+        if gripping:
+            may_touch_object |= self._fingers
         for i in range(contacts.num_point_pair_contacts()):
             contact = contacts.point_pair_contact_info(i)
-            self._judge(station.plant, contact.bodyA_index(), contact.bodyB_index(), allowed)
-
-    def _judge(self, plant: MultibodyPlant, a: int, b: int, allowed: set[int]) -> None:
-        pair = {a, b}
-        if (self._object in pair and pair & allowed) or (
-            pair & self._others and pair & self._table
-        ):
-            return
-        first, second = sorted(plant.get_body(index).name() for index in pair)
-        self.limit_report.touched.add((first, second))
+            pair = {contact.bodyA_index(), contact.bodyB_index()}
+            if self._object in pair and pair & may_touch_object:
+                continue
+            if pair & self._others and pair & self._table:
+                continue
+            first, second = sorted(plant.get_body(index).name() for index in pair)
+            self.limit_report.touched.add((first, second))

@@ -1,10 +1,12 @@
 """Other objects on the table, beside the one that is pushed and learned: a scenario's `others`.
 
-Each is a free body with cells, contact spheres and sides of its own, weighs and rubs as it is drawn
-from the seed, and is seen by a camera of its own (`other_0.pose`, `other_1.pose`, ...). Nobody
-learns it. Pushes keep clear of where it lies at the beginning, the finger by `MakeFingerRegion`,
-the object as the task has it. A color and depth camera has it in its pictures, and takes what it
-covers for unseen, as with the robot.
+Each is a free body with cells, contact spheres and sides of its own. Its true masses and frictions
+are drawn from the seed, and a camera of its own sees its pose (`other_0.pose`, `other_1.pose`,
+...). Nobody learns it. Pushes are planned around the place where it lies at the beginning:
+`MakeFingerRegion` keeps the finger away from it, and each task the pushed object.
+
+The pictures of a color and depth camera show the other objects as well. Where one of them hides the
+pushed object, those cells are taken for unseen, as they are behind the robot.
 """
 
 from collections.abc import Sequence
@@ -38,9 +40,9 @@ class OtherObject:
     """Another object in a station.
 
     Attributes:
-        name: of its model in the plant, and what its port begins with.
+        name: name of its model in the plant; its output port is called name.pose.
         pose: (x, y, theta) X_WB at the beginning, m and rad.
-        part: its parts in the plant.
+        part: its body, cells and geometry in the plant.
     """
 
     name: str
@@ -51,10 +53,18 @@ class OtherObject:
 def draw_other_truth(
     scenario: PushScenario, part: GridObjectInPlant, number: int, seed: int
 ) -> CellParameters:
-    """Draws what the other object of a number, from 0, weighs and how it rubs; another draw than any other object's."""
+    """Draws the true masses and frictions of another object.
+
+    Args:
+        scenario: the scenario, with the ranges of the draw. Values that it gives for parts are the
+            pushed object's, and are left out here.
+        part: the object in the plant.
+        number: its place in the scenario's `others`, from 0.
+        seed: seed of the run. Each object's draw has a seed of its own that is made from it.
+    """
     ranges = scenario.truth.model_copy(update={"parts": []})
-    own = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
-    return MakeTruth(part.obj, ranges, own)
+    own_seed = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
+    return MakeTruth(part.obj, ranges, own_seed)
 
 
 def AddOthers(
@@ -65,7 +75,19 @@ def AddOthers(
     table: Sequence[GeometryId],
     pushed: GridObjectInPlant,
 ) -> tuple[OtherObject, ...]:
-    """Adds a scenario's other objects to a plant, before Finalize; they stand on the table and touch one another."""
+    """Adds a scenario's other objects to a plant; they stand on the table and touch one another.
+
+    Args:
+        plant: the plant, before Finalize; the pushed object is in it.
+        scene_graph: the plant's scene graph.
+        scenario: the scenario, with poses and heights.
+        objects: the other objects, in the scenario's order.
+        table: the table's collision geometries.
+        pushed: the pushed object in the plant.
+
+    Returns:
+        The other objects in the plant.
+    """
     others = []
     for number, (config, obj) in enumerate(zip(scenario.others, objects, strict=True)):
         name = f"other_{number}"
@@ -73,7 +95,7 @@ def AddOthers(
             plant,
             scene_graph,
             obj,
-            CellParameters.uniform(obj),
+            CellParameters.uniform(obj),  # `SetOthersStart` writes the drawn truth into a Context
             "free",
             table=table,
             height=config.height,
@@ -83,6 +105,7 @@ def AddOthers(
         if scenario.camera.kind == "rgbd":
             AddSeenVisual(plant, scene_graph, part)
         others.append(OtherObject(name, (x, y, theta), part))
+    # Only now that all objects are in the plant, it is known whose geometries must not collide.
     for part in (pushed, *(other.part for other in others)):
         ApplyGridObjectFilters(plant, scene_graph, part, table)
     return tuple(others)
@@ -91,7 +114,10 @@ def AddOthers(
 def AddOtherCameras(
     builder: DiagramBuilder, scenario: PushScenario, others: Sequence[OtherObject]
 ) -> tuple[PlanarPoseSensor, ...]:
-    """Adds a camera for each, as noisy as the station's, and exports what it sees as NAME.pose."""
+    """Adds an ideal camera for each other object, and exports the pose it sees as name.pose.
+
+    Its rate and noise are those of the scenario's camera.
+    """
     cameras = []
     for number, other in enumerate(others):
         seed = _make_camera_seed(scenario.seed, number)
@@ -110,7 +136,17 @@ def SetOthersStart(
     cameras: Sequence[PlanarPoseSensor],
     seed: int,
 ) -> None:
-    """Puts them where the scenario has them, at rest, with the truth and the camera's noise of a seed."""
+    """Writes the beginning of a run into a Context: the other objects lie at rest in their places.
+
+    Args:
+        plant: the plant with the objects.
+        scene_graph: the plant's scene graph.
+        root_context: the Context of the whole Diagram.
+        scenario: the scenario, with the ranges of the truth.
+        others: the objects, with their poses.
+        cameras: the camera of each object.
+        seed: seed of the run, for the objects' truth and the noise of their cameras.
+    """
     plant_context = plant.GetMyMutableContextFromRoot(root_context)
     for number, (other, camera) in enumerate(zip(others, cameras, strict=True)):
         truth = draw_other_truth(scenario, other.part, number, seed)
@@ -120,17 +156,26 @@ def SetOthersStart(
 
 
 def place_others(others: Sequence[OtherObject]) -> tuple[Polygon, ...]:
-    """Where they lie at the beginning, polygons in W, m; without their holes."""
+    """Returns the outlines of the other objects where they lie at the beginning, in W, m.
+
+    They have no holes: nothing is pushed into one.
+    """
     return tuple(
         Polygon(transform_shape(other.pose, other.part.obj.outline).exterior) for other in others
     )
 
 
 def leave_out(region: BaseGeometry, others: Sequence[OtherObject], distance: float) -> BaseGeometry:
-    """A region without what is nearer than a distance, m, to where the others lie; itself where there are none."""
-    return region - shapely.union_all(place_others(others)).buffer(distance) if others else region
+    """Cuts from a region what is nearer than a distance, m, to where other objects lie."""
+    if not others:
+        return region
+    return region - shapely.union_all(place_others(others)).buffer(distance)
 
 
 def _make_camera_seed(seed: int, number: int) -> int:
-    """Of the noise; the station's own camera has the seed itself."""
+    """Makes the seed of the noise with which the other object of a number, from 0, is seen.
+
+    The camera of the pushed object takes the run's seed itself. The 1 at the end sets this seed
+    apart from that of the object's truth.
+    """
     return int(np.random.SeedSequence((seed, number, 1)).generate_state(1)[0])

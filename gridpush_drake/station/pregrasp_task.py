@@ -1,7 +1,6 @@
-"""The whole story: poke an unknown object, learn it, slide it to the table's edge, grasp what hangs over, lift it.
+"""The pre-grasp task: poke and learn an object, slide it to the table's edge, grasp and lift it.
 
-`GraspFinder` says how, and where on the table's edge, the station's gripper can take the object;
-`PreGraspRecord` what came of exploring, sliding and grasping.
+`GraspFinder` finds how the station's gripper can take the object, and where on the table's edge.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
@@ -52,14 +52,14 @@ from gridpush_drake.systems.messages import GraspCommand, PreGraspMode, PreGrasp
 from gridpush_drake.systems.pregrasp_controller import PreGraspController
 
 EDGE_STEP = 0.03
-"""m along the edge, between places that the gripper is tried at."""
+"""Distance along the table's edge between the places at which the gripper is tried, m."""
 
 EDGE_SPARE = 0.002
-"""m between the gripper's tips and the edge, beyond their least clearance, where places of the edge
-are tried."""
+"""Distance between gripper and edge beyond the least clearance when places of the edge are tried,
+m."""
 
 GRASPS_TRIED = 16
-"""Of those found at a pose, all different, that the arm is asked about."""
+"""Greatest number of grasps at a pose, all different, that the arm is led to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +67,10 @@ class GraspFinder:
     """Finds grasps that the arm can carry out.
 
     Attributes:
-        station: the station; it has a gripper.
+        station: a station with a gripper.
         obj: the object.
-        surface: the table.
-        pads: the gripper's measures, and what its pads can hold.
+        surface: the table, as planners know it.
+        pads: lengths of the gripper, and what its pads can hold.
     """
 
     station: Station
@@ -81,10 +81,17 @@ class GraspFinder:
     def find_grasp(
         self, pose: Array, aim: Array, masses: PlausibleMassSet, at_worst: bool
     ) -> SideGrasp | None:
-        """How the gripper takes the object at `pose` (3,), as near `aim` (2,), body frame, as it can.
+        """Finds a grasp that holds the object and that the arm can carry out.
 
-        Its pads hold the object, `at_worst` whichever of the masses it has, otherwise as they are
-        estimated.
+        Args:
+            pose: (3,) X_WB of the object, m and rad.
+            aim: (2,) p_BA of a point to which the grasp should be as near as it can, m.
+            masses: the masses that the object may have.
+            at_worst: whether the pads must hold the object for each of the masses, not only for
+                the estimated one.
+
+        Returns:
+            The grasp; None if there is none.
         """
         height = self.station.scenario.object_height
         found = find_held_grasps(
@@ -96,14 +103,22 @@ class GraspFinder:
         return None
 
     def can_grasp(self, goal: PreGraspGoal, masses: PlausibleMassSet) -> bool:
-        """Whether the object can be taken at a goal, and held: by its rim whichever of some masses it has."""
-        return (
-            self.find_grasp(goal.pose, goal.part.p_BG, masses, isinstance(goal.part, FlatPart))
-            is not None
-        )
+        """Returns whether the gripper can take the object at a goal, and hold it.
+
+        A flat part is taken by its rim and must be held for each of the masses.
+        """
+        at_worst = isinstance(goal.part, FlatPart)
+        return self.find_grasp(goal.pose, goal.part.p_BG, masses, at_worst) is not None
 
     def find_edge(self) -> BaseGeometry:
-        """Where on the edge the gripper can take something, coming straight in. Raises StationError for nowhere."""
+        """Finds where on the table's edge the gripper can take something, coming straight in.
+
+        Returns:
+            Discs about places of the edge, in W, m.
+
+        Raises:
+            StationError: there is no such place.
+        """
         out = self.pads.gripper.jaw_reach + self.pads.gripper.table_clearance + EDGE_SPARE
         places = []
         for s in np.arange(0.0, self.surface.perimeter, EDGE_STEP):
@@ -112,49 +127,53 @@ class GraspFinder:
                 places.append(shapely.Point(point).buffer(EDGE_STEP))
         if not places:
             raise StationError(
-                "the gripper reaches no place of the table's edge; expected a table beside the robot"
+                "the gripper reaches no place of the table's edge; "
+                "expected a table beside the robot"
             )
         return shapely.union_all(places)
 
     def _is_reached(self, p_WG: Array, approach: float) -> bool:
-        """Whether the arm can grasp at a point (2,), m, with the fingers pointing along `approach`, rad."""
-        scenario, (x, y) = self.station.scenario, p_WG.tolist()
+        """Returns whether the arm can grasp at p_WG (2,), m, coming in along `approach`, rad."""
+        scenario = self.station.scenario
+        x, y = p_WG.tolist()
         command = GraspCommand(
-            1, x, y, scenario.object_height / 2, approach, scenario.pregrasp.lift
+            command_id=1,
+            x=x,
+            y=y,
+            z=scenario.object_height / 2,
+            approach=approach,
+            lift=scenario.pregrasp.lift,
         )
         return self.station.FindGraspObstacle(command) is None
 
 
 @dataclass(repr=False)
 class PreGraspRecord(ControlledRecord[PreGraspStatus]):
-    """What came of a run: "held", "not_lifted", "dropped", "failed", "lost", "stuck" or "interrupted".
+    """What came of a run. It is filled while the task runs.
 
     Attributes:
-        raised: how far the object's lowest point was above the table at the end, m; NaN where
-            nobody knows.
+        raised: height of the object's lowest point above the table at the end, m; NaN if nobody
+            knows it.
     """
 
     raised: float = float("nan")
 
 
-HELD, DROPPED, FAILED = TaskStatus.HELD, TaskStatus.DROPPED, TaskStatus.FAILED
-LOST, STUCK, NOT_LIFTED = TaskStatus.LOST, TaskStatus.STUCK, TaskStatus.NOT_LIFTED
-
 CLEARANCE = 0.006
-"""Between finger and object where a push begins, m: it comes down beside an object seen to about a
-millimeter."""
+"""Distance between finger and object where a push begins, m. The finger comes down beside an object
+that is seen to about a millimeter."""
 
 LIFTED_SHARE = 0.7
-"""Of the lift, that the object's lowest point must truly have been raised by to count as held."""
+"""An object counts as held if its lowest point was raised by more than this share of the lift."""
 
 
 class PreGraspTask(StationTask[PreGraspRecord]):
     """The station with a controller that explores, slides, grasps and lifts.
 
     Attributes:
-        obj: the object.
-        surface: the table.
-        planner: what the controller decides with.
+        obj: the object, as the robot knows it.
+        surface: the table, as planners know it.
+        planner: decides for the controller what to do next.
     """
 
     lost_after = 10.0
@@ -169,15 +188,17 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         """Makes the Diagram.
 
         Args:
-            scenario: resolved or not, what stands where, and how it is done; its scene has a gripper.
-            meshcat: to show it in; None for none.
-            make_station: of a scenario; a simulated one by default.
+            scenario: the scenario, resolved or not; its scene has a gripper, and its `pregrasp`
+                says how the object is slid and grasped.
+            meshcat: Meshcat in which the station is shown; None for none.
+            make_station: makes the station; a simulated one by default.
 
         Raises:
             ScenarioError: the scenario makes no sense, or its scene has no gripper.
-            StationError: see `MakePushStation`.
-            PlanningError: the object is too thick for the gripper, its pads fit nowhere on it, or
-                the table is smaller than it.
+            StationError: the gripper reaches no place of the table's edge, or nothing can be
+                rendered on this computer; or see `MakeHardwareStation`.
+            PlanningError: the object is too thick for the gripper, the gripper's pads fit nowhere
+                on it, or the table is smaller than it.
         """
         resolved = resolve(scenario)
         scenario = resolved.scenario
@@ -193,7 +214,8 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
         measures = station.robot.gripper
-        gripper, force = measures.make_side_gripper(), measures.limit_force(scenario.pregrasp.force)
+        gripper = measures.make_side_gripper()
+        force = measures.limit_force(scenario.pregrasp.force)
         check_thickness(self.obj, scenario.object_height, gripper)
         pads = PadLimit.of_object(self.obj, gripper, force)
         self._finder = GraspFinder(station, self.obj, self.surface, pads)
@@ -208,48 +230,58 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         super().__init__(builder, station, self.controller, meshcat)
 
     def make_record(self) -> PreGraspRecord:
-        """An empty record."""
-        return PreGraspRecord(self.obj, self.station.truth, self.surface, PreGraspStatus())
+        """Makes the empty record of a run."""
+        return PreGraspRecord(
+            obj=self.obj,
+            truth=self.station.truth,
+            surface=self.surface,
+            last=PreGraspStatus(),
+        )
 
     def note(self, record: PreGraspRecord, time: float) -> bool:
-        """Writes down how high the object is and what the controller does."""
+        """Writes down how high the object is, and what the controller does."""
         if self.simulated:
             record.raised = self.calc_raised()
         return self.note_step(record, time)
 
     def judge(self, record: PreGraspRecord, waiting: Waiting) -> Judgment:
-        """Status and message."""
+        """Decides whether the object is held or lost, or the task can get no further."""
         status = record.last
         if self.simulated and np.isnan(self.read(self.judged_pose)).any():
-            return DROPPED, f"The object fell: {status.reason}"
+            return TaskStatus.DROPPED, f"The object fell: {status.reason}"
         if status.mode == PreGraspMode.HOLDING:
-            if not self.simulated:
-                return HELD, "The gripper lifted the object and holds it."
-            if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
-                return (
-                    HELD,
-                    f"The object was lifted and held, {1e3 * record.raised:.0f} mm above the table.",
-                )
-            return (
-                NOT_LIFTED,
-                f"The gripper closed and went up, but the object did not: {1e3 * record.raised:.0f} mm.",
-            )
+            return self._judge_held(record)
         if status.mode == PreGraspMode.FAILED:
-            return FAILED, status.reason
+            return TaskStatus.FAILED, status.reason
         at_rest = self.read("executor.status").ready and self.read("grasp.status").ready
         if waiting.unseen > self.lost_after and at_rest:
-            return LOST, f"The object has not been seen for {self.lost_after:g} s."
+            return TaskStatus.LOST, f"The object has not been seen for {self.lost_after:g} s."
         if waiting.idle > self.timeout:
-            return STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
+            return TaskStatus.STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
         return GO_ON
 
-    def finish(self, record: PreGraspRecord) -> None:
-        """Says of each push whether a part hung over the edge; what was seen counts until the object is grasped."""
-        grasped = next(
-            (step.time for step in record.steps if step.status.mode == PreGraspMode.GRASPING),
-            np.inf,
+    def _judge_held(self, record: PreGraspRecord) -> Judgment:
+        """Judges whether the gripper that has closed and gone up truly holds the object."""
+        if not self.simulated:
+            return TaskStatus.HELD, "The gripper lifted the object and holds it."
+        height = f"{MM * record.raised:.0f} mm"
+        if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
+            return TaskStatus.HELD, f"The object was lifted and held, {height} above the table."
+        return TaskStatus.NOT_LIFTED, (
+            f"The gripper closed and went up, but the object did not: {height}."
         )
-        record.sight = record.sight and record.sight.until(grasped)
+
+    def finish(self, record: PreGraspRecord) -> None:
+        """Marks the pushes in which a part hung over the edge, and cuts what was seen in the grasp.
+
+        While the gripper holds the object it does not lie on the table, and what the camera says of
+        its pose there means nothing.
+        """
+        grasp_times = [
+            step.time for step in record.steps if step.status.mode == PreGraspMode.GRASPING
+        ]
+        if record.sight is not None:
+            record.sight = record.sight.until(grasp_times[0] if grasp_times else np.inf)
         pushes = tuple(
             replace(seen, overhang=not stayed_supported(self.obj, seen, self.surface))
             for seen in record.log
@@ -257,13 +289,15 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         record.log = replace(record.log, pushes=pushes)
 
     def calc_raised(self) -> float:
-        """How far the lowest corner of the object is above the table now, m."""
+        """Calculates the height of the object's lowest corner above the table now, m."""
         X_WB = self.read("body_poses")[int(self.station.object_in_plant.body.index())]
         outline = np.asarray(self.obj.outline.exterior.coords)[:, :2]
-        flat = np.column_stack([outline, np.zeros(len(outline))])
-        return float((X_WB.rotation().matrix() @ flat.T)[2].min() + X_WB.translation()[2])
+        # The corners of the object's bottom: B's origin is at the height of the bottom.
+        p_BK = np.column_stack([outline, np.zeros(len(outline))])
+        return float((X_WB.rotation().matrix() @ p_BK.T)[2].min() + X_WB.translation()[2])
 
     def _make_limits(self) -> ArmLimits:
+        """Makes the limits of what the planner may ask of the arm."""
         station = self.station
         return ArmLimits(
             finger_region=MakeFingerRegion(station),
@@ -273,25 +307,23 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         )
 
     def _make_controller(self) -> PreGraspController:
-        pregrasp = self.station.scenario.pregrasp
+        """Makes the controller, which grasps at half the object's height."""
+        scenario = self.station.scenario
         return PreGraspController(
             self.planner,
             self._finder.find_grasp,
-            grasp_height=self.station.scenario.object_height / 2,
-            lift=pregrasp.lift,
-            seed=self.station.scenario.seed,
-            answer_delay=self.station.scenario.simulation.answer_delay,
+            grasp_height=scenario.object_height / 2,
+            lift=scenario.pregrasp.lift,
+            seed=scenario.seed,
+            answer_delay=scenario.simulation.answer_delay,
         )
 
 
 def make_options(station: Station, pads: PadLimit) -> PreGraspOptions:
-    """The planner's options, by a station's scenario and robot and what its gripper's pads can hold."""
-    scenario = station.scenario
-    pregrasp, radius, speed = (
-        scenario.pregrasp,
-        station.robot.finger.tip_radius,
-        scenario.pokes.speed,
-    )
+    """Makes the planner's options from a station and what its gripper's pads can hold."""
+    pregrasp = station.scenario.pregrasp
+    speed = station.scenario.pokes.speed
+    radius = station.robot.finger.tip_radius
     slide = SlideOptions()
     contact: ContactOptions = replace(
         slide.contact, radius=radius, speed=speed, clearance=CLEARANCE

@@ -1,8 +1,8 @@
-"""`MakePushStation`: table, object, robot with a finger, camera, executor and identifier in one Diagram.
+"""`MakePushStation`: the simulated station, with table, object, robot and camera in one Diagram.
 
-The station knows the object's outline. What its cells weigh and how they rub, the truth, goes to
-the plant alone; everything else in the station sees the object through its camera, and the finger's
-tip through the joints.
+The robot knows the object's outline. The true masses and frictions of the object's cells go to the
+plant alone. All other systems know the object through its camera, and the finger's tip through the
+arm's joints. What a simulated and a real station share is in `station.station`.
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.sight import Sight
-from gridpush_drake.station.arm import (
+from gridpush_drake.station.arm_driver import (
     DRIVER_OUTPUTS,
     AddArmDriver,
     SetJointServos,
@@ -69,22 +69,23 @@ from gridpush_drake.station.station import (
     Setting,
     Station,
 )
+from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 from gridpush_drake.systems.true_parameters import TrueParameters
 
 TRUE_LOG, COVARIANCE_LOG = "true_pose_log", "covariance_log"
-"""Names of the systems that log how well a color and depth camera sees."""
+"""Names of the systems that log the true pose and the covariance of a color and depth camera's."""
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """What `AddSensors` put into a builder.
+    """The sensors that `AddSensors` put into a builder.
 
     Attributes:
-        camera: sees the object, with noise.
-        ground_truth: sees it as it is, for display and judgment.
-        tip: knows where the tip is and how it moves.
+        camera: sees the object with noise.
+        ground_truth: sees the object without noise, for display and for judging the task.
+        tip: measures position and velocity of the finger's tip.
     """
 
     camera: StationCamera
@@ -100,45 +101,49 @@ def AddSensors(
     part: GridObjectInPlant,
     found: FoundObject | None,
 ) -> Sensors:
-    """Adds the sensors, and connects them to the plant; `found` is what a color and depth camera tracks."""
-    plant, body, period = part.plant, part.body.index(), 1 / scenario.camera.rate
-    ground_truth = PlanarPoseSensor(body, period=period, lowest=LOST_BELOW)
-    sensors = Sensors(
-        StationCamera(AddIdealCamera(builder, part, scenario.camera, "camera", scenario.seed))
-        if found is None
-        else _add_rgbd_camera(builder, scene_graph, scenario, part, found),
-        builder.AddNamedSystem("ground_truth_sensor", ground_truth),
-        builder.AddNamedSystem(
-            "tip_sensor", PusherStateSensor(plant.GetBodyByName(robot.finger.tip_frame).index())
-        ),
+    """Adds the sensors of a simulated station, and connects them to its plant.
+
+    Args:
+        builder: the builder that has the plant.
+        scene_graph: the plant's scene graph.
+        scenario: the scenario, with its camera.
+        robot: the robot, with the name of the tip's frame.
+        part: the object in the plant.
+        found: the object that a color and depth camera tracks; None for an ideal camera.
+    """
+    plant = part.plant
+    if found is None:
+        ideal = AddIdealCamera(builder, part, scenario.camera, "camera", scenario.seed)
+        camera = StationCamera(ideal)
+    else:
+        rgbd = AddRgbdCamera(builder, plant, scene_graph, scenario, part)
+        camera = StationCamera(AddPoseEstimator(builder, rgbd, scenario, found), rgbd.noise)
+    ground_truth = builder.AddNamedSystem(
+        "ground_truth_sensor",
+        PlanarPoseSensor(part.body.index(), period=1 / scenario.camera.rate, lowest=LOST_BELOW),
     )
-    tip = sensors.tip
-    for sensor in (sensors.ground_truth, tip):
+    tip = builder.AddNamedSystem(
+        "tip_sensor", PusherStateSensor(plant.GetBodyByName(robot.finger.tip_frame).index())
+    )
+    for sensor in (ground_truth, tip):
         builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
     builder.Connect(
         plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities")
     )
-    return sensors
-
-
-def _add_rgbd_camera(
-    builder: DiagramBuilder,
-    scene_graph: SceneGraph,
-    scenario: PushScenario,
-    part: GridObjectInPlant,
-    found: FoundObject,
-) -> StationCamera:
-    rgbd = AddRgbdCamera(builder, part.plant, scene_graph, scenario, part)
-    return StationCamera(AddPoseEstimator(builder, rgbd, scenario, found), rgbd.noise)
+    return Sensors(camera=camera, ground_truth=ground_truth, tip=tip)
 
 
 def AddStationScene(
     plant: MultibodyPlant, scene_graph: SceneGraph, scenario: PushScenario, robot: Robot
 ) -> tuple[RobotInPlant, tuple[GeometryId, ...]]:
-    """Adds what the directives say; returns the robot and the table's collision geometries."""
+    """Adds robot and table to a plant as the scenario's directives say, before Finalize.
+
+    Returns:
+        The robot's model instances, and the table's collision geometries.
+    """
     AddScene(MakeParser(plant), scenario)
-    # a plant's own GetCollisionGeometriesForBody gives ids that keep it alive, unseen by the
-    # garbage collector
+    # Not by the plant's own GetCollisionGeometriesForBody: pydrake ties the ids that it returns to
+    # the plant, and whoever keeps them keeps the plant alive, unseen by Python's garbage collector.
     inspector = scene_graph.model_inspector()
     table = tuple(
         geometry
@@ -154,16 +159,19 @@ def AddStationScene(
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The simulated part of a station: the plant with robot, object and table, and what is known of it.
+    """The simulated part of a station: the plant with robot, object and table.
+
+    The cells of the robot's object and of the plant's object differ where a camera found the
+    object: the truth is drawn on the plant's, and carried over to the robot's for comparison.
 
     Attributes:
-        resolved: the scenario that it is made from.
-        setting: what the robot knows; the plant is the world's.
-        true_obj: the plant's object, on whose cells the truth is drawn.
-        truth: what it weighs and how it rubs by the scenario's seed, on the cells of `setting.obj`.
-        scene_graph: of the plant.
-        robot_in_plant: the robot's model instances.
-        object_in_plant: the object.
+        resolved: the resolved scenario that it is made from.
+        setting: what the robot knows.
+        true_obj: the plant's object.
+        truth: true masses and frictions, for the scenario's seed, on the cells of `setting.obj`.
+        scene_graph: the plant's scene graph.
+        robot_in_plant: the robot's model instances in the plant.
+        object_in_plant: the object's body and geometry in the plant.
         table: the table's collision geometries.
     """
 
@@ -184,17 +192,20 @@ class World:
     def SetStart(
         self, diagram: Diagram, root_context: Context, seed: int | None
     ) -> CellParameters | None:
-        """Puts arm and object where the scenario has them, at rest.
+        """Puts arm and object at rest where the scenario has them.
 
         Args:
-            diagram: has the plant.
-            root_context: of it, or of a Diagram that it is part of.
-            seed: of the hidden truth, instead of the scenario's; None leaves that as it is.
+            diagram: the Diagram that has the plant.
+            root_context: its Context, or that of a Diagram that it is part of.
+            seed: seed of the hidden truth, instead of the scenario's; None leaves the truth in the
+                Context as it is.
 
         Returns:
-            The truth on the cells of `setting.obj`; None where it was left as it is.
+            The truth on the cells of `setting.obj`; None if it was left as it is.
         """
-        plant, scenario, arm = self.plant, self.setting.scenario, self.robot_in_plant.arm
+        plant = self.plant
+        scenario = self.setting.scenario
+        arm = self.robot_in_plant.arm
         plant_context = plant.GetMyMutableContextFromRoot(root_context)
         plant.SetPositions(plant_context, arm, self.setting.q_start)
         plant.SetVelocities(plant_context, arm, np.zeros_like(self.setting.q_start))
@@ -202,7 +213,8 @@ class World:
         if seed is None:
             return None
         resolved = self.resolved
-        truth, support = resolved.truth, resolved.support
+        truth = resolved.truth
+        support = resolved.support
         if seed != resolved.scenario.seed:
             truth = MakeTruth(self.true_obj, scenario.truth, seed)
             support = MakeSupport(self.true_obj, truth, scenario, seed)
@@ -220,22 +232,25 @@ def AddWorld(
     show_object: bool = True,
     drake_models: Path | None = None,
 ) -> World:
-    """Adds the plant with all that a scenario has, finalised.
+    """Adds a finalised plant with all that a scenario has.
 
     Args:
-        builder: empty.
-        resolved: what stands where.
-        show_object: whether the object's plain outline is shown.
-        drake_models: folder of the meshes that the robot is shown with; None for its primitives.
+        builder: an empty builder.
+        resolved: the resolved scenario.
+        show_object: whether Meshcat shows the object's plain outline.
+        drake_models: folder of the meshes with which the robot is shown; None to show its
+            primitive shapes.
 
     Returns:
         The world.
 
     Raises:
-        ScenarioError: the camera does not see an object.
-        StationError: nothing can be rendered here.
+        ScenarioError: the camera sees no object.
+        StationError: nothing can be rendered on this computer.
     """
-    scenario, robot, found = resolved.scenario, resolved.robot, resolved.found
+    scenario = resolved.scenario
+    robot = resolved.robot
+    found = resolved.found
     true_obj = resolved.obj if found is None else found.true_obj
 
     # The plant: scene, object, other objects.
@@ -258,6 +273,7 @@ def AddWorld(
     others = AddOthers(plant, scene_graph, scenario, resolved.others, table, object_in_plant)
     if found is not None:
         AddSeenVisual(plant, scene_graph, object_in_plant)
+        # From here on the scenario is the robot's, which knows only what the camera saw.
         seen = {
             "object_pose": found.pose.tolist(),
             "object_height": found.obj.height or scenario.object_height,
@@ -267,7 +283,7 @@ def AddWorld(
         AddVisualMeshes(plant, scene_graph, drake_models)
     plant.Finalize()
 
-    # What the robot knows of it, and what only the world knows.
+    # What the robot knows of the plant, and what only the world knows.
     setting = MakeSetting(resolved, scenario, plant, found, others)
     plant.SetDefaultPositions(instances.arm, setting.q_start)
     return World(
@@ -283,9 +299,9 @@ def AddWorld(
 
 
 class PushStation(Station):
-    """The simulated station, with handles on what it was made from.
+    """The simulated station.
 
-    Beside the ports of every `Station` it has these.
+    It has the ports of every `Station`, and the following, which need a simulation.
 
     .. pydrake_system::
 
@@ -298,16 +314,20 @@ class PushStation(Station):
         - other_0.pose
         - ...
 
-    - ``object.pose_true``: (3,) as it is, for display and judgment; the three after: the plant's
-      own.
-    - ``other_0.pose`` and so on: (3,) of each of the scenario's other objects, as ``object.pose``.
+    - ``object.pose_true``: vector of 3, true X_WB, (x, y, theta), m and rad, for display and for
+      judging the task.
+    - ``body_poses``: abstract list of `RigidTransform`, X_WB of the plant's bodies.
+    - ``contact_results``: abstract `ContactResults` of the plant.
+    - ``query_object``: abstract `QueryObject` of the scene graph.
+    - ``other_0.pose`` and so on: vector of 3, X_WB of another object as its camera sees it,
+      (x, y, theta), m and rad; one port for each of the scenario's `others`.
 
     Attributes:
-        scene_graph: of the plant.
+        scene_graph: the plant's scene graph.
         robot_in_plant: the robot's model instances in the plant.
-        object_in_plant: the object in the plant.
+        object_in_plant: the object's body and geometry in the plant.
         table: the table's collision geometries.
-        gripper: its model instance; None where the scene has none.
+        gripper: the gripper's model instance; None if the scene has no gripper.
     """
 
     __slots__ = NO_SLOTS
@@ -322,64 +342,75 @@ class PushStation(Station):
         true_parameters: TrueParameters,
         meshcat: Meshcat | None,
     ) -> None:
-        """Takes over a builder's systems; `MakePushStation` calls it."""
+        """Builds the Diagram of a builder's systems; `MakePushStation` calls it."""
         super().__init__(builder, world.setting, control, world.truth)
-        self._world, self._camera, self._other_cameras = world, camera, other_cameras
-        self._kinematics, self._true_parameters = control.kinematics, true_parameters
-        self.scene_graph, self.object_in_plant, self.table = (
-            world.scene_graph,
-            world.object_in_plant,
-            world.table,
-        )
-        self.robot_in_plant, self.gripper = world.robot_in_plant, world.robot_in_plant.gripper
-        self._meshcat = meshcat  # the visualizer in C++ keeps only the server, and `KeepToItsThread` asks for this
+        self.scene_graph = world.scene_graph
+        self.robot_in_plant = world.robot_in_plant
+        self.object_in_plant = world.object_in_plant
+        self.table = world.table
+        self.gripper = world.robot_in_plant.gripper
+        self._world = world
+        self._camera = camera
+        self._other_cameras = other_cameras
+        self._kinematics = control.kinematics
+        self._true_parameters = true_parameters
+        # Drake's visualizer keeps only the C++ server. The Python object must live as long as the
+        # station: `KeepToItsThread` guards the server by it.
+        self._meshcat = meshcat
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
-        """Puts arm and object where the scenario has them, at rest. Call it on every fresh Context.
+        """Puts arm and objects at rest where the scenario has them. Call it on every fresh Context.
 
         Args:
-            root_context: of the station, or of the Diagram it is part of.
-            seed: of the hidden truth and the camera's noise, instead of the scenario's: one Diagram
-                serves many runs.
+            root_context: Context of the station, or of the Diagram that the station is part of.
+            seed: seed of the hidden truth and the camera's noise, instead of the scenario's, so
+                that one Diagram serves many runs.
         """
         truth = self._world.SetStart(self, root_context, seed)
         kinematics_context = self._kinematics.GetMyMutableContextFromRoot(root_context)
         self._kinematics.SetPositions(kinematics_context, self._world.setting.q_start)
         SetOthersStart(
-            self.plant, self.scene_graph, root_context, self.scenario, self.others, self._other_cameras,
-            self.scenario.seed if seed is None else seed,
-        )  # fmt: skip
+            self.plant,
+            self.scene_graph,
+            root_context,
+            scenario=self.scenario,
+            others=self.others,
+            cameras=self._other_cameras,
+            seed=self.scenario.seed if seed is None else seed,
+        )
         if seed is not None and truth is not None:
             self._true_parameters.SetParameters(root_context, truth)
             self._camera.SetSeed(root_context, seed)
 
     def GetTruth(self, root_context: Context) -> CellParameters:
-        """What the plant's object really weighs and how it rubs in a Context, as `SetStart` left it.
+        """Returns the true parameters of the plant's object in a Context, as `SetStart` left them.
 
         Args:
-            root_context: of the station, or of the Diagram it is part of.
+            root_context: Context of the station, or of the Diagram that the station is part of.
         """
         return self._true_parameters.GetParameters(root_context)
 
     def FindSight(self, root_context: Context) -> Sight | None:
-        """What the color and depth camera saw in a Context, and how far off that was; None for an ideal camera.
+        """Returns what the color and depth camera saw in a Context; None for an ideal camera.
 
         Args:
-            root_context: of the station, or of the Diagram it is part of.
+            root_context: Context of the station, or of the Diagram that the station is part of.
         """
         if self.found is None:
             return None
-        (t, poses), (_, true), (_, covariance) = (
-            self._find_log(root_context, name) for name in (POSE_LOG, TRUE_LOG, COVARIANCE_LOG)
-        )
+        t, poses = self._find_log(root_context, POSE_LOG)
+        _, true_poses = self._find_log(root_context, TRUE_LOG)
+        _, covariance = self._find_log(root_context, COVARIANCE_LOG)
+        # A true pose in the log is one picture old, for its sensor has the camera's rate. A pose
+        # that the camera saw is older by this many pictures; each is compared with its own time's.
         late = round(calc_pose_age(self.scenario.camera) * self.scenario.camera.rate) - 1
-        errors = poses[late:] - true[: len(true) - late]
+        errors = poses[late:] - true_poses[: len(true_poses) - late]
         errors[:, 2] = wrap_angle(errors[:, 2])
         std = np.sqrt(covariance[late:].reshape(-1, 3, 3).diagonal(axis1=1, axis2=2))
         return Sight(self.found.detected.close_up, t[late:], errors, std)
 
     def CoverCamera(self, root_context: Context, covered: bool = True) -> None:
-        """Covers the camera, which then sees no object, or uncovers it."""
+        """Covers the camera's lens, so that it sees no object, or uncovers it."""
         self._camera.SetCovered(root_context, covered)
 
 
@@ -391,91 +422,136 @@ def MakePushStation(
     learning: Learning | None = None,
     name: str = "station",
 ) -> PushStation:
-    """Makes the station.
+    """Makes the simulated station.
 
-    Building one takes far longer than to begin anew: for many runs build it once, and give every
+    Building one takes far longer than beginning a run. For many runs build it once, and give every
     run a fresh Context (`CreateDefaultContext`, then `SetStart`), or `Simulator.reset_context` with
     one. All that differs between two runs is in the Context; two runs of one station may be
-    interleaved. A station that nobody holds any more is freed by Python's garbage collector
-    (`gc.collect()`) but for 1 MB or less that stays with Drake. Whoever keeps a `RigidBody`, a
-    `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of its plant as a part of the
-    station, or of what it is connected to, keeps all of it for good: keep their indices instead.
+    interleaved.
+
+    A station that nobody holds any more is freed by Python's garbage collector (`gc.collect()`),
+    but for 1 MB or less that stays with Drake. If a part of the station, or a system connected to
+    it, keeps a `RigidBody`, a `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of
+    its plant, the whole station stays in memory for good: keep their indices instead.
 
     Args:
-        scenario: what stands where, resolved or not.
-        meshcat: to show it in; None for none.
-        show_object: whether the object's plain outline is shown; not where its estimate is drawn in
-            its place.
-        learning: what is learned from; the first `scenario.pokes.count` pushes by default.
-        name: of the station in a Diagram, and of what is shown in Meshcat; stations in one Diagram
-            have names of their own.
+        scenario: the scenario, resolved or not.
+        meshcat: Meshcat in which the station is shown; None for none.
+        show_object: whether the object's plain outline is shown; False if its estimate is drawn
+            in its place.
+        learning: which pushes are learned from; None for the first `scenario.pokes.count`.
+        name: name of the station in a Diagram, and of its path in Meshcat. Two stations in one
+            Diagram must have different names.
 
     Returns:
         The station. Call its `SetStart` on each new Context.
 
     Raises:
         ScenarioError: the scenario makes no sense, see `resolve`.
-        StationError: nothing can be rendered here.
+        StationError: nothing can be rendered on this computer.
     """
+    # The simulated world, its sensors and the driver of its arm.
     builder = DiagramBuilder()
     resolved = resolve(scenario)
-    world = AddWorld(
-        builder, resolved, show_object, find_drake_models() if meshcat is not None else None
-    )
-    setting, plant, arm = world.setting, world.plant, world.robot_in_plant.arm
-    seen = setting.scenario
-    gripper, found = world.robot_in_plant.gripper, setting.found
-    driver = AddArmDriver(builder, plant, setting.robot, arm, setting.control_plant)
+    drake_models = find_drake_models() if meshcat is not None else None
+    world = AddWorld(builder, resolved, show_object, drake_models)
+    setting = world.setting
+    robot = setting.robot
+    instances = world.robot_in_plant
+    driver = AddArmDriver(builder, world.plant, robot, instances.arm, setting.control_plant)
     sensors = AddSensors(
-        builder, world.scene_graph, seen, setting.robot, world.object_in_plant, found
-    )
-    camera, true_pose = sensors.camera.source, sensors.ground_truth.GetOutputPort("object_pose")
-    other_cameras = AddOtherCameras(builder, seen, setting.others)
-    true_parameters = builder.AddNamedSystem("truth", TrueParameters(world.truth))
-    control = AddRobotControl(
         builder,
-        setting,
-        learning,
-        sensors.tip.GetOutputPort("pusher_state"),
-        camera.GetOutputPort("object_pose"),
-        None if gripper is None else plant.get_state_output_port(gripper),
-        None
-        if found is None
-        else {TRUE_LOG: true_pose, COVARIANCE_LOG: camera.GetOutputPort("covariance")},
+        world.scene_graph,
+        scenario=setting.scenario,
+        robot=robot,
+        part=world.object_in_plant,
+        found=setting.found,
     )
+    other_cameras = AddOtherCameras(builder, setting.scenario, setting.others)
+    true_parameters = builder.AddNamedSystem("truth", TrueParameters(world.truth))
+
+    # What commands the robot, as with a real one; it is connected to the simulated arm and gripper.
+    control = _add_control(builder, world, sensors, learning)
     builder.Connect(
         control.kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position")
     )
     if control.grasping is not None:
-        assert setting.robot.gripper is not None
-        hand = AddGripperController(builder, plant, gripper, setting.robot.gripper)
-        builder.Connect(
-            control.grasping.GetOutputPort("gripper_position"),
-            hand.get_desired_position_input_port(),
-        )
-        builder.Connect(
-            control.grasping.GetOutputPort("gripper_force_limit"), hand.get_force_limit_input_port()
-        )
+        _add_gripper(builder, world, control.grasping)
     if meshcat is not None:
         AddMeshcat(builder, world.scene_graph, meshcat, name)
-    if found is not None:
-        ExportOutputs(builder, camera, "camera", ("covariance", "seen"))
-    builder.ExportOutput(true_pose, "object.pose_true")
-    ExportOutputs(builder, driver, setting.robot.arm_model, DRIVER_OUTPUTS)
-    builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
-    builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
+
+    # The ports that only a simulation has.
+    if setting.found is not None:
+        ExportOutputs(builder, sensors.camera.source, "camera", ("covariance", "seen"))
+    builder.ExportOutput(sensors.ground_truth.GetOutputPort("object_pose"), "object.pose_true")
+    ExportOutputs(builder, driver, robot.arm_model, DRIVER_OUTPUTS)
+    builder.ExportOutput(world.plant.get_body_poses_output_port(), "body_poses")
+    builder.ExportOutput(world.plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(world.scene_graph.get_query_output_port(), "query_object")
     station = PushStation(
-        builder, world, control, sensors.camera, other_cameras, true_parameters, meshcat
+        builder,
+        world,
+        control,
+        camera=sensors.camera,
+        other_cameras=other_cameras,
+        true_parameters=true_parameters,
+        meshcat=meshcat,
     )
     station.set_name(name)
     return station
 
 
+def _add_control(
+    builder: DiagramBuilder, world: World, sensors: Sensors, learning: Learning | None
+) -> RobotControl:
+    """Adds what commands the robot, and has the errors of a color and depth camera logged."""
+    camera = sensors.camera.source
+    logged = None
+    if world.setting.found is not None:
+        logged = {
+            TRUE_LOG: sensors.ground_truth.GetOutputPort("object_pose"),
+            COVARIANCE_LOG: camera.GetOutputPort("covariance"),
+        }
+    gripper = world.robot_in_plant.gripper
+    return AddRobotControl(
+        builder,
+        world.setting,
+        learning,
+        pusher_state=sensors.tip.GetOutputPort("pusher_state"),
+        object_pose=camera.GetOutputPort("object_pose"),
+        gripper_state=None if gripper is None else world.plant.get_state_output_port(gripper),
+        logged=logged,
+    )
+
+
+def _add_gripper(builder: DiagramBuilder, world: World, grasping: GraspExecutor) -> None:
+    """Adds the controller of the simulated gripper, and connects it to the executor of grasps."""
+    gripper = world.robot_in_plant.gripper
+    measures = world.setting.robot.gripper
+    assert gripper is not None and measures is not None  # else nothing could grasp
+    controller = AddGripperController(builder, world.plant, gripper, measures)
+    builder.Connect(
+        grasping.GetOutputPort("gripper_position"), controller.get_desired_position_input_port()
+    )
+    builder.Connect(
+        grasping.GetOutputPort("gripper_force_limit"), controller.get_force_limit_input_port()
+    )
+
+
 def AddMeshcat(
     builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat, prefix: str = "station"
 ) -> MeshcatVisualizer:
-    """Shows the illustration geometry, and nothing else, below the path `prefix`."""
+    """Shows a scene in Meshcat by its illustration geometry.
+
+    Args:
+        builder: the builder that has the scene graph.
+        scene_graph: the scene.
+        meshcat: Meshcat in which it is shown.
+        prefix: path in Meshcat below which everything is shown.
+
+    Returns:
+        The visualizer that was added.
+    """
     KeepToItsThread(meshcat)
     params = MeshcatVisualizerParams(role=Role.kIllustration, prefix=prefix)
     return MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)

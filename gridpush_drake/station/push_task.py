@@ -1,7 +1,4 @@
-"""Pushing an unknown object to a goal pose: the station learns it from the very pushes that bring it there.
-
-`PushTaskRecord` says what came of it.
-"""
+"""Pushing an unknown object to a goal: it is learned from the very pushes that bring it there."""
 
 from dataclasses import dataclass, field
 
@@ -42,14 +39,15 @@ from gridpush_drake.systems.messages import ContactPointMode, ContactPointStatus
 
 @dataclass(repr=False)
 class PushTaskRecord(ControlledRecord[ContactPointStatus]):
-    """What came of a run: "reached", "failed", "lost", "stuck" or "interrupted"; filled while it runs.
+    """What came of a run. It is filled while the task runs.
 
     Attributes:
-        goal: (3,) where it should lie, X_WB, m and rad.
-        tolerance: mean cell error at which the goal counts as reached, m.
-        pose: (3,) where the object truly lay at the end, X_WB, m and rad; NaN where it had fallen.
-            A real one: as seen.
-        error: mean cell error to the goal there, m.
+        goal: (3,) X_WB of the object at the goal, m and rad.
+        tolerance: mean distance of the object's cells from where they should be at which the goal
+            counts as reached, m.
+        pose: (3,) true X_WB of the object at the end, m and rad; NaN if it had fallen. With a real
+            robot it is the pose that was last seen.
+        error: mean distance of the cells from where they should be, with the object at `pose`, m.
     """
 
     goal: Array
@@ -59,48 +57,41 @@ class PushTaskRecord(ControlledRecord[ContactPointStatus]):
 
     @property
     def pushes(self) -> int:
-        """How many were made."""
+        """Number of pushes that were made."""
         return self.last.pushes
 
     @property
     def rest_poses(self) -> list[Array]:
-        """(3,) where the object was seen at rest, before the first push in the log and after each."""
+        """Poses X_WB (3,) at rest, as seen, before the first push in the log and after each."""
         return [*(seen.pose for seen in self.log[:1]), *(seen.final_pose for seen in self.log)]
 
     @property
     def expected_errors(self) -> list[float]:
-        """Mean cell error to the goal that was expected after each push that began, m."""
+        """Errors that were expected after each push that began, m; see `error`."""
         return [step.status.expected_error for step in self.steps if step.push is not None]
 
 
-REACHED, FAILED, LOST, STUCK = (
-    TaskStatus.REACHED,
-    TaskStatus.FAILED,
-    TaskStatus.LOST,
-    TaskStatus.STUCK,
-)
-
 EDGE_MARGIN = 0.03
-"""Between the object and the table's edge, m."""
+"""Least distance that pushes leave between the object and the table's edge, m."""
 
 MAX_PUSH = 0.25
-"""m."""
+"""Greatest length of a push, m."""
 
 MIN_PUSH = 0.003
-"""Of what is left of a push when the finger has come to the object, m."""
+"""Least length of a push after the finger has come to the object, m."""
 
 GOAL_COLOR = Rgba(0.16, 0.55, 0.35)
-"""Of the outline at the goal."""
+"""Color of the object's outline at the goal."""
 
 GOAL_PATH = "goal"
-"""Of that in Meshcat."""
+"""Path in Meshcat of the object's outline at the goal."""
 
 
 class PushTask(StationTask[PushTaskRecord]):
     """The station with a controller that pushes the object to a goal.
 
     Attributes:
-        surface: the table.
+        surface: the table, as planners know it.
     """
 
     lost_after = 5.0
@@ -115,13 +106,13 @@ class PushTask(StationTask[PushTaskRecord]):
         """Makes the Diagram.
 
         Args:
-            scenario: resolved or not, what stands where, and where the object should go.
-            meshcat: to show it in; None for none.
-            make_station: of a scenario; a simulated one by default.
+            scenario: the scenario, resolved or not; its `goal` says where the object should go.
+            meshcat: Meshcat in which the station is shown; None for none.
+            make_station: makes the station; a simulated one by default.
 
         Raises:
             ScenarioError: the scenario makes no sense.
-            StationError: see `MakePushStation`.
+            StationError: nothing can be rendered on this computer; or see `MakeHardwareStation`.
         """
         resolved = resolve(scenario)
         scenario = resolved.scenario
@@ -145,52 +136,58 @@ class PushTask(StationTask[PushTaskRecord]):
             AddGoal(meshcat, station.obj, scenario.goal.pose, station.object_in_plant.height)
 
     def make_record(self) -> PushTaskRecord:
-        """An empty record."""
-        station, goal = self.station, self.station.scenario.goal
-        begin = ContactPointStatus()
+        """Makes the empty record of a run."""
+        goal = self.station.scenario.goal
         return PushTaskRecord(
-            station.obj, station.truth, self.surface, begin, np.array(goal.pose), goal.tolerance
+            obj=self.station.obj,
+            truth=self.station.truth,
+            surface=self.surface,
+            last=ContactPointStatus(),
+            goal=np.array(goal.pose),
+            tolerance=goal.tolerance,
         )
 
     def note(self, record: PushTaskRecord, time: float) -> bool:
-        """Writes down where the object is and what the controller says."""
+        """Writes down where the object is, and what the controller does."""
         pose = np.array(self.read(self.judged_pose))
+        # The true pose is NaN once the object has fallen. A camera's is NaN whenever it does not
+        # see the object, which says nothing about where that lies.
         if self.simulated or np.isfinite(pose).all():
             record.pose = pose
         record.error = float(calc_goal_error(record.obj, record.pose, record.goal))
         return self.note_step(record, time) or not self.read("executor.status").ready
 
     def judge(self, record: PushTaskRecord, waiting: Waiting) -> Judgment:
-        """Status and message."""
+        """Decides whether the object is at the goal or lost, or the task can get no further."""
         status = record.last
         if self.simulated and np.isnan(record.pose).any():
             push = status.pushes + (status.mode == ContactPointMode.PUSHING)
-            return LOST, f"The object left the table during push {push}."
+            return TaskStatus.LOST, f"The object left the table during push {push}."
         if waiting.unseen > self.lost_after and self.read("executor.status").ready:
-            return LOST, f"The object has not been seen for {self.lost_after:g} s."
+            return TaskStatus.LOST, f"The object has not been seen for {self.lost_after:g} s."
         if status.mode in (ContactPointMode.REACHED, ContactPointMode.FAILED):
             return TaskStatus(status.mode), status.reason
         if waiting.idle > self.timeout:
-            return STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
+            return TaskStatus.STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
         return GO_ON
 
 
 def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
-    """How the controller pushes, by a station's scenario."""
+    """Makes the rules by which the controller pushes from a station and its scenario."""
     scenario = station.scenario
     clearance = scenario.pokes.clearance
     constraints = PushConstraints(
-        surface,
-        place_others(station.others),
+        surface=surface,
+        obstacles=place_others(station.others),
         edge_margin=EDGE_MARGIN,
         finger_region=MakeFingerRegion(station),
         push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
     )
     contact = ContactOptions(
-        station.robot.finger.tip_radius,
-        clearance,
-        scenario.pokes.speed,
-        (clearance + MIN_PUSH, MAX_PUSH),
+        radius=station.robot.finger.tip_radius,
+        clearance=clearance,
+        speed=scenario.pokes.speed,
+        distance_range=(clearance + MIN_PUSH, MAX_PUSH),
     )
     return GoalRules(
         constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes
@@ -198,13 +195,13 @@ def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
 
 
 def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float) -> None:
-    """Draws an object's translucent outline where it should go.
+    """Draws an object's translucent outline where the object should go.
 
     Args:
-        meshcat: where to draw.
+        meshcat: Meshcat in which it is drawn.
         obj: the object.
-        pose: (3,) X_WB, m and rad.
-        height: of the object, m.
+        pose: (3,) X_WB of the object at the goal, m and rad.
+        height: height of the object, m.
     """
     meshcat.Delete(GOAL_PATH)
     AddGhost(meshcat, GOAL_PATH, obj, height, GOAL_COLOR)

@@ -1,9 +1,10 @@
-"""`resolve`: a scenario made into one record, once, for everybody who makes something of it.
+"""`resolve`: turns a scenario into one record, `ResolvedScenario`, with all that it names.
 
-What the scenario names is read (objects and the robot's measures), what is hidden is drawn (truth
-and support), the scene is built, and whether all of it makes sense is checked against that: the
-object lies on the table, the arm gets to it, and the finger clears it. A station, its photograph,
-a twin and a real robot's station take the record and read, draw and solve nothing again.
+Files are read (objects and the robot's measures), what is hidden from the robot is drawn (the
+object's truth and its support), and the scene is built. Then the scenario is checked as a whole:
+the object lies on the table, the arm reaches it, and the finger passes over it. A simulated
+station, its photograph, a twin and a real robot's station all take the record, so that nothing is
+read, drawn or solved twice. Single pieces are made in `station.scene`.
 """
 
 from collections.abc import Sequence
@@ -50,22 +51,23 @@ from gridpush_drake.station.scene import (
 
 @dataclass(frozen=True, eq=False)
 class ResolvedScenario:
-    """A scenario with all that it stands for.
+    """A scenario, and all that was read, drawn and solved for it.
 
     Attributes:
-        scenario: what it was made from; not to be changed any more.
-        robot: its measures.
-        obj: the object that is pushed, with the finger as its pusher.
-        others: the other objects, in the scenario's order.
-        truth: what the object weighs and how it rubs, by the scenario's seed.
-        support: how stiff the object's feet are (n,), kg; None where each cell bears its own weight.
-        table_top: where on the table things may lie, a polygon in W, m.
-        X_WR: pose of the robot's base.
-        home: p_WP of the tip at the beginning, m.
+        scenario: the scenario that was resolved; it must not be changed any more.
+        robot: measures of the robot, and the names of its models.
+        obj: the object that is pushed; its `prior` has the radius and height of the robot's finger.
+        others: the other objects on the table, in the scenario's order.
+        truth: true masses and frictions of the object's cells, drawn from the scenario's seed.
+        support: (n,) stiffness of the table's support below each of the n cells, kg; None if each
+            cell bears its own weight.
+        table_top: the part of the table where things may lie, a polygon in W, m.
+        X_WR: pose of the robot's base R in the world.
+        home: position p_WP of the finger's tip at the beginning, m.
         control_plant: the robot alone, as `MakeControlPlant` makes it.
-        q_start: (n,) the arm's posture at home, rad.
-        scene: what the scenario was checked against; with a color and depth camera, what it
-            photographs.
+        q_start: (n,) positions of the arm's joints with the tip at `home`, rad.
+        scene: the plant that the scenario was checked against. A color and depth camera takes its
+            photograph of it.
     """
 
     scenario: PushScenario
@@ -83,22 +85,24 @@ class ResolvedScenario:
 
     @cached_property
     def found(self) -> FoundObject | None:
-        """What the camera makes of its photograph, taken when first asked for; None with an ideal camera.
+        """The object as the camera finds it in its photograph; None with an ideal camera.
+
+        The photograph is taken when this is first asked for: rendering takes about a second, and a
+        real robot's station does not need it.
 
         Raises:
-            ScenarioError: the camera does not see an object there.
-            StationError: nothing can be rendered here.
+            ScenarioError: the camera sees no object.
+            StationError: nothing can be rendered on this computer.
         """
         scene = self.scene
-        if self.scenario.camera.kind == "ideal" or scene.part is None:
+        if self.scenario.camera.kind == "ideal" or scene.object_in_plant is None:
             return None
-        arm = GetRobotInPlant(scene.plant, self.robot).arm
         poses = [config.pose for config in self.scenario.others]
         photographed = PhotographedScene(
             plant=scene.plant,
             scene_graph=scene.scene_graph,
-            arm=arm,
-            part=scene.part,
+            arm=GetRobotInPlant(scene.plant, self.robot).arm,
+            part=scene.object_in_plant,
             others=list(zip(scene.others, poses, strict=True)),
             q_start=self.q_start,
             table_top=self.table_top,
@@ -108,20 +112,23 @@ class ResolvedScenario:
 
 @dataclass(frozen=True, eq=False)
 class CheckedScene:
-    """A plant with what stands in a scene, finalised, in a builder of its own.
+    """A finalised plant of a scene, for checks and for the camera's photograph.
+
+    Objects are in it only if the camera renders pictures. They are there to be looked at: they have
+    no collision geometry.
 
     Attributes:
-        builder: with nothing else in it.
-        plant: of the scene.
-        scene_graph: of the plant.
-        part: the object, as a camera sees it; None where no camera looks.
-        others: the other objects, likewise.
+        builder: holds the plant and its scene graph, and nothing else.
+        plant: robot, table and whatever else the scenario's directives add.
+        scene_graph: the plant's scene graph.
+        object_in_plant: the object that is pushed; None with an ideal camera.
+        others: the other objects, in the scenario's order; empty with an ideal camera.
     """
 
     builder: DiagramBuilder
     plant: MultibodyPlant
     scene_graph: SceneGraph
-    part: GridObjectInPlant | None
+    object_in_plant: GridObjectInPlant | None
     others: tuple[GridObjectInPlant, ...]
 
 
@@ -134,15 +141,18 @@ def resolve(
     """Resolves a scenario: reads, draws and builds what it names, and checks that it makes sense.
 
     Args:
-        scenario: what stands where; one that is resolved already is given back.
-        source: the file that it is from, for messages.
-        told: the scenario's object, where it was read already (`use_object`).
+        scenario: the scenario; one that is resolved already is returned as it is.
+        source: name of the scenario's file, for messages; None if it is from no file.
+        told: the scenario's object, if `use_object` has read it already.
+
+    Returns:
+        The record for everybody who makes something of the scenario.
 
     Raises:
         ScenarioError: a value will not do; the object is unknown, larger than the table, or does
-            not lie on it; the finger cannot clear the object; the workspace or the object is out of
-            the arm's reach; a directive cannot be carried out. The message names the file,
-            `source`, where there is one, the field and the expected form.
+            not lie on it; the finger cannot pass over the object; the workspace or the object is
+            out of the arm's reach; a directive cannot be carried out. The message names `source`,
+            the field and the expected form.
     """
     if isinstance(scenario, ResolvedScenario):
         return scenario
@@ -153,7 +163,7 @@ def resolve(
 
 
 def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenario:
-    # What the scenario says by itself, and the hidden truth by its seed.
+    # What the scenario says by itself, and the hidden truth, which is drawn from its seed.
     scenario.check()
     obj = load_object(scenario) if told is None else told
     _check_parts(scenario)
@@ -161,13 +171,15 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
     support = MakeSupport(obj, truth, scenario, scenario.seed)
     if support is not None and scenario.base != "free":
         raise ScenarioError(
-            f"truth.support is {scenario.truth.support} and base {scenario.base}; expected base free, or own_weight"
+            f"truth.support is {scenario.truth.support} and base {scenario.base}; "
+            "expected base free, or own_weight"
         )
     others = tuple(load_others(scenario))
 
     # The scene and the robot in it.
     scene = _MakeScene(scenario, obj, others, truth)
-    plant, inspector = scene.plant, scene.scene_graph.model_inspector()
+    plant = scene.plant
+    inspector = scene.scene_graph.model_inspector()
     robot = find_robot(scenario.directives)
     check_robot(plant, robot)
     tip_radius = robot.finger.tip_radius
@@ -178,8 +190,9 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
     _check_tip(robot, plant, inspector)
     _check_reach(scenario, plant, robot)
 
-    # Where the arm begins. The control plant serves all controllers of the station, too.
-    X_WR, home = CalcBasePose(plant, robot), CalcHome(plant, robot)
+    # The posture in which the arm begins. All controllers of the station share the control plant.
+    X_WR = CalcBasePose(plant, robot)
+    home = CalcHome(plant, robot)
     control_plant = MakeControlPlant(robot, X_WR)
     q_start = _find_start_posture(robot, control_plant, X_WR, home)
     _check_workspace(scenario, robot, control_plant, q_start, X_WR)
@@ -200,9 +213,10 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
 
 
 def _push_by(obj: GridObject, scenario: PushScenario, robot: Robot) -> GridObject:
-    """The object with the robot's finger as its pusher.
+    """Returns the object with the robot's finger as the pusher in its prior.
 
-    In a planar plant every cell bears its own weight, however high it is pushed.
+    With a planar base the object cannot tip, so that every cell bears its own weight however high
+    the finger pushes: the height of the push is then left out.
     """
     height = scenario.finger.push_height if scenario.base == "free" else None
     prior = replace(obj.prior, pusher_radius=robot.finger.tip_radius, push_height=height)
@@ -212,13 +226,14 @@ def _push_by(obj: GridObject, scenario: PushScenario, robot: Robot) -> GridObjec
 def _MakeScene(
     scenario: PushScenario, obj: GridObject, others: Sequence[GridObject], truth: CellParameters
 ) -> CheckedScene:
-    """Builds the scene; with a color and depth camera also the objects, which are only looked at."""
+    """Builds the scene that is checked, and photographed by a color and depth camera."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
     AddScene(MakeParser(plant), scenario)
-    part, seen = None, []
+    object_in_plant = None
+    others_in_plant = []
     if scenario.camera.kind == "rgbd":
-        part = AddGridObject(
+        object_in_plant = AddGridObject(
             plant,
             scene_graph,
             obj,
@@ -229,9 +244,10 @@ def _MakeScene(
             height=scenario.object_height,
             visual=False,
         )
-        AddSeenVisual(plant, scene_graph, part)
+        AddSeenVisual(plant, scene_graph, object_in_plant)
         for number, (config, other) in enumerate(zip(scenario.others, others, strict=True)):
-            beside = AddGridObject(
+            # Nothing moves in this plant: any mass will do, and none is drawn.
+            other_in_plant = AddGridObject(
                 plant,
                 scene_graph,
                 other,
@@ -242,20 +258,27 @@ def _MakeScene(
                 height=config.height,
                 name=f"other_{number}",
             )
-            AddSeenVisual(plant, scene_graph, beside)
-            seen.append(beside)
+            AddSeenVisual(plant, scene_graph, other_in_plant)
+            others_in_plant.append(other_in_plant)
     plant.Finalize()
-    return CheckedScene(builder, plant, scene_graph, part, tuple(seen))
+    return CheckedScene(
+        builder=builder,
+        plant=plant,
+        scene_graph=scene_graph,
+        object_in_plant=object_in_plant,
+        others=tuple(others_in_plant),
+    )
 
 
 TIP_TOLERANCE = 1e-6
-"""m, between the measured tip radius and the model's."""
+"""Greatest difference between the tip's radius in finger.yaml and in the finger's model, m."""
 
-TURNS = 36
-"""Headings that are tried where the object does not lie on the table, to say whether it could."""
+HEADINGS_TRIED = 36
+"""Number of headings, evenly spaced, at which an object is tried to see if it fits on the table."""
 
 
 def _check_parts(scenario: PushScenario) -> None:
+    """Checks that the truth of each part is given once."""
     labels = [part.label for part in scenario.truth.parts]
     for at, label in enumerate(labels):
         if label in labels[:at]:
@@ -265,7 +288,9 @@ def _check_parts(scenario: PushScenario) -> None:
 
 
 def _check_heights(scenario: PushScenario, tip_radius: float) -> None:
-    finger, height = scenario.finger, scenario.object_height
+    """Checks that the finger pushes against the object's side, and travels above it."""
+    finger = scenario.finger
+    height = scenario.object_height
     if not tip_radius < finger.push_height <= height:
         raise ScenarioError(
             f"finger.push_height is {finger.push_height:g} m; expected more than the tip's radius, "
@@ -273,8 +298,8 @@ def _check_heights(scenario: PushScenario, tip_radius: float) -> None:
         )
     if finger.travel_height <= height + tip_radius:
         raise ScenarioError(
-            f"finger.travel_height is {finger.travel_height:g} m; expected more than the object's height "
-            f"and the tip's radius, {height + tip_radius:g} m"
+            f"finger.travel_height is {finger.travel_height:g} m; expected more than the object's "
+            f"height and the tip's radius, {height + tip_radius:g} m"
         )
 
 
@@ -285,51 +310,72 @@ def _check_others(
     table: BaseGeometry,
     tip_radius: float,
 ) -> None:
-    lying = [("object_pose", transform_shape(scenario.object_pose, obj.outline))]
+    """Checks that each other object lies on the table, apart from all others, below the finger."""
+    # The field that places an object, and its outline in W, of each object that was looked at.
+    placed = [("object_pose", transform_shape(scenario.object_pose, obj.outline))]
     for at, (config, other) in enumerate(zip(scenario.others, others, strict=True)):
         field = f"others[{at}].pose"
         _check_on_table((f"others[{at}].object", field), other, config.pose, table)
         if config.height + tip_radius >= scenario.finger.travel_height:
             raise ScenarioError(
-                f"others[{at}].height is {config.height:g} m; expected less than finger.travel_height "
-                f"less the tip's radius, {scenario.finger.travel_height - tip_radius:g} m, so that the finger passes "
+                f"others[{at}].height is {config.height:g} m; expected less than "
+                "finger.travel_height less the tip's radius, "
+                f"{scenario.finger.travel_height - tip_radius:g} m, so that the finger passes "
                 "over it"
             )
         outline = transform_shape(config.pose, other.outline)
-        for name, before in lying:
+        for name, before in placed:
             if before.intersects(outline):
                 raise ScenarioError(
-                    f"{field} is {config.pose}: there the object lies in that of {name}; expected room"
+                    f"{field} is {config.pose}: there the object lies in that of {name}; "
+                    "expected room"
                 )
-        lying.append((field, outline))
+        placed.append((field, outline))
 
 
 def _check_on_table(
     fields: tuple[str, str], obj: GridObject, pose: list[float], table: BaseGeometry
 ) -> None:
-    """Of the `fields` a message names the first where the object is too large, the second where it is misplaced."""
+    """Checks that an object lies wholly on the table.
+
+    Args:
+        fields: names of the scenario's fields with the object and with its pose. The message names
+            the first if the object is too large for the table, the second if it is misplaced.
+        obj: the object.
+        pose: (x, y, theta), X_WB, m and rad.
+        table: the table's top, a polygon in W, m.
+    """
     if table.covers(transform_shape(pose, obj.outline)):
         return
+    object_field, pose_field = fields
+    # Is the object too large, or only in the wrong place? It is tried with its bounding box in the
+    # middle of the table. That is enough for tables without holes that are about round or square.
     middle = np.array(table.centroid.coords[0])
-    for turn in np.linspace(0, 2 * np.pi, TURNS, endpoint=False):
-        turned = transform_shape([0.0, 0.0, turn], obj.outline)
+    for heading in np.linspace(0, 2 * np.pi, HEADINGS_TRIED, endpoint=False):
+        turned = transform_shape([0.0, 0.0, heading], obj.outline)
         left, low, right, high = turned.bounds
         at = middle - ((left + right) / 2, (low + high) / 2)
-        if table.covers(transform_shape([*at, turn], obj.outline)):
+        if table.covers(transform_shape([*at, heading], obj.outline)):
             x, y, theta = pose
-            near, far = table.bounds[:2], table.bounds[2:]
+            x_min, y_min, x_max, y_max = table.bounds
             raise ScenarioError(
-                f"{fields[1]} is [{x:g}, {y:g}, {theta:g}]: there the object is not wholly on the table; expected "
-                f"a pose on it; the table spans x {near[0]:g} to {far[0]:g} m and y {near[1]:g} to {far[1]:g} m"
+                f"{pose_field} is [{x:g}, {y:g}, {theta:g}]: there the object is not wholly on "
+                f"the table; expected a pose on it; the table spans x {x_min:g} to {x_max:g} m "
+                f"and y {y_min:g} to {y_max:g} m"
             )
     raise ScenarioError(
-        f"{fields[0]}: {obj.name}, {_describe_size(obj.outline)}, is larger than the table, {_describe_size(table)}; "
-        "expected one that can lie on it"
+        f"{object_field}: {obj.name}, {_describe_size(obj.outline)}, is larger than the table, "
+        f"{_describe_size(table)}; expected one that can lie on it"
     )
 
 
 def _check_tip(robot: Robot, plant: MultibodyPlant, inspector: SceneGraphInspector) -> None:
-    model, tip = robot.finger_model, robot.finger.tip_frame
+    """Checks that the finger touches with one sphere, as large as finger.yaml says.
+
+    Plans and the pushing model take the tip for a circle of that radius.
+    """
+    model = robot.finger_model
+    tip = robot.finger.tip_frame
     body = plant.GetBodyByName(tip, plant.GetModelInstanceByName(model))
     shapes = [
         inspector.GetShape(geometry) for geometry in plant.GetCollisionGeometriesForBody(body)
@@ -347,27 +393,31 @@ def _check_tip(robot: Robot, plant: MultibodyPlant, inspector: SceneGraphInspect
 
 
 def _check_reach(scenario: PushScenario, plant: MultibodyPlant, robot: Robot) -> None:
+    """Checks that the workspace contains the object, and a place that the arm's formula reaches.
+
+    An arm without a formula is led there by its inverse kinematics, see `_check_workspace`.
+    """
     workspace = scenario.workspace
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
     if robot.arm.reach is not None:
         p_WR, least, greatest = CalcTipReach(plant, robot, scenario.finger.push_height)
-        reach, axis = (
-            f"between {least:.2f} and {greatest:.2f} m from the robot's axis",
-            shapely.Point(p_WR),
-        )
+        axis = shapely.Point(p_WR)
         if box.distance(axis) >= greatest or box.hausdorff_distance(axis) <= least:
             raise ScenarioError(
-                f"workspace is out of the arm's reach; expected a box with points {reach}"
+                "workspace is out of the arm's reach; expected a box with points "
+                f"between {least:.2f} and {greatest:.2f} m from the robot's axis"
             )
     x, y = scenario.object_pose[:2]
     if not box.covers(shapely.Point(x, y)):
         raise ScenarioError(
-            f"workspace does not contain the object's position, ({x:g}, {y:g}) m; expected that it does"
+            f"workspace does not contain the object's position, ({x:g}, {y:g}) m; "
+            "expected that it does"
         )
 
 
 WORKSPACE_STEP = 0.1
-"""m, between places of the workspace that an arm is asked about."""
+"""Distance between the places of the workspace to which an arm is led as a check, m. It is coarse:
+one place that is reached is enough."""
 
 
 def _find_start_posture(
@@ -376,15 +426,19 @@ def _find_start_posture(
     X_WR: RigidTransform,
     home: tuple[float, float, float],
 ) -> NDArray[np.float64]:
-    """The arm's posture (n,) at its home, rad. Raises ScenarioError where it does not get there."""
+    """Solves for the arm's joint positions (n,) with the tip at its home, rad.
+
+    Raises:
+        ScenarioError: the arm does not reach its home.
+    """
     try:
         return CalcStartPosture(control_plant, robot, home)
     except StationError as error:
         base = _describe_point(X_WR.translation())
         raise ScenarioError(
-            f"directives: {robot.arm_model} on its base at {base} does not reach its home, {_describe_point(home)}, "
-            "with the finger down; expected a base about as high as the table, a home in reach, and a posture near it, "
-            "where the flange's z axis points down"
+            f"directives: {robot.arm_model} on its base at {base} does not reach its home, "
+            f"{_describe_point(home)}, with the finger down; expected a base about as high as the "
+            "table, a home in reach, and a posture near it, where the flange's z axis points down"
         ) from error
 
 
@@ -395,17 +449,18 @@ def _check_workspace(
     q_start: NDArray[np.float64],
     X_WR: RigidTransform,
 ) -> None:
-    """That the arm reaches some of the workspace from its home, where no formula of the robot says it."""
+    """Checks that an arm without a formula for its reach gets from its home into the workspace."""
     if robot.arm.reach is not None:
         return
-    workspace, height = scenario.workspace, scenario.finger.push_height
+    workspace = scenario.workspace
+    height = scenario.finger.push_height
     bounds = (workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
     reach = ArmReach(control_plant, robot, q_start)
     if reach.find_region(bounds, height, WORKSPACE_STEP).is_empty:
         base = _describe_point(X_WR.translation())
         raise ScenarioError(
-            f"workspace is out of the arm's reach; expected a box with points that {robot.arm_model} on its base at "
-            f"{base} reaches at z = {height:g} m"
+            "workspace is out of the arm's reach; expected a box with points that "
+            f"{robot.arm_model} on its base at {base} reaches at z = {height:g} m"
         )
 
 

@@ -1,19 +1,19 @@
-"""`Robot`: which of a scene's models are arm, finger and gripper, and their measures, which stand beside the models.
+"""`Robot`: arm, finger and gripper in a scene, and the measures that stand beside their models.
 
-An arm's model has a `robot.yaml` in its folder, a finger's a `finger.yaml`, a gripper's a
-`gripper.yaml`. So a scene says which robot there is by the models it adds, and another robot is
-another folder: nothing here or anywhere else in the station knows a robot's measures or the names
-of its frames.
+The folder of an arm's model has a `robot.yaml`, that of a finger a `finger.yaml`, and that of a
+gripper a `gripper.yaml`. A scene says which robot there is by the models that it adds. So another
+robot is another folder, and no code in the station knows a robot's measures or the names of its
+frames.
 
-How far an arm reaches is found by its inverse kinematics (`station.arm`). Where shoulder, elbow and
-wrist lie on one line when it is stretched, as an iiwa's do, a formula says it at once. While the
-tool points down the wrist stands over the finger's tip; from the shoulder it is as far as the elbow
-lets it be:
+How far an arm reaches is found by its inverse kinematics (`station.arm`). For some arms, such as an
+iiwa, a formula says it at once: those whose shoulder, elbow and wrist lie on one line when the arm
+is stretched. While the tool points down, the wrist is straight above the finger's tip. Its distance
+d from the shoulder depends on the angle q4 of the elbow alone:
 
     d^2 = a^2 + b^2 + 2 a b cos(q4),   |q4| <= elbow_limit
 
-with upper arm a and forearm b. At a given height of the tip its distance from the robot's axis lies
-between two radii.
+with upper arm a and forearm b. At a given height of the tip, the tip's distance from the robot's
+axis therefore lies between two radii.
 """
 
 from collections.abc import Sequence
@@ -60,14 +60,14 @@ class _Measures(StrictSchema):
 
 
 class ReachMeasures(_Measures):
-    """How far an arm gets while the tool points down whose shoulder, elbow and wrist have no offsets.
+    """Lengths that say how far an arm reaches whose shoulder, elbow and wrist have no offsets.
 
     Attributes:
-        shoulder_height: above the base, m.
-        upper_arm: from shoulder to elbow, m.
-        forearm: from elbow to wrist, m.
-        elbow_limit: furthest that the elbow bends, rad.
-        wrist_to_flange: m.
+        shoulder_height: height of the shoulder above the base, m.
+        upper_arm: distance from shoulder to elbow, m.
+        forearm: distance from elbow to wrist, m.
+        elbow_limit: greatest angle by which the elbow bends, rad.
+        wrist_to_flange: distance from wrist to flange, m.
     """
 
     shoulder_height: Length
@@ -80,46 +80,58 @@ class ReachMeasures(_Measures):
         """Calculates how far from the robot's axis the tip can be while the tool points down.
 
         Args:
-            tool_length: from the flange to the tip's center, m.
-            tip_height: of the tip's center above the robot's base, m.
+            tool_length: distance from the flange to the tip's center, m.
+            tip_height: height of the tip's center above the robot's base, m.
 
         Returns:
-            Least and greatest distance, m; the greatest is 0 where the arm is nowhere long enough.
+            Least and greatest distance, m. The greatest is 0 if the arm is too short for this
+            height.
         """
-        a, b = self.upper_arm, self.forearm
-        above_shoulder = tip_height + tool_length + self.wrist_to_flange - self.shoulder_height
+        a = self.upper_arm
+        b = self.forearm
+        wrist_above_shoulder = (
+            tip_height + tool_length + self.wrist_to_flange - self.shoulder_height
+        )
+        # d^2 with the arm folded and stretched, see the module's equation.
         folded = a**2 + b**2 + 2 * a * b * cos(self.elbow_limit)
-        least, greatest = (max(0.0, d2 - above_shoulder**2) for d2 in (folded, (a + b) ** 2))
+        stretched = (a + b) ** 2
+        least = max(0.0, folded - wrist_above_shoulder**2)
+        greatest = max(0.0, stretched - wrist_above_shoulder**2)
         return sqrt(least), sqrt(greatest)
 
 
 GAINS = "a positive number, or one for each joint"
+"""Description of a field that holds `Gains`."""
+
 Gains = Annotated[
     tuple[Positive, ...],
     Strict(False),
     BeforeValidator(lambda value: value if isinstance(value, list | tuple) else (value,)),
     Field(min_length=1, description=GAINS),
 ]
-"""Of the joints, or one for all."""
+"""Gains of the joints, one for each; a single gain stands for all joints."""
 
 Driver = Literal["iiwa", "position"]
+"""Kind of an arm's driver, see `ControlMeasures.driver`."""
 
 
 class ControlMeasures(_Measures):
-    """How the arm is moved. What is said in rad is in m for joints that slide.
+    """How the arm is moved. If a joint slides, read m for rad.
 
     Attributes:
-        driver: what stands between the wanted joint positions and the joints. "iiwa": Drake's
-            `SimIiwaDriver`, inverse dynamics and torques (it drives any arm); "position": each
-            joint's own servo, with gravity compensated.
-        period: of the inverse kinematics, s.
-        stiffness: kp of an iiwa's inverse dynamics controller, critically damped, 1/s²; of a
-            joint's servo, N m/rad, or N/m; one number for all joints, or one for each.
-        damping: of a joint's servo, N m s/rad or N s/m, likewise; None for an iiwa.
-        centering_gain: of the pull to the nominal posture in the null space, 1/s.
-        limit_margin: kept from the joints' limits by the inverse kinematics, rad.
-        path_limit_margin: kept from them by paths that are planned, rad.
-        path_speed_share: of the joints' greatest speeds that such paths may use.
+        driver: what makes the joints of the simulated arm follow the wanted positions. "iiwa":
+            Drake's `SimIiwaDriver`, with inverse dynamics and torques (it drives any arm);
+            "position": a servo in each joint, with gravity compensated.
+        period: period of the inverse kinematics, s.
+        stiffness: with the driver "iiwa", kp of its critically damped inverse dynamics controller,
+            1/s²; with "position", stiffness of the joints' servos, N m/rad, or N/m. One number for
+            all joints, or one for each.
+        damping: damping of the joints' servos, N m s/rad, or N s/m. One number for all joints, or
+            one for each; null with the driver "iiwa".
+        centering_gain: gain of the pull to the nominal posture in the null space, 1/s.
+        limit_margin: distance that the inverse kinematics keeps from the joints' limits, rad.
+        path_limit_margin: distance that planned paths keep from the joints' limits, rad.
+        path_speed_share: planned paths use at most this share of the joints' greatest speeds.
     """
 
     driver: Annotated[Driver, Field(description=f"one of {', '.join(get_args(Driver))}")] = "iiwa"
@@ -133,11 +145,13 @@ class ControlMeasures(_Measures):
 
 
 class SceneFiles(_Measures):
-    """Scenes with the robot at a table, as URLs of Drake's model directives or paths beside the robot.yaml.
+    """Scenes with the robot at a table: files of Drake's model directives.
+
+    Each is a URL, such as package://..., or a path relative to the robot.yaml.
 
     Attributes:
-        push: to push in.
-        grasp: to grasp in too; null where the robot has no gripper.
+        push: scene to push in.
+        grasp: scene to push and grasp in; null if the robot has no gripper.
     """
 
     push: Name
@@ -145,21 +159,22 @@ class SceneFiles(_Measures):
 
 
 class ArmMeasures(_Measures):
-    """A robot's `robot.yaml`: what the model of the arm does not say. Joint limits are the model's.
+    """A `robot.yaml`: what the model of an arm does not say. Joint limits are the model's.
 
     Attributes:
-        base_frame: of the body that stands in the world.
-        flange_frame: carries the tool.
-        home: (3,) p_WP of the tip at the beginning, x and y from the robot's base, z from the
-            table's top, m.
-        posture: where the search for the posture at home begins, about as it will be, rad, or m
-            where a joint slides.
-        reach: how far the arm gets, where a formula says it; null for the inverse kinematics to
-            find out.
-        control: how it is moved.
-        messages: what its driver speaks over LCM, see `station.lcm.robot_messages`; null where
-            nobody knows.
-        scenes: that have it, to name the robot instead of a scene; null for none.
+        base_frame: name of the frame of the body that stands in the world.
+        flange_frame: name of the frame that carries the tool.
+        home: [x, y, z] of the tip at the beginning, m; x and y from the robot's base, z from the
+            table's top.
+        posture: joint positions at home, roughly, from which the search for them begins, rad, or m
+            for a joint that slides.
+        reach: lengths of a formula for how far the arm reaches; null to find it out by inverse
+            kinematics.
+        control: how the arm is moved.
+        messages: LCM messages that its driver speaks, see `station.lcm.robot_messages`; null if
+            there are none.
+        scenes: scenes that have this robot. A command or a scenario may then name the robot
+            instead of a scene. null for none.
     """
 
     base_frame: Name
@@ -177,12 +192,12 @@ class ArmMeasures(_Measures):
 
 
 class FingerMeasures(_Measures):
-    """A finger's `finger.yaml`.
+    """A `finger.yaml`: the sphere at the tip of a finger, with which it touches.
 
     Attributes:
-        tip_frame: of the body that is the sphere at the finger's tip, at its center, z along the
-            finger.
-        tip_radius: of that sphere, m.
+        tip_frame: name of the frame of the body that is the sphere. It is at the sphere's center,
+            with z along the finger.
+        tip_radius: radius of the sphere, m.
     """
 
     tip_frame: Name
@@ -236,7 +251,12 @@ M = TypeVar("M", bound=_Measures)
 
 
 def read_measures(path: Path, schema: type[M]) -> M:
-    """Reads a robot.yaml, finger.yaml or gripper.yaml. Raises ScenarioError by file, field and expected form."""
+    """Reads a robot.yaml, finger.yaml or gripper.yaml.
+
+    Raises:
+        ScenarioError: the file cannot be read, or holds what will not do. The message names the
+            file, the field and the expected form.
+    """
     return check_mapping(
         path, read_mapping(path, f"{path.stem} measures", ScenarioError), schema, ScenarioError
     )
@@ -248,13 +268,13 @@ class Robot:
 
     Attributes:
         arm: measures of the arm.
-        finger: of the finger.
-        gripper: of the gripper; None where there is none.
+        finger: measures of the finger.
+        gripper: measures of the gripper; None if there is none.
         arm_model: name of the arm's model in the scene.
-        finger_model: of the finger's.
-        gripper_model: of the gripper's; empty where there is none.
-        directives: those of the scene that add the arm and all that it carries, in the scene's
-            order.
+        finger_model: name of the finger's model.
+        gripper_model: name of the gripper's model; empty if there is none.
+        directives: the scene's directives that add the arm and all that it carries, in the
+            scene's order.
     """
 
     arm: ArmMeasures
@@ -271,9 +291,9 @@ class RobotInPlant:
     """A robot's model instances in a plant.
 
     Attributes:
-        arm: the arm's.
-        finger: the finger's.
-        gripper: the gripper's; None where there is none.
+        arm: the arm's model instance.
+        finger: the finger's model instance.
+        gripper: the gripper's model instance; None if there is none.
     """
 
     arm: ModelInstanceIndex
@@ -285,7 +305,7 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
     """Finds the robot in a scene, and reads its measures.
 
     Args:
-        directives: the scene's.
+        directives: the directives of the scene.
 
     Returns:
         The robot.
@@ -314,14 +334,22 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
     if arm is None or finger is None:
         missing = "robot" if arm is None else "finger"
         raise ScenarioError(
-            f"directives: there is no {missing}; expected a model in whose folder there is a {missing}.yaml"
+            f"directives: there is no {missing}; "
+            f"expected a model in whose folder there is a {missing}.yaml"
         )
-    carried = _list_carried(flat, arm_model)
-    return Robot(arm, finger, gripper, arm_model, finger_model, gripper_model, carried)
+    return Robot(
+        arm=arm,
+        finger=finger,
+        gripper=gripper,
+        arm_model=arm_model,
+        finger_model=finger_model,
+        gripper_model=gripper_model,
+        directives=_list_carried(flat, arm_model),
+    )
 
 
 def list_robots(*, grasping: bool = False) -> list[str]:
-    """Names of the robots that come with the package, or of those of them that can grasp."""
+    """Lists the names of the robots that come with the package, or only of those that can grasp."""
     found = {
         path.parent.name: read_measures(path, ArmMeasures).scenes
         for path in _find_shipped().glob("*/robot.yaml")
@@ -335,8 +363,9 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
     """Makes the directives of a scene that has a robot at a table.
 
     Args:
-        robot: name of one that comes with the package; or the folder of one, or its robot.yaml.
-        grasping: whether it is to grasp, or only to push; None to grasp where it can.
+        robot: name of a robot that comes with the package; or the folder of a robot, or its
+            robot.yaml.
+        grasping: whether the scene is one to grasp in; None to grasp if the robot can.
 
     Returns:
         The directives.
@@ -360,34 +389,53 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
     scene = scenes and (scenes.grasp if grasping else scenes.push)
     if not scene:
         what = "grasp" if grasping else "push"
-        why, or_else = (" has no gripper", ", or a task that only pushes") if grasping else ("", "")
+        why = " has no gripper" if grasping else ""
+        or_else = ", or a task that only pushes" if grasping else ""
         able = ", ".join(list_robots(grasping=grasping))
         raise ScenarioError(
-            f"robot {robot}{why}: its robot.yaml has no `scenes: {{{what}: FILE}}`; expected one of {able}{or_else}"
+            f"robot {robot}{why}: its robot.yaml has no `scenes: {{{what}: FILE}}`; "
+            f"expected one of {able}{or_else}"
         )
     url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
     return [ModelDirective(add_directives=AddDirectives(file=url))]
 
 
 def _find_shipped() -> Path:
+    """Finds the folder of the robots that come with the package."""
     return find_models() / "robots"
 
 
 def _find_measures(folders: dict[str, Path], file: str, schema: type[M]) -> tuple[str, M | None]:
+    """Finds the model in whose folder there is a file of measures, and reads that.
+
+    Args:
+        folders: folders of the scene's models, by the models' names.
+        file: name of the file of measures.
+        schema: what it should hold.
+
+    Returns:
+        The model's name and its measures; empty and None if there is no such model.
+
+    Raises:
+        ScenarioError: there are several such models, or the file is not what it should be.
+    """
     found = [(name, folder / file) for name, folder in folders.items() if is_file(folder / file)]
+    if not found:
+        return "", None
     if len(found) > 1:
-        raise ScenarioError(
-            f"directives: {' and '.join(name for name, _ in found)} each have a {file}; expected one"
-        )
-    return (found[0][0], read_measures(found[0][1], schema)) if found else ("", None)
+        names = " and ".join(name for name, _ in found)
+        raise ScenarioError(f"directives: {names} each have a {file}; expected one")
+    name, path = found[0]
+    return name, read_measures(path, schema)
 
 
 def _list_carried(flat: Sequence[ModelDirective], arm_model: str) -> tuple[ModelDirective, ...]:
-    """The directives of the arm's model and of all that is welded to it."""
+    """Lists the directives of the arm's model and of all that is welded to it."""
     carried = {arm_model}
     welds = [
         (_model_of(d.add_weld.parent), _model_of(d.add_weld.child)) for d in flat if d.add_weld
     ]
+    # A chain of welds may stand in any order; each round finds at least one more link of it.
     for _ in welds:
         carried |= {child for parent, child in welds if parent in carried}
 
@@ -402,6 +450,7 @@ def _list_carried(flat: Sequence[ModelDirective], arm_model: str) -> tuple[Model
 
 
 def _model_of(frame: str) -> str:
+    """Returns the name of the model that a scoped frame belongs to."""
     return frame.rpartition("::")[0]
 
 
@@ -421,29 +470,32 @@ def GetRobotInPlant(plant: MultibodyPlant, robot: Robot) -> RobotInPlant:
     for model, frame in wanted:
         if not plant.HasFrameNamed(frame, plant.GetModelInstanceByName(model)):
             raise ScenarioError(
-                f"directives: there is no frame {model}::{frame}, which the measures of {model} name"
+                f"directives: there is no frame {model}::{frame}, "
+                f"which the measures of {model} name"
             )
-    arm, finger = map(plant.GetModelInstanceByName, (robot.arm_model, robot.finger_model))
+    gripper = None
+    if robot.gripper_model:
+        gripper = plant.GetModelInstanceByName(robot.gripper_model)
     return RobotInPlant(
-        arm,
-        finger,
-        plant.GetModelInstanceByName(robot.gripper_model) if robot.gripper_model else None,
+        arm=plant.GetModelInstanceByName(robot.arm_model),
+        finger=plant.GetModelInstanceByName(robot.finger_model),
+        gripper=gripper,
     )
 
 
 def list_moving_joints(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[Joint]:
-    """A model's joints that move, in the order of its positions."""
+    """Lists the joints of a model that are not welds, in the order of the model's positions."""
     joints = [plant.get_joint(index) for index in plant.GetJointIndices(instance)]
     return [joint for joint in joints if joint.num_positions() > 0]
 
 
 def check_robot(plant: MultibodyPlant, robot: Robot) -> None:
-    """Checks a robot's joints in a finalised plant.
+    """Checks the joints of a robot in a finalised plant.
 
     Raises:
-        ScenarioError: a body or frame that the measures name is not there, the arm's joints are not
-            as many as they say or have no limits or motors, or the gripper does not open as it
-            should.
+        ScenarioError: a frame that the measures name is not there; the arm has another number of
+            joints than its measures, or joints without limits or motors; or the gripper does not
+            open as Drake's controller needs it.
     """
     instances = GetRobotInPlant(plant, robot)
     _check_joints(plant, robot, instances.arm)
@@ -452,16 +504,19 @@ def check_robot(plant: MultibodyPlant, robot: Robot) -> None:
 
 
 def _check_joints(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) -> None:
-    joints, model, measures = list_moving_joints(plant, arm), robot.arm_model, robot.arm
+    """Checks that the measures fit the arm's joints, and that these have limits and motors."""
+    model = robot.arm_model
+    control = robot.arm.control
+    joints = list_moving_joints(plant, arm)
     names = ", ".join(joint.name() for joint in joints)
-    control = measures.control
     if control.driver == "position" and control.damping is None:
         raise ScenarioError(
-            f"directives: control.damping in the robot.yaml of {model} is missing; expected {GAINS}, as its driver is "
-            "position"
+            f"directives: control.damping in the robot.yaml of {model} is missing; "
+            f"expected {GAINS}, as its driver is position"
         )
+    # There is one number for each joint; a single gain may stand for all.
     one_each = {
-        "posture": measures.posture,
+        "posture": robot.arm.posture,
         "stiffness": control.stiffness,
         "damping": control.damping or (),
     }
@@ -479,8 +534,8 @@ def _check_joints(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) 
         ]
         if joint.num_positions() > 1 or not np.isfinite(limits).all():
             raise ScenarioError(
-                f"directives: joint {joint.name()} of {model} has no limits; expected its model to limit position and "
-                "velocity"
+                f"directives: joint {joint.name()} of {model} has no limits; "
+                "expected its model to limit position and velocity"
             )
     motors = [
         plant.get_joint_actuator(index).joint().name()
@@ -488,39 +543,42 @@ def _check_joints(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) 
     ]
     if motors != [joint.name() for joint in joints]:
         raise ScenarioError(
-            f"directives: joints of {model} with a motor are {', '.join(motors) or 'none'}; expected transmissions for "
-            f"{names}, in this order"
+            f"directives: joints of {model} with a motor are {', '.join(motors) or 'none'}; "
+            f"expected transmissions for {names}, in this order"
         )
 
 
 def _check_gripper(plant: MultibodyPlant, robot: Robot, gripper: ModelInstanceIndex) -> None:
-    """Drake's controller takes two fingers that slide, the first the negative way."""
+    """Checks that a gripper opens by two fingers that slide, the first the negative way.
+
+    Drake's `SchunkWsgPositionController` moves no other.
+    """
     limits = [
         (joint.position_lower_limits().tolist(), joint.position_upper_limits().tolist())
         for joint in list_moving_joints(plant, gripper)
     ]
     if not (len(limits) == 2 and limits[0][1] == [0.0] and limits[1][0] == [0.0]):
         raise ScenarioError(
-            f"directives: gripper {robot.gripper_model} does not open by two joints; expected the first to go "
-            "from -x to 0 and the second from 0 to x, m"
+            f"directives: gripper {robot.gripper_model} does not open by two joints; "
+            "expected the first to go from -x to 0 and the second from 0 to x, m"
         )
 
 
 def AddRobot(
     plant: MultibodyPlant, robot: Robot, X_WB: RigidTransform | None = None
 ) -> RobotInPlant:
-    """Adds a robot alone, and nothing else of its scene, to a plant. Call it before Finalize.
+    """Adds a robot, and nothing else of its scene, to a plant before Finalize.
 
-    A gripper is rigid, so that the plant has the arm's positions only; it has its mount and grasp
-    frames.
+    A gripper becomes one rigid body with its mount and grasp frames, so that the plant's positions
+    are those of the arm alone.
 
     Args:
-        plant: to add it to.
+        plant: the plant to which the robot is added.
         robot: the robot.
-        X_WB: of its base; identity by default.
+        X_WB: pose of its base B in the world; identity by default.
 
     Returns:
-        Its model instances.
+        The robot's model instances.
     """
     kept = [d for d in robot.directives if not _is_of_gripper(d, robot)]
     ProcessModelDirectives(ModelDirectives(directives=kept), MakeParser(plant))
@@ -536,33 +594,36 @@ def AddRobot(
 
 
 def _is_of_gripper(directive: ModelDirective, robot: Robot) -> bool:
+    """Returns whether a directive adds or welds the robot's gripper."""
     if directive.add_model:
         return bool(directive.add_model.name == robot.gripper_model)
     return bool(directive.add_weld and _model_of(directive.add_weld.child) == robot.gripper_model)
 
 
 def _AddRigidGripper(plant: MultibodyPlant, robot: Robot, measures: GripperMeasures) -> None:
+    """Adds a robot's gripper to a plant as one rigid body, with the inertia of all its parts."""
     own = [d for d in robot.directives if _is_of_gripper(d, robot)]
+    # The gripper with its fingers, in a plant of its own, to measure it.
     whole = MultibodyPlant(time_step=0.0)
     (model,) = (d.add_model for d in own if d.add_model)
     (gripper,) = MakeParser(whole).AddModelsFromUrl(model.file)
     whole.Finalize()
-    context, base = (
-        whole.CreateDefaultContext(),
-        whole.GetFrameByName(measures.mount_frame, gripper).body(),
-    )
+    context = whole.CreateDefaultContext()
+    base = whole.GetFrameByName(measures.mount_frame, gripper).body()
     inertia = whole.CalcSpatialInertia(context, base.body_frame(), whole.GetBodyIndices(gripper))
+    # The rigid body that replaces it.
     instance = plant.AddModelInstance(robot.gripper_model)
     rigid = plant.AddRigidBody(base.name(), instance, inertia)
     for name in (measures.mount_frame, measures.grasp_frame):
         X_BF = whole.GetFrameByName(name, gripper).CalcPose(context, base.body_frame())
-        if not plant.HasFrameNamed(name, instance):  # the body's own name
+        if not plant.HasFrameNamed(name, instance):  # a body's frame is there from the beginning
             plant.AddFrame(FixedOffsetFrame(name, rigid.body_frame(), X_BF, instance))
     for weld in (d.add_weld for d in own if d.add_weld):
         _Weld(plant, weld)
 
 
 def _Weld(plant: MultibodyPlant, weld: AddWeld) -> None:
+    """Welds two bodies of a plant as a directive says."""
     X_PC = RigidTransform() if weld.X_PC is None else weld.X_PC.GetDeterministicValue()
     plant.WeldFrames(
         GetScopedFrameByName(plant, weld.parent), GetScopedFrameByName(plant, weld.child), X_PC

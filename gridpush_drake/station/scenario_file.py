@@ -1,7 +1,7 @@
 """The file of a scenario: found by its path or by its name, read, checked and written.
 
 What a scenario holds, and what each of its fields may be, is in `station.scenario`. Whether a
-scenario makes sense as a whole is `station.resolve`'s to say.
+scenario makes sense as a whole is decided in `station.resolve`.
 """
 
 from difflib import get_close_matches
@@ -24,21 +24,21 @@ ROBOT = "robot"
 directives of the scene that comes with this robot."""
 
 WHAT = "a scenario (object, base, directives, ...)"
-"""What a message says that a scenario file should hold."""
+"""What a scenario file should hold, in a message's words."""
 
 LINE_LENGTH = 120
 """Greatest length of a line in a written scenario, in characters."""
 
 
 def list_shipped_scenarios() -> list[str]:
-    """Names of the scenarios that come with the package, sorted."""
+    """Lists the names of the scenarios that come with the package, sorted."""
     return sorted(path.stem for path in _find_shipped().glob("*.yaml"))
 
 
 def find_scenario(scenario: Path | str) -> Path:
-    """Finds the file of a scenario by its path, or by the name under which one comes with the package.
+    """Finds the file of a scenario by its path, or by the name of one that comes with the package.
 
-    A file that is there goes before a shipped scenario of the same name.
+    If there are both, the path is taken.
 
     Raises:
         ScenarioError: a word that is neither a file nor the name of a shipped scenario; the message
@@ -60,6 +60,7 @@ def find_scenario(scenario: Path | str) -> Path:
 
 
 def _find_shipped() -> Path:
+    """Finds the folder of the scenarios that come with the package."""
     return find_models() / "scenarios"
 
 
@@ -68,20 +69,20 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
 
     Args:
         path: the YAML file, or the name of a scenario that comes with the package, see
-            `list_shipped_scenarios`. Instead of `directives` the file may have `robot`, the name of
-            one that comes with the package or the folder of a robot.yaml, for the scene that it
-            names, to grasp in where it can.
-        child_name: key of the document's root under which the scenario stands; the root itself
-            where None.
+            `list_shipped_scenarios`. Instead of `directives` the file may have `robot`: the name of
+            a robot that comes with the package, or the folder of a robot.yaml. The scene is then
+            the one that the robot.yaml names; if the robot can grasp, one to grasp in.
+        child_name: key under which the scenario stands at the top level of the file; None if the
+            whole file is one scenario.
 
     Returns:
-        The scenario. What the file does not say is as `PushScenario` has it; an object file it
-        names is looked up beside it and named in full.
+        The scenario. Fields that the file leaves out have the defaults of `PushScenario`. Paths of
+        object files, which are relative to the scenario's file, have become absolute.
 
     Raises:
         ScenarioError: there is no such file or shipped scenario; the file cannot be read, is of
-            another schema, has an unknown key or a value that will not do; the message names the
-            file, the field and the expected form.
+            another schema, has an unknown key, or holds a value that will not do. The message names
+            the file, the field and the expected form.
     """
     path = find_scenario(path)
     return parse_scenario(
@@ -90,11 +91,25 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
 
 
 def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> PushScenario:
-    """Makes a scenario of the text of a file, which need not be there; otherwise as `read_scenario`."""
+    """Makes a scenario of the text of its file.
+
+    Args:
+        path: the file that the text is from, for messages and to find object files. It need not
+            exist.
+        text: text of the file, YAML.
+        child_name: see `read_scenario`.
+
+    Returns:
+        The scenario, see `read_scenario`.
+
+    Raises:
+        ScenarioError: the text is no scenario, see `read_scenario`.
+    """
     data = _parse(path, text)
     where = str(path)
     if child_name is not None:
-        where, data = f"{path}, {child_name}", _pick_child(path, data, child_name)
+        where = f"{path}, {child_name}"
+        data = _pick_child(path, data, child_name)
     try:
         if not isinstance(data, dict):
             raise ScenarioError(f"the scenario is {shorten(data)}; expected `key: value` lines")
@@ -104,8 +119,9 @@ def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> P
         scenario = PushScenario(**data)
     except ScenarioError as error:
         raise ScenarioError(f"{where}: {error}") from error
-    named: list[PushScenario | OtherConfig] = [scenario, *scenario.others]
-    for each in named:
+    # Names of object files become absolute. What has no suffix and is no file is a shipped object.
+    having_object: list[PushScenario | OtherConfig] = [scenario, *scenario.others]
+    for each in having_object:
         beside = path.parent / each.object
         if beside.suffix or is_file(beside):
             each.object = str(beside.resolve())
@@ -116,8 +132,8 @@ def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False
     """Writes a scenario with every field, so that `read_scenario` gives it back.
 
     Args:
-        path: the YAML file to be written.
-        scenario: to be written.
+        path: the YAML file.
+        scenario: the scenario.
         force: whether an existing file may be replaced.
 
     Raises:
@@ -128,7 +144,11 @@ def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False
 
 
 def format_scenario(scenario: PushScenario) -> str:
-    """A scenario with every field, as YAML. Raises ScenarioError where a field holds what will not do."""
+    """Formats a scenario with every field as YAML.
+
+    Raises:
+        ScenarioError: a field holds what will not do.
+    """
     scenario.check()
     fields = scenario.model_dump(exclude={"directives"})
     text = yaml.dump(
@@ -144,10 +164,11 @@ def format_scenario(scenario: PushScenario) -> str:
 
 
 class _TaggedDumper(yaml.SafeDumper):
-    """Safe, and writes what stands under _tag in a mapping as its tag, as Drake's reader expects it."""
+    """A safe dumper that writes a mapping's _tag as its YAML tag, which Drake's reader expects."""
 
 
 def _represent_mapping(dumper: yaml.SafeDumper, data: dict[str, Any]) -> yaml.Node:
+    """Represents a mapping with the tag that stands in it under _tag, if there is one."""
     tag = data.get("_tag", yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG)
     return dumper.represent_mapping(
         tag, {key: value for key, value in data.items() if key != "_tag"}
@@ -159,6 +180,7 @@ add_core_forms(_TaggedDumper)
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:
+    """Parses the text of a scenario file; keys that begin with _, for anchors, are left out."""
     data = _mark_tags(parse_yaml(path, text, WHAT, ScenarioError, tagged=True))
     if data is None:
         raise ScenarioError(f"{path}: is empty; expected {WHAT}")
@@ -173,7 +195,7 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
 
 
 def _mark_tags(data: Any) -> Any:
-    """Puts a mapping's tag where Drake has it: under _tag, with its exclamation mark."""
+    """Puts the tag of each mapping where Drake has it: under _tag, with an exclamation mark."""
     if isinstance(data, list):
         return [_mark_tags(each) for each in data]
     if not isinstance(data, dict):
@@ -183,7 +205,7 @@ def _mark_tags(data: Any) -> Any:
 
 
 def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
-    """The scene of the robot that the data names, in its place."""
+    """Replaces the robot that the data names by the directives of its scene."""
     robot = data[ROBOT]
     if not isinstance(robot, str) or not robot.strip():
         raise ScenarioError(
@@ -199,6 +221,7 @@ def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:
+    """Picks one of several scenarios in a file."""
     if name in data:
         return data[name]
     near = get_close_matches(name, map(str, data), n=1)
@@ -207,6 +230,7 @@ def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:
 
 
 def _check_version(version: Any) -> None:
+    """Checks that the file is of this schema; pydantic refuses what is no number."""
     if isinstance(version, int) and version != CURRENT_VERSION:
         age = "an older" if version < CURRENT_VERSION else "a newer"
         raise ScenarioError(

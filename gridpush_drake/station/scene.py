@@ -1,6 +1,6 @@
-"""What a scenario names, made piece by piece: objects, their truth, and the scene's models.
+"""The pieces that a scenario names, one by one: objects, hidden truth, and models of the scene.
 
-`station.resolve` puts it together, once, and checks that it makes sense as a whole.
+`station.resolve` puts them together, once, and checks that the scenario makes sense as a whole.
 """
 
 from collections.abc import Iterable
@@ -29,27 +29,37 @@ from gridpush_drake.station.scenario import PushScenario, TruthConfig
 
 
 def load_object(scenario: PushScenario) -> GridObject:
-    """Reads the scenario's object; a file goes before a shipped object of the same name.
+    """Reads the scenario's object, from its file or by the name of a shipped one.
+
+    If there are both, the file is taken.
 
     The bounds of its friction, `prior.friction_min` and `friction_max`, are those that its file and
     the scenario's `object_friction` both allow; the prior coefficient is the file's, or the nearest
     bound.
 
     Raises:
-        ScenarioError: there is none, its file is not what it should be, where the message suggests
-            the nearest name; or scenario and file allow no common friction.
+        ScenarioError: there is no such object (the message suggests the nearest name); its file is
+            not what it should be; or scenario and file allow no common friction.
     """
     obj = _read_object(scenario.object, "object")
-    return (
-        obj if scenario.object_friction is None else _bound_friction(obj, *scenario.object_friction)
-    )
+    if scenario.object_friction is None:
+        return obj
+    least, greatest = scenario.object_friction
+    return _bound_friction(obj, least, greatest)
 
 
 def use_object(scenario: PushScenario, name: str) -> GridObject:
-    """Gives a scenario another object, with the height that its file says; returns the object for `resolve`.
+    """Replaces a scenario's object, and with it the object's height if its file says one.
+
+    Args:
+        scenario: the scenario, which is changed.
+        name: name of a shipped object, or path of an object file.
+
+    Returns:
+        The object that was read. Pass it to `resolve`, so that its file is read only once.
 
     Raises:
-        ScenarioError: as `load_object`.
+        ScenarioError: the object cannot be read, see `load_object`.
     """
     scenario.object = name
     obj = load_object(scenario)
@@ -58,7 +68,11 @@ def use_object(scenario: PushScenario, name: str) -> GridObject:
 
 
 def load_others(scenario: PushScenario) -> list[GridObject]:
-    """Reads the scenario's other objects. Raises ScenarioError as `load_object` does."""
+    """Reads the other objects on the table, in the scenario's order.
+
+    Raises:
+        ScenarioError: one of them is unknown, or its file is not what it should be.
+    """
     return [
         _read_object(other.object, f"others[{at}].object")
         for at, other in enumerate(scenario.others)
@@ -66,6 +80,7 @@ def load_others(scenario: PushScenario) -> list[GridObject]:
 
 
 def _read_object(name: str, field: str) -> GridObject:
+    """Reads the object that a field of the scenario names; a message begins with the field."""
     path = Path(name)
     try:
         return GridObject.from_yaml(
@@ -76,29 +91,34 @@ def _read_object(name: str, field: str) -> GridObject:
 
 
 def _bound_friction(obj: GridObject, least: float, greatest: float) -> GridObject:
+    """Returns the object with its friction bounded by a range, too."""
     prior = obj.prior
-    low, high = max(least, prior.friction_min), min(greatest, prior.friction_max)
-    if low > high:
+    friction_min = max(least, prior.friction_min)
+    friction_max = min(greatest, prior.friction_max)
+    if friction_min > friction_max:
         raise ScenarioError(
-            f"object_friction is [{least:g}, {greatest:g}]; expected a range that overlaps that of {obj.name}'s file, "
-            f"{prior.friction_min:g} to {prior.friction_max:g}"
+            f"object_friction is [{least:g}, {greatest:g}]; expected a range that overlaps that of "
+            f"{obj.name}'s file, {prior.friction_min:g} to {prior.friction_max:g}"
         )
-    friction = min(max(prior.friction, low), high)
-    return replace(
-        obj, prior=replace(prior, friction=friction, friction_min=low, friction_max=high)
+    bounded = replace(
+        prior,
+        friction=min(max(prior.friction, friction_min), friction_max),
+        friction_min=friction_min,
+        friction_max=friction_max,
     )
+    return replace(obj, prior=bounded)
 
 
 def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
-    """Adds what stands in the scene besides the object to the parser's plant, before that is finalised.
+    """Adds all models but the objects (robot, table, whatever else) to the parser's plant.
 
     Args:
-        parser: `MakeParser(plant)`.
-        scenario: its `directives`, whose files `find_robot` has checked when the scenario was
-            resolved.
+        parser: `MakeParser(plant)`; the plant is not finalised yet.
+        scenario: a scenario whose `directives` are carried out. `find_robot` has checked their
+            files when the scenario was resolved.
 
     Returns:
-        What was added.
+        One entry for each model that was added.
 
     Raises:
         ScenarioError: a directive cannot be carried out.
@@ -111,34 +131,38 @@ def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
 
 
 def _first_line(lines: Iterable[str]) -> str:
+    """Returns the first line that is not blank; Drake's messages go on with lines of C++."""
     return next((line.strip() for line in lines if line.strip()), "cannot be carried out")
 
 
 def CalcTipReach(
     plant: MultibodyPlant, robot: Robot, tip_height: float
 ) -> tuple[NDArray[np.float64], float, float]:
-    """Calculates where the tip can be while the tool points down.
+    """Calculates the ring in which the tip can be while the tool points down.
 
     Args:
-        plant: finalised, with the robot.
-        robot: the robot; it has a `reach`.
-        tip_height: of the tip's center, z in W, m.
+        plant: a finalised plant with the robot.
+        robot: a robot whose robot.yaml has a `reach`.
+        tip_height: z of the tip's center in W, m.
 
     Returns:
-        The robot's axis (2,) in W, and the least and greatest distance from it, m, see
-        `ReachMeasures.calc_ring`.
+        The robot's axis (2,) in W, m, and the least and greatest distance of the tip from it, m,
+        see `ReachMeasures.calc_ring`.
+
+    Raises:
+        ScenarioError: the robot has no `reach`.
     """
-    context = plant.CreateDefaultContext()
-    flange, tip = (
-        plant.GetFrameByName(name) for name in (robot.arm.flange_frame, robot.finger.tip_frame)
-    )
-    p_WR = CalcBasePose(plant, robot).translation()
     if robot.arm.reach is None:
         raise ScenarioError(
             f"directives: the robot.yaml of {robot.arm_model} has no reach; expected one"
         )
-    length = tip.CalcPose(context, flange).translation()[2]
-    return p_WR[:2].copy(), *robot.arm.reach.calc_ring(length, tip_height - p_WR[2])
+    context = plant.CreateDefaultContext()
+    flange = plant.GetFrameByName(robot.arm.flange_frame)
+    tip = plant.GetFrameByName(robot.finger.tip_frame)
+    p_WR = CalcBasePose(plant, robot).translation()
+    tool_length = tip.CalcPose(context, flange).translation()[2]
+    least, greatest = robot.arm.reach.calc_ring(tool_length, tip_height - p_WR[2])
+    return p_WR[:2].copy(), least, greatest
 
 
 def CalcBasePose(plant: MultibodyPlant, robot: Robot) -> RigidTransform:
@@ -148,25 +172,28 @@ def CalcBasePose(plant: MultibodyPlant, robot: Robot) -> RigidTransform:
 
 
 def CalcHome(plant: MultibodyPlant, robot: Robot) -> tuple[float, float, float]:
-    """Calculates p_WP of the tip at the beginning, m, in a finalised plant with the robot's scene."""
+    """Calculates where the tip is at the beginning, p_WP, m, in a finalised plant with its scene.
+
+    The robot.yaml gives x and y from the robot's base, but z from the table's top, which is z = 0.
+    """
     x, y, z = robot.arm.home
     p_WR = CalcBasePose(plant, robot).translation()
     return float(p_WR[0] + x), float(p_WR[1] + y), z
 
 
 def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters:
-    """Draws what a scenario says of an object's truth, and sets what it gives.
+    """Draws an object's true masses and frictions, and puts those that are given in their place.
 
     Args:
         obj: the object.
-        config: ranges, and what is given for some parts.
-        seed: of the draw.
+        config: ranges of the draw, and the true values that are given for some of the parts.
+        seed: seed of the draw.
 
     Returns:
-        The truth.
+        The true parameters of the object's cells.
 
     Raises:
-        ScenarioError: a part is given that the object does not have.
+        ScenarioError: values are given for a part that the object does not have.
     """
     drawn = sample_ground_truth(
         obj,
@@ -176,13 +203,15 @@ def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters
         contact_friction_range=_pair(config.contact_friction),
         friction_by_part=config.friction_by_part,
     )
-    mass, friction = drawn.mass.copy(), drawn.friction.copy()
+    mass = drawn.mass.copy()
+    friction = drawn.friction.copy()
     for at, part in enumerate(config.parts):
         cells = obj.labels == part.label
         if not cells.any():
             known = ", ".join(map(str, np.unique(obj.labels).tolist()))
             raise ScenarioError(
-                f"truth.parts[{at}].label is {part.label}; expected a part of {obj.name}: one of {known}"
+                f"truth.parts[{at}].label is {part.label}; expected a part of {obj.name}: "
+                f"one of {known}"
             )
         if part.cell_mass is not None:
             mass[cells] = part.cell_mass
@@ -194,16 +223,20 @@ def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters
 def MakeSupport(
     obj: GridObject, truth: CellParameters, scenario: PushScenario, seed: int
 ) -> NDArray[np.float64] | None:
-    """How stiff the object's feet are (n,), kg, see `calc_support`; None where each cell bears its own weight.
+    """Draws on what the object stands, as its scenario's `truth.support` says.
 
     Args:
         obj: the object.
-        truth: its masses and frictions.
-        scenario: with the truth's `support` and the height of pushes.
-        seed: of the draw.
+        truth: its true masses and frictions.
+        scenario: the scenario, with the kind of support and the height at which is pushed.
+        seed: seed of the draw.
+
+    Returns:
+        (n,) stiffness of a foot below each of the n cells, kg, see `calc_support`; None if each
+        cell bears its own weight.
 
     Raises:
-        ScenarioError: no three feet are found that it stands on while it is pushed.
+        ScenarioError: no three feet are found on which the object does not tip when it is pushed.
     """
     try:
         return calc_support(obj, truth, scenario.truth.support, seed, scenario.finger.push_height)

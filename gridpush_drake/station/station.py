@@ -1,8 +1,9 @@
-"""`Station`: what tasks need of a robot with an object on a table, simulated or real; and what commands the robot.
+"""`Station`: what tasks need of a robot with an object on a table, whether simulated or real.
 
-`AddRobotControl` puts into a Diagram all that knows nothing of whether the robot is real: the
-executors of pushes and grasps, the inverse kinematics and the identifier. What it asks for is where
-the tip and the object are; what it gives is where the arm's joints and the gripper should be.
+`AddRobotControl` adds the part of a station that is the same for both: the executors of pushes and
+grasps, the inverse kinematics and the identifier. Its inputs say where the tip and the object are;
+its outputs say where the arm's joints and the gripper should be. The simulated station is in
+`station.push_station`, the real one in `station.lcm.hardware_station`.
 """
 
 from collections.abc import Callable
@@ -27,10 +28,8 @@ from gridpush_drake.perception.sight import Sight
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample
 from gridpush_drake.pushes.stream import make_samples
-from gridpush_drake.station.arm import (
-    AddArmKinematics,
-    ArmReach,
-)
+from gridpush_drake.station.arm import ArmReach
+from gridpush_drake.station.arm_driver import AddArmKinematics
 from gridpush_drake.station.camera import FoundObject, calc_pose_age
 from gridpush_drake.station.grasping import (
     AddGraspExecutor,
@@ -64,26 +63,31 @@ ESTIMATE_OUTPUTS = (
     "message",
     "age",
 )
-"""Of the identifier, exported as `estimate.mass` and so on."""
+"""Output ports of the identifier that the station exports, as `estimate.mass` and so on."""
 
 
 @dataclass(frozen=True)
 class Learning:
-    """What the station's identifier learns from.
+    """Which pushes the station's identifier learns from.
 
     Attributes:
-        max_pushes: the first so many; None for no limit.
+        max_pushes: it learns from the first pushes, this many; None for all.
     """
 
     max_pushes: int | None = None
 
 
 EDGE_DETAIL = 5e-4
-"""m by which the edge may be simplified: of a round table to a polygon of few corners."""
+"""Distance by which the table's edge may be simplified, m. A round table becomes a polygon of few
+corners."""
 
 
 def make_surface(table_top: BaseGeometry) -> SupportSurface:
-    """The table's top as planners know it. Raises ScenarioError where it is in several pieces."""
+    """Makes the surface that planners know from the table's top, a polygon in W, m.
+
+    Raises:
+        ScenarioError: the table's top is in several pieces.
+    """
     if not isinstance(table_top, Polygon):
         raise ScenarioError("directives: the table's top is in several pieces; expected one")
     return SupportSurface(shapely.simplify(table_top, EDGE_DETAIL))
@@ -92,17 +96,26 @@ def make_surface(table_top: BaseGeometry) -> SupportSurface:
 def make_identifier(
     scenario: PushScenario, obj: GridObject, table_top: BaseGeometry, learning: Learning | None
 ) -> GridIdentifier:
-    """The station's identifier: it knows the table's edge, and learns from the first `scenario.pokes.count` pushes."""
-    learning = learning or Learning(scenario.pokes.count)
+    """Makes the system that learns the object, which also knows the table's edge.
+
+    Args:
+        scenario: the scenario, with the camera's rate and delay.
+        obj: the object, as the robot knows it.
+        table_top: the table's top, a polygon in W, m.
+        learning: which pushes are learned from; None for the first `scenario.pokes.count`.
+    """
+    learning = learning or Learning(max_pushes=scenario.pokes.count)
     return GridIdentifier(
         obj,
         period=1 / scenario.camera.rate,
+        # A tip that is lower than the object's top may touch it.
         engaged_below=scenario.object_height,
         pusher_radius=obj.prior.pusher_radius,
         max_learning_pushes=learning.max_pushes,
         table=make_surface(table_top).corners if isinstance(table_top, Polygon) else None,
-        # A warm start gains little. Without it `gridpush identify` finds the same from the log, bit
-        # for bit on the same machine (another processor may take other BLAS kernels).
+        # A warm start saves little time. Without it `gridpush identify` finds the same parameters
+        # from the written log, bit for bit on the same computer (on another processor NumPy may
+        # take other BLAS kernels).
         warm_start=False,
         record=RecordOptions(pose_delay=calc_pose_age(scenario.camera)),
         answer_delay=scenario.simulation.answer_delay,
@@ -110,23 +123,26 @@ def make_identifier(
 
 
 PUSHER_LOG, POSE_LOG = "pusher_log", "pose_log"
-"""Names of the systems that log what the identifier sees."""
+"""Names of the systems that log the tip's state and the object's pose, as learned from."""
 
 
 def AddLogs(builder: DiagramBuilder, ports: dict[str, OutputPort], period: float) -> None:
-    """Logs ports when the identifier looks: Drake publishes what was before the updates of the same time.
+    """Logs ports at the times at which the identifier reads them.
+
+    With the same period the logs hold exactly what the identifier has read: at each of these times
+    Drake publishes to the logs before it updates any discrete state.
 
     Args:
-        builder: the ports' systems are in it.
-        ports: by the logs' names.
-        period: s.
+        builder: the builder that has the ports' systems.
+        ports: the ports to be logged, by the names of their logs.
+        period: period of the identifier, s.
     """
     for name, port in ports.items():
         LogVectorOutput(port, builder, period).set_name(name)
 
 
 def make_style(scenario: PushScenario, robot: Robot) -> PushTrajectoryOptions:
-    """How the scenario's finger pushes."""
+    """Makes the options of the finger's path in a push from scenario and robot."""
     finger = scenario.finger
     return PushTrajectoryOptions(
         travel_height=finger.travel_height,
@@ -137,20 +153,22 @@ def make_style(scenario: PushScenario, robot: Robot) -> PushTrajectoryOptions:
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What is known of a robot and what is before it, whether it is simulated or real.
+    """What a station knows of its robot and of the table before it, whether simulated or real.
 
     Attributes:
-        scenario: what it was made from; with a color and depth camera, pose and height of the
-            object are as seen.
+        scenario: the scenario that it was made from. With a color and depth camera, pose and
+            height of the object are those that the camera saw.
         obj: the object, as the robot knows it.
-        found: it in the photograph; None where the robot is told the object.
-        others: further objects on the table.
-        plant: the scene, finalised; of a real robot it is only asked for measures.
+        found: the object as it was found in the photograph; None if the robot is told the object.
+        others: the other objects on the table.
+        plant: the scene's plant, finalised. With a real robot it is never simulated, and serves
+            only for measures.
         control_plant: the robot alone, as `MakeControlPlant` makes it.
-        robot: the robot's measures.
-        table_top: where on it things may lie, a polygon in W, m.
+        robot: measures of the robot, and the names of its models.
+        table_top: the part of the table where things may lie, a polygon in W, m.
         home: p_WP of the tip at the beginning, m.
-        q_start: (n,) the arm's posture there, to which it is drawn, rad.
+        q_start: (n,) the arm's joint positions with the tip at `home`, rad. The inverse kinematics
+            is drawn to them.
     """
 
     scenario: PushScenario
@@ -172,14 +190,14 @@ def MakeSetting(
     found: FoundObject | None = None,
     others: tuple[OtherObject, ...] = (),
 ) -> Setting:
-    """Makes a setting of a resolved scenario, with the arm at its home; see `Setting`.
+    """Makes a setting of a resolved scenario; see `Setting` for what its parts mean.
 
     Args:
-        resolved: what is known of robot, object and table.
-        scenario: the resolved one, or a copy in which pose and height of the object are as seen.
-        plant: the scene, finalised.
-        found: the object in the photograph; None where the robot is told the object.
-        others: further objects in the plant.
+        resolved: the resolved scenario.
+        scenario: its scenario, or a copy with the object's pose and height as the camera saw them.
+        plant: the scene's plant, finalised.
+        found: the object as it was found in the photograph; None if the robot is told the object.
+        others: the other objects in the plant.
     """
     return Setting(
         scenario=scenario,
@@ -196,12 +214,15 @@ def MakeSetting(
 
 
 def find_lookouts(setting: Setting) -> Array:
-    """Where the tip goes (3, 3), p_WP, m, while the arm may hide the object from a camera.
+    """Chooses places for the tip, (3, 3), p_WP, m, from which the arm hides little from a camera.
 
-    They are its home and, as high, the two corners of the workspace that are nearest to the robot's
-    base: of what lies behind one of them, seen from the camera, another shows something.
+    The arm may stand between the camera and the object. If the object is not seen, the executor
+    moves the tip to these places in turn. They are the tip's home and, at the same height, the two
+    corners of the workspace that are nearest to the robot's base, where the arm is folded. What the
+    arm hides at one of the places can be seen when it is at another.
     """
-    workspace, (_, _, z) = setting.scenario.workspace, setting.home
+    workspace = setting.scenario.workspace
+    z = setting.home[2]
     p_WR = CalcBasePose(setting.plant, setting.robot).translation()
     corners = np.array([(x, y, z) for x in workspace.x for y in workspace.y])
     nearest = np.argsort(np.linalg.norm(corners[:, :2] - p_WR[:2], axis=1), kind="stable")[:2]
@@ -210,14 +231,15 @@ def find_lookouts(setting: Setting) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RobotControl:
-    """What `AddRobotControl` put into a builder.
+    """The systems that `AddRobotControl` put into a builder.
 
     Attributes:
         executor: carries out pushes.
-        grasping: carries out grasps; None where the scene has no gripper.
-        kinematics: the differential inverse kinematics; its `joint_positions` are for the arm.
+        grasping: carries out grasps; None if the scene has no gripper.
+        kinematics: the differential inverse kinematics. Its port `joint_positions` commands the
+            arm.
         identifier: learns the object.
-        reach: of the arm.
+        reach: says whether the arm can follow a path.
     """
 
     executor: PushExecutor
@@ -236,23 +258,32 @@ def AddRobotControl(
     gripper_state: OutputPort | None,
     logged: dict[str, OutputPort] | None = None,
 ) -> RobotControl:
-    """Adds what commands the robot and learns the object, connects it, and exports its ports and those it reads.
+    """Adds the systems that command the robot and learn the object, and connects them.
+
+    The ports that these systems share with the outside, and the three ports given, become ports of
+    the station; see `Station` for their names.
 
     Args:
-        builder: the ports' systems are in it.
+        builder: the builder that has the ports' systems.
         setting: robot and scene.
-        learning: what is learned from; the first `scenario.pokes.count` pushes by default.
+        learning: which pushes are learned from; None for the first `scenario.pokes.count`.
         pusher_state: (6,) p_WP, m, and v_WP, m/s, of the tip.
-        object_pose: (3,) as the camera sees it, m and rad.
-        gripper_state: (4,) see `Station`; None where there is no gripper.
-        logged: what else is logged when the identifier looks, by the logs' names.
+        object_pose: (3,) X_WB of the object as the camera sees it, m and rad.
+        gripper_state: (4,) state of the gripper's fingers, see `Station`; None without a gripper.
+        logged: further ports to be logged whenever the identifier reads, by the logs' names.
 
     Returns:
-        The systems.
+        The systems that were added.
     """
-    scenario, robot, control_plant = setting.scenario, setting.robot, setting.control_plant
+    scenario = setting.scenario
+    robot = setting.robot
+    control_plant = setting.control_plant
+
+    # From a command to joint positions: the executor of pushes, then the inverse kinematics.
     kinematics = AddArmKinematics(builder, robot, control_plant, setting.q_start)
-    reach, style = ArmReach(control_plant, robot, setting.q_start), make_style(scenario, robot)
+    reach = ArmReach(control_plant, robot, setting.q_start)
+    style = make_style(scenario, robot)
+    # Only pictures can be covered by the arm; an ideal camera always sees the object.
     lookouts = () if scenario.camera.kind == "ideal" else find_lookouts(setting)
     executor = builder.AddNamedSystem(
         "executor", PushExecutor(setting.home, setting.obj.outline, reach, style, lookouts)
@@ -260,7 +291,11 @@ def AddRobotControl(
     identifier = builder.AddNamedSystem(
         "identifier", make_identifier(scenario, setting.obj, setting.table_top, learning)
     )
-    grasping, seen = None, pusher_state
+
+    # With a gripper the executor of grasps stands between the executor of pushes and the arm, and a
+    # gate keeps the tip's motions in a grasp from the identifier.
+    grasping = None
+    learned_state = pusher_state
     if robot.gripper is not None and gripper_state is not None:
         grasp_style = make_grasp_trajectory_options(
             scenario, control_plant, robot.gripper, robot.finger.tip_frame
@@ -270,33 +305,43 @@ def AddRobotControl(
         )
         builder.Connect(gripper_state, grasping.GetInputPort("gripper_state"))
         ExportGrasping(builder, gripper_state, grasping)
-        seen = AddPusherGate(builder, pusher_state, grasping).GetOutputPort("pusher_state")
-    desired = executor if grasping is None else grasping
-    builder.Connect(desired.GetOutputPort("tip_pose"), kinematics.GetInputPort("X_AE_desired"))
+        gate = AddPusherGate(builder, pusher_state, grasping)
+        learned_state = gate.GetOutputPort("pusher_state")
+    commander = executor if grasping is None else grasping
+    builder.Connect(commander.GetOutputPort("tip_pose"), kinematics.GetInputPort("X_AE_desired"))
+
+    # Where tip and object are goes to whoever needs it, and into the logs.
     for consumer in (executor, identifier):
         builder.Connect(object_pose, consumer.GetInputPort("object_pose"))
-    builder.Connect(seen, identifier.GetInputPort("pusher_state"))
-    AddLogs(
-        builder,
-        {PUSHER_LOG: seen, POSE_LOG: object_pose} | (logged or {}),
-        1 / scenario.camera.rate,
-    )
+    builder.Connect(learned_state, identifier.GetInputPort("pusher_state"))
+    logs = {PUSHER_LOG: learned_state, POSE_LOG: object_pose} | (logged or {})
+    AddLogs(builder, logs, 1 / scenario.camera.rate)
+
+    # The station's ports.
     builder.ExportInput(executor.GetInputPort("push_command"), "push_command")
     ExportOutputs(builder, executor, "executor", ("status",))
-    ExportOutputs(builder, desired, "executor", ("tip_pose",))
+    ExportOutputs(builder, commander, "executor", ("tip_pose",))
     builder.ExportOutput(pusher_state, "pusher.state")
     builder.ExportOutput(object_pose, "object.pose")
     ExportOutputs(builder, identifier, "estimate", ESTIMATE_OUTPUTS)
-    return RobotControl(executor, grasping, kinematics, identifier, reach)
+    return RobotControl(
+        executor=executor,
+        grasping=grasping,
+        kinematics=kinematics,
+        identifier=identifier,
+        reach=reach,
+    )
 
 
 StationMaker = Callable[..., "Station"]
-"""Makes a station of a scenario, a Meshcat or None, and `show_object` and `learning` by name; see
-`MakePushStation`."""
+"""A function that makes a station of a scenario and a Meshcat (or None), with `show_object` and
+`learning` by keyword, as `MakePushStation` does."""
 
 
 class Station(Diagram):
-    """A robot with an object on a table, as tasks need it: `PushStation` is simulated, `HardwareStation` is real.
+    """A robot with an object on a table, as tasks need it.
+
+    `PushStation` is a simulated one, `HardwareStation` a real one.
 
     .. pydrake_system::
 
@@ -317,23 +362,28 @@ class Station(Diagram):
         - grasp.status
         - gripper.state
 
-    - ``push_command``: (6,) see `PushCommand`.
-    - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`,
-      X_WP desired.
-    - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center, from the joints.
-    - ``object.pose``: (3,) as the camera sees it, m and rad.
-    - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`.
-      Another arm's ports have the name that the scene gives to its model: ``panda.*``.
-    - Where the scene has a gripper: ``grasp_command``: (6,) see `GraspCommand`, need not be
-      connected; ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers'
-      positions, left and right, m, and velocities, m/s. ``executor.tip_pose`` is then what push and
-      grasp executor together desire.
+    - ``push_command``: vector of 6, a push, see `PushCommand`.
+    - ``grasp_command``: vector of 6, a grasp, see `GraspCommand`; it need not be connected. The
+      station has this port, ``grasp.status`` and ``gripper.state`` only with a gripper.
+    - ``executor.status``: abstract `PushStatus`, how the executor of pushes stands.
+    - ``executor.tip_pose``: abstract `RigidTransform`, desired X_WP of the tip, in a push as well
+      as in a grasp.
+    - ``pusher.state``: vector of 6, p_WP, m, and v_WP, m/s, of the tip's center, calculated from
+      the arm's joints.
+    - ``object.pose``: vector of 3, X_WB as the camera sees it, (x, y, theta), m and rad; NaN while
+      the object is not seen.
+    - ``estimate.mass`` and the other ports of the estimate: see `GridIdentifier`.
+    - ``iiwa.position_measured`` and the other ports of the arm: see Drake's `SimIiwaDriver`. They
+      begin with the name that the scene gives to the arm's model, which may be ``panda``.
+    - ``grasp.status``: abstract `GraspStatus`, how the executor of grasps stands.
+    - ``gripper.state``: vector of 4, positions of the left and right finger, m, and their
+      velocities, m/s.
 
     Attributes:
         scenario, obj, found, others, plant, robot, table_top, home: see `Setting`.
-        truth: what the object really weighs and how it rubs in a fresh Context; None where nobody
-            knows.
-        style: how the executor pushes.
+        truth: true parameters of the object in a fresh Context; None if nobody knows them.
+        style: options of the finger's path in a push.
+        reach: says whether the arm can follow a path.
     """
 
     __slots__ = NO_SLOTS
@@ -345,24 +395,35 @@ class Station(Diagram):
         control: RobotControl,
         truth: CellParameters | None,
     ) -> None:
-        """Takes over a builder's systems."""
+        """Builds the Diagram of a builder's systems.
+
+        Args:
+            builder: the builder with all systems, which is empty afterwards.
+            setting: what the station knows.
+            control: the systems that `AddRobotControl` added.
+            truth: true parameters of the object; None if nobody knows them.
+        """
         super().__init__()
-        self.scenario, self.obj, self.found, self.others = (
-            setting.scenario, setting.obj, setting.found, setting.others,
-        )  # fmt: skip
-        self.plant, self.robot, self.table_top, self.home = (
-            setting.plant, setting.robot, setting.table_top, setting.home,
-        )  # fmt: skip
-        self.truth, self.style = truth, control.executor.style
-        self.reach, self._grasping = control.reach, control.grasping
+        self.scenario = setting.scenario
+        self.obj = setting.obj
+        self.found = setting.found
+        self.others = setting.others
+        self.plant = setting.plant
+        self.robot = setting.robot
+        self.table_top = setting.table_top
+        self.home = setting.home
+        self.truth = truth
+        self.style = control.executor.style
+        self.reach = control.reach
+        self._grasping = control.grasping
         builder.BuildInto(self)
 
     def FindObstacle(self, command: PushCommand) -> str | None:
-        """Says why the arm cannot carry out a push, come from its home; None where it can."""
+        """Says why the arm cannot carry out a push when it comes from its home; None if it can."""
         return plan_push(command, self.home, self.style, self.reach)[1]
 
     def FindGraspObstacle(self, command: GraspCommand) -> str | None:
-        """Says why the arm cannot carry out a grasp, come from its home; None where it can.
+        """Says why the arm cannot carry out a grasp when it comes from its home; None if it can.
 
         Raises:
             StationError: the scene has no gripper.
@@ -375,38 +436,46 @@ class Station(Diagram):
         """Makes a fresh Context ready to begin.
 
         Args:
-            root_context: of the station, or of the Diagram it is part of.
-            seed: of everything random, instead of the scenario's.
+            root_context: Context of the station, or of the Diagram that the station is part of.
+            seed: seed of everything random, instead of the scenario's.
         """
         raise NotImplementedError
 
     def GetTruth(self, root_context: Context) -> CellParameters | None:
-        """What the object really weighs and how it rubs in a Context; None where nobody knows."""
+        """Returns the object's true parameters in a Context; None if nobody knows them."""
         return None
 
     def FindStream(self, root_context: Context) -> list[Sample]:
-        """All that the identifier has seen in a Context: the stream that its pushes were cut from.
+        """Returns all that the identifier has read in a Context, from which it cut its pushes.
 
         Args:
-            root_context: of the station, or of the Diagram it is part of.
+            root_context: Context of the station, or of the Diagram that the station is part of.
         """
         t, tip = self._find_log(root_context, PUSHER_LOG)
-        return make_samples(t, tip[:, :3], tip[:, 3:], self._find_log(root_context, POSE_LOG)[1])
+        _, poses = self._find_log(root_context, POSE_LOG)
+        return make_samples(t, tip[:, :3], tip[:, 3:], poses)
 
     def FindSight(self, root_context: Context) -> Sight | None:
-        """What a color and depth camera saw in a Context, and how far off that was; None where nobody knows."""
+        """Returns what a color and depth camera saw in a Context, and its errors.
+
+        It is None for an ideal camera, and for a real robot, where nobody knows the true pose.
+        """
         return None
 
     def _find_log(
         self, root_context: Context, name: str
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times (K,), s, and values (K, d). The logs are no attributes: they would keep the station alive for good."""
+        """Returns the times (K,), s, and the values (K, d) of a log.
+
+        The logs are looked up by name each time. As attributes they would keep the station alive
+        for good, for Python's garbage collector does not see the references within C++.
+        """
         log = self.GetSubsystemByName(name).FindLog(root_context)
         return log.sample_times(), log.data().T
 
 
 RING_SEGMENTS = 32
-"""A quarter turn, of the polygon for a ring."""
+"""Number of the sides by which a polygon replaces a quarter of a circle."""
 
 
 def MakeFingerRegion(station: Station, inset: float = 0.0) -> BaseGeometry:
@@ -414,13 +483,14 @@ def MakeFingerRegion(station: Station, inset: float = 0.0) -> BaseGeometry:
 
     Args:
         station: the station.
-        inset: least distance from the region's edge, m.
+        inset: distance by which the region is made smaller on all sides, m.
 
     Returns:
-        The region, W, m: where the arm reaches, and in it the workspace, without the places where
-        the tip would touch another object; it may be empty.
+        A polygon or several in W, m: the part of the workspace that the arm reaches, without the
+        places where the tip would touch another object; it may be empty.
     """
-    workspace, height = station.scenario.workspace, station.scenario.finger.push_height
+    workspace = station.scenario.workspace
+    height = station.scenario.finger.push_height
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
     if station.robot.arm.reach is None:
         region = station.reach.find_region(box.bounds, height).buffer(-inset)
@@ -431,8 +501,6 @@ def MakeFingerRegion(station: Station, inset: float = 0.0) -> BaseGeometry:
 
 
 def MakeRing(axis: NDArray[np.float64], least: float, greatest: float) -> shapely.Polygon:
-    """The places about the robot's axis (2,) between two distances, m."""
-    outer, inner = (
-        shapely.Point(axis).buffer(radius, RING_SEGMENTS) for radius in (greatest, least)
-    )
-    return outer - inner
+    """Makes a ring about a point (2,) in W, between the least and the greatest radius, all in m."""
+    center = shapely.Point(axis)
+    return center.buffer(greatest, RING_SEGMENTS) - center.buffer(least, RING_SEGMENTS)

@@ -1,8 +1,8 @@
-"""`StationTask`: what all tasks in the station share.
+"""`StationTask`: what all tasks in the station have in common.
 
 A task is a Diagram of a station and a system that commands it. A run makes a fresh Context, puts
-everything where it begins, and goes on in short steps: after each the task writes down what is new,
-and its judge says whether it is over.
+everything where it begins, and goes on in short steps. After each step the task writes down what is
+new (`note`), and decides whether it is over (`judge`).
 """
 
 from collections.abc import Callable
@@ -34,32 +34,47 @@ from gridpush_drake.systems.messages import GraspCommand, PushCommand, PushStatu
 
 
 class TaskStatus(StrEnum):
-    """How a task in the station stands, or ended; RUNNING is false."""
+    """How a task stands, or how it ended.
+
+    A status is false, as a condition, while the task runs, and true once it has ended.
+    """
 
     RUNNING = ""
     INTERRUPTED = "interrupted"
-    STUCK = "stuck"
-    LOST = "lost"
-    FAILED = "failed"
-    FINISHED = "finished"
-    OBJECT_LOST = "object_lost"
-    REACHED = "reached"
-    HELD = "held"
-    DROPPED = "dropped"
-    NOT_LIFTED = "not_lifted"
+    """The user ended the run."""
     STOPPED = "stopped"
+    """A real arm was stopped, by its guard or since something failed."""
+    STUCK = "stuck"
+    """Nothing new happened for too long."""
+    FAILED = "failed"
+    """The controller has given up."""
+    FINISHED = "finished"
+    """All pushes of an experiment were carried out."""
+    OBJECT_LOST = "object_lost"
+    """The object left the table in an experiment."""
+    LOST = "lost"
+    """The object left the table, or was out of sight for too long, in another task."""
+    REACHED = "reached"
+    """The object lies at the goal."""
+    HELD = "held"
+    """The gripper has lifted the object, and holds it."""
+    DROPPED = "dropped"
+    """The object fell."""
+    NOT_LIFTED = "not_lifted"
+    """The gripper closed and went up, but the object did not."""
 
 
 ADVANCE = 0.1
-"""Simulated between two observations of how far a task is, s."""
+"""Simulated time from one observation of a task to the next, s."""
 
 Judgment = tuple[TaskStatus, str]
 """A task's status, and a sentence about it."""
 
 GO_ON: Judgment = (TaskStatus.RUNNING, "")
+"""The judgment of a task that is not over."""
 
 Progress = Callable[[PushStatus, int], None]
-"""Told now and then the executor's status and how many pushes are in the log."""
+"""A function that is told, after each step, the executor's status and the number of pushes."""
 
 SOURCES = {
     "object_pose": "object.pose",
@@ -69,45 +84,48 @@ SOURCES = {
     "status": "executor.status",
     "grasp_status": "grasp.status",
 }
-"""Of what is wanted at an input port, by its name: the station's output port."""
+"""The station's output port for each input port that a controller may have, by the input's name."""
 
 COMMANDS = ("push_command", "grasp_command")
-"""Ports that command the station, named alike on both sides."""
+"""Names of the ports that command the station: a controller's outputs and the station's inputs."""
 
-TRUE_POSE, GUARD_STATUS = "object.pose_true", "guard.status"
-"""Ports that a station has only where it is simulated, and only where it is not."""
+TRUE_POSE = "object.pose_true"
+"""Name of a port that only a simulated station has."""
+
+GUARD_STATUS = "guard.status"
+"""Name of a port that only a real robot's station has."""
 
 SHOWN = ("mass", "friction", "contact_friction", "center_of_mass", "center_of_mass_covariance")
-"""Estimates that are drawn."""
+"""The estimates that are drawn in Meshcat."""
 
 
 CAMERA_SHARE = 0.82
-"""Distance of Meshcat's camera from what it looks at, in diagonals of the table and the robot's
-base."""
+"""Distance of Meshcat's camera from the point that it looks at, in diagonals of a rectangle around
+the table and the robot's base."""
 
 CAMERA_HEIGHT = 0.17
-"""Of what it looks at above the table, m: a third of the arm."""
+"""Height above the table of the point that Meshcat's camera looks at, m: a third of the arm's."""
 
 CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.75, 0.5
-"""Where it stands, rad: opposite the robot, to its left, beyond the edge that things are slid
-to."""
+"""Direction in which Meshcat's camera stands, rad: opposite the robot, to its left, beyond the edge
+to which objects are slid."""
 
 
 @dataclass
 class TaskRecord:
-    """What came of a run; filled while it runs.
+    """What came of a run. It is filled while the task runs.
 
     Attributes:
-        obj: the object.
-        truth: what it really weighs and how it rubs; None where nobody knows, of a real one.
+        obj: the object, as the robot knows it.
+        truth: its true masses and frictions; None if nobody knows them, as with a real object.
         log: all pushes, in order.
-        stream: all that the identifier saw, of which the pushes were cut.
-        sight: what a color and depth camera saw; None where the camera is ideal.
-        estimates: the identification after each push learned from.
-        status: how it ended.
+        stream: all that the identifier read, from which the pushes were cut.
+        sight: what a color and depth camera saw; None with an ideal camera.
+        estimates: the identification after each push that was learned from.
+        status: how the run ended.
         message: the status in a sentence, and the pushes that were not as planned.
-        limit_report: how the robot behaved.
-        duration: simulated, s.
+        limit_report: how near the robot came to its limits.
+        duration: duration of the run, in simulated time, s.
     """
 
     obj: GridObject
@@ -122,13 +140,14 @@ class TaskRecord:
     duration: float = field(default=0.0, kw_only=True)
 
     def __repr__(self) -> str:
-        """What was done with which object, and how it ended, in a line or two."""
-        pushes = f"{count(len(self.log), 'push')} in {self.duration:.0f} s simulated"
+        """Says in a line or two what was done with which object, and how it ended."""
+        name = type(self).__name__
         status = self.status or "running"
-        return f"{type(self).__name__} of {self.obj.name!r}, {status}: {pushes}\n{self.message}".rstrip()
+        pushes = f"{count(len(self.log), 'push')} in {self.duration:.0f} s simulated"
+        return f"{name} of {self.obj.name!r}, {status}: {pushes}\n{self.message}".rstrip()
 
     def _repr_html_(self) -> str:
-        """The pushes, and the last estimate."""
+        """Shows the pushes, and the last estimate, in a notebook."""
         parts = [self.log._repr_html_()]
         parts += [estimate._repr_html_() for estimate in self.estimates[-1:]]
         return make_page(repr(self), *parts)
@@ -139,14 +158,14 @@ Status = TypeVar("Status")
 
 @dataclass(frozen=True, eq=False)
 class TaskStep(Generic[Status]):
-    """A change of what a controller says.
+    """A change of a controller's status.
 
     Attributes:
-        time: s.
-        status: of the controller.
-        pose: (3,) where the object was seen, X_WB, m and rad; NaN where it was not.
-        push: the command, where a push began.
-        grasp: the command, where a grasp began.
+        time: time at which the change was noted, s.
+        status: the new status.
+        pose: (3,) X_WB of the object as it was seen then, m and rad; NaN if it was not seen.
+        push: the command, if a push began with this step.
+        grasp: the command, if a grasp began with this step.
     """
 
     time: float
@@ -158,12 +177,12 @@ class TaskStep(Generic[Status]):
 
 @dataclass(repr=False)
 class ControlledRecord(TaskRecord, Generic[Status]):
-    """What came of a run that a controller with a status led.
+    """What came of a run that was led by a controller with a status.
 
     Attributes:
-        surface: the table.
+        surface: the table, as planners know it.
         last: the controller's last status.
-        steps: what it said, in order.
+        steps: the changes of its status, in order.
     """
 
     surface: SupportSurface
@@ -176,11 +195,11 @@ R = TypeVar("R", bound=TaskRecord)
 
 @dataclass(frozen=True)
 class Waiting:
-    """For how long nothing has been seen or has happened, for judges.
+    """How long nothing has been seen, and how long nothing has happened; a task's `judge` takes it.
 
     Attributes:
-        unseen: since the camera last saw the object, s.
-        idle: since `note` last found something new, s.
+        unseen: time since the camera last saw the object, s.
+        idle: time since `note` last found something new, s.
     """
 
     unseen: float
@@ -188,13 +207,16 @@ class Waiting:
 
 
 class Drive(Protocol):
-    """What moves the time of a station that is no simulation on; see `HardwareLink`."""
+    """Moves on the time of a station whose robot is real; `HardwareLink` is one.
+
+    A simulated station needs none: its time is moved on by the Simulator.
+    """
 
     def begin(self, diagram: Diagram, station: Station, context: Context) -> None:
-        """Writes what is known of the robot into a fresh Context of the Diagram that the station is in."""
+        """Writes what is known of the robot into a fresh Context of the station's Diagram."""
 
     def advance(self, simulator: Simulator, time: float) -> None:
-        """Goes on to a time, s."""
+        """Goes on to a time, s, together with the robot."""
 
     def fail(self, error: BaseException) -> None:
         """Notes that the loop has failed, and why; `finish` comes next."""
@@ -203,29 +225,31 @@ class Drive(Protocol):
         """Brings the robot to rest and holds it there, whatever has failed; raises nothing."""
 
     def explain(self) -> str:
-        """What went wrong beside what the guard says, in sentences; empty for nothing."""
+        """Says in sentences what went wrong beside what the guard says; empty for nothing."""
 
 
 class StationTask(Generic[R]):
-    """A station with what commands it; to be run once or many times.
+    """A station with a system that commands it, to be run once or many times.
 
-    A kind of task overrides `make_record`, `note`, `judge` and, where it needs to, `prepare` and
+    A kind of task overrides `make_record`, `note`, `judge` and, if it needs to, `prepare` and
     `finish`.
 
     Attributes:
         station: the station.
-        controller: what commands it.
-        diagram: of both.
-        simulator: of the diagram.
-        simulated: whether the robot is, so that more is known than what it sees.
-        judged_pose: the port with the object's pose by which its place is judged.
+        controller: the system that commands it.
+        diagram: the Diagram of both.
+        simulator: the diagram's Simulator.
+        simulated: whether the robot is simulated. Then the task also knows what the robot cannot
+            see.
+        judged_pose: name of the station's port with the pose by which the object is judged: the
+            true one if there is one.
     """
 
     lost_after: ClassVar[float]
-    """Simulated without the object being seen, after which it is lost, s."""
+    """If the object is not seen for this long, it is lost; simulated time, s."""
 
     timeout: ClassVar[float]
-    """Simulated without anything new, after which the task is stuck, s."""
+    """If nothing new happens for this long, the task is stuck; simulated time, s."""
 
     def __init__(
         self, builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat | None
@@ -233,11 +257,11 @@ class StationTask(Generic[R]):
         """Connects a station with what commands it, and builds the Diagram.
 
         Args:
-            builder: both are in it, and whatever else the Diagram has.
+            builder: a builder that has both, and whatever else the Diagram is to have.
             station: the station.
-            controller: its input ports named in `SOURCES` and its output ports named in `COMMANDS`
-                are connected.
-            meshcat: to show the estimate in; None for none.
+            controller: the system that commands it. Its input ports that are named in `SOURCES`
+                and its output ports that are named in `COMMANDS` are connected.
+            meshcat: Meshcat in which the estimate is shown; None for none.
         """
         ports = map(controller.get_input_port, range(controller.num_input_ports()))
         for port in [port for port in ports if port.get_name() in SOURCES]:
@@ -247,27 +271,31 @@ class StationTask(Generic[R]):
                 builder.Connect(controller.GetOutputPort(command), station.GetInputPort(command))
         if meshcat is not None:
             AddEstimateVisualizer(builder, station, controller, meshcat)
-        self.station, self.diagram, self._controller = station, builder.Build(), controller
-        self.simulated: bool = station.HasOutputPort(TRUE_POSE)
-        self.judged_pose = TRUE_POSE if self.simulated else "object.pose"
+        self.station = station
+        self._controller = controller
+        self.diagram = builder.Build()
         self.diagram.set_name(type(self).__name__)
         self.simulator = Simulator(self.diagram)
-        self._last_seen = self._last_new = 0.0
+        self.simulated: bool = station.HasOutputPort(TRUE_POSE)
+        self.judged_pose = TRUE_POSE if self.simulated else "object.pose"
+        # Times at which the object was last seen, and something was last new, s.
+        self._last_seen = 0.0
+        self._last_new = 0.0
 
     def make_record(self) -> R:
-        """An empty record."""
+        """Makes the empty record of a run."""
         raise NotImplementedError
 
     def note(self, record: R, time: float) -> bool:
-        """Writes down what is new at a time, s; returns whether anything is."""
+        """Writes into the record what is new at a time, s; returns whether anything is new."""
         raise NotImplementedError
 
     def judge(self, record: R, waiting: Waiting) -> Judgment:
-        """Says whether the task is over, and how it ended."""
+        """Decides whether the task is over, and how it ended."""
         raise NotImplementedError
 
     def prepare(self, context: Context, seed: int) -> None:
-        """Sets what else is to be set in the fresh Context of the Diagram."""
+        """Sets in a fresh Context of the Diagram what a kind of task needs beside the station."""
 
     def finish(self, record: R) -> None:
         """Completes the record of a run that has ended."""
@@ -282,43 +310,54 @@ class StationTask(Generic[R]):
         """Runs the task from its beginning.
 
         Args:
-            seed: of everything random, instead of the scenario's.
-            progress: told after every step.
-            realtime_rate: at most so many simulated seconds a second; 0 for as fast as possible.
-            drive: of a station that is no simulation; it has a rate of its own.
+            seed: seed of everything random, instead of the scenario's.
+            progress: told after every step how far the run is.
+            realtime_rate: greatest number of simulated seconds in a second; 0 for as fast as
+                possible.
+            drive: moves on the time of a station with a real robot; it has a rate of its own. None
+                for a simulated one.
 
         Returns:
-            What came of it. Ctrl-C ends it early, with what there is by then. So does, with a
-            `drive`, whatever fails in the loop: the robot is brought to rest first, and the record's
-            message says what failed. Without a `drive` a failure is raised.
+            The record of the run. Ctrl-C ends the run early, and the record has what there is by
+            then. With a `drive` any failure in the loop ends it early, too: the robot is brought to
+            rest first, and the record's message says what failed. Without a `drive` the failure is
+            raised.
         """
-        simulator, station = self.simulator, self.station
+        simulator = self.simulator
         self.begin(seed, drive)
         context = simulator.get_mutable_context()
-        monitor, record = LimitMonitor(station), self.make_record()
-        record.truth, record.limit_report = station.GetTruth(context), monitor.limit_report
-        self._last_seen = self._last_new = 0.0
+        monitor = LimitMonitor(self.station)
+        record = self.make_record()
+        record.truth = self.station.GetTruth(context)
+        record.limit_report = monitor.limit_report
+        self._last_seen = 0.0
+        self._last_new = 0.0
         simulator.set_target_realtime_rate(realtime_rate)
         simulator.set_monitor(monitor)
         if drive is None:
             self._go_on(record, Simulator.AdvanceTo, progress)
         else:
-            try:
-                self._go_on(record, drive.advance, progress)
-            except (Exception, SystemExit) as error:  # the robot must come to rest whatever it is
-                drive.fail(error)
-                record.status = TaskStatus.STOPPED
-            drive.finish(simulator)
-            guard = self._read_guard()
-            if guard is not None and guard.failed and record.status != TaskStatus.INTERRUPTED:
-                record.status, record.message = TaskStatus.STOPPED, describe_stop(guard)
+            self._go_on_with(drive, record, progress)
         self._complete(record, drive)
         return record
+
+    def _go_on_with(self, drive: Drive, record: R, progress: Progress | None) -> None:
+        """Runs the task with a real robot, which is brought to rest at the end in any case."""
+        try:
+            self._go_on(record, drive.advance, progress)
+        except (Exception, SystemExit) as error:  # the robot must come to rest whatever it is
+            drive.fail(error)
+            record.status = TaskStatus.STOPPED
+        drive.finish(self.simulator)
+        guard = self._read_guard()
+        if guard is not None and guard.failed and record.status != TaskStatus.INTERRUPTED:
+            record.status = TaskStatus.STOPPED
+            record.message = describe_stop(guard)
 
     def _go_on(
         self, record: R, advance: Callable[[Simulator, float], None], progress: Progress | None
     ) -> None:
-        """Goes on until the judge says that the task is over, or Ctrl-C does."""
+        """Goes on until the task is judged to be over, or Ctrl-C ends it."""
         simulator = self.simulator
         try:
             simulator.Initialize()
@@ -330,11 +369,15 @@ class StationTask(Generic[R]):
         except KeyboardInterrupt:
             self._observe(record)
             if not record.status:
-                message = f"Interrupted after {len(record.log)} pushes."
-                record.status, record.message = TaskStatus.INTERRUPTED, message
+                record.status = TaskStatus.INTERRUPTED
+                record.message = f"Interrupted after {len(record.log)} pushes."
 
     def _complete(self, record: R, drive: Drive | None) -> None:
-        """Writes into the record what is known only at its end; with a `drive`, as much as can still be read."""
+        """Writes into the record what is known only at the end of a run.
+
+        Without a `drive` a failure is raised. With one the run may have ended by a failure, after
+        which some of this can no longer be read: each part is then written if it can be.
+        """
         context = self.simulator.get_context()
         remarks: list[str] = []
 
@@ -362,7 +405,12 @@ class StationTask(Generic[R]):
         record.message = " ".join(filter(None, [record.message, explained, strayed, *remarks]))
 
     def begin(self, seed: int | None = None, drive: Drive | None = None) -> None:
-        """Gives the simulator a fresh Context in which all is where it begins; see `run`."""
+        """Gives the simulator a fresh Context, with everything where a run begins.
+
+        Args:
+            seed: seed of everything random, instead of the scenario's.
+            drive: see `run`.
+        """
         self.simulator.reset_context(self.diagram.CreateDefaultContext())
         context = self.simulator.get_mutable_context()
         seed = self.station.scenario.seed if seed is None else seed
@@ -372,7 +420,15 @@ class StationTask(Generic[R]):
         self.prepare(context, seed)
 
     def preview(self, drive: Drive, within: float) -> PushCommand | None:
-        """The first push that the task would make, while nothing moves; None where there is none within a time, s."""
+        """Finds the first push that the task would make, while nothing moves.
+
+        Args:
+            drive: see `run`.
+            within: longest time to wait for a push, s.
+
+        Returns:
+            The push; None if there was none within this time.
+        """
         self.begin(drive=drive)
         self.simulator.Initialize()
         time = 0.0
@@ -385,14 +441,24 @@ class StationTask(Generic[R]):
         return None
 
     def read(self, port: str, system: System | None = None) -> Any:
-        """What an output port shows at present: of the station, or of another `system` of the Diagram."""
+        """Returns the present value of an output port.
+
+        Args:
+            port: name of the port.
+            system: the system of the Diagram that has it; the station by default.
+        """
         system = system or self.station
         return system.GetOutputPort(port).Eval(
             system.GetMyContextFromRoot(self.simulator.get_context())
         )
 
     def note_step(self, record: ControlledRecord[Any], time: float) -> bool:
-        """Writes down what the controller says, where that is new; returns whether it is."""
+        """Adds a step to the record if the controller's status has changed; returns whether it has.
+
+        Args:
+            record: the record of the run.
+            time: time now, s.
+        """
         status = self.read("status", self._controller)
         if status is record.last:
             return False
@@ -400,56 +466,60 @@ class StationTask(Generic[R]):
         grasp = GraspCommand()
         if self._controller.HasOutputPort("grasp_command"):
             grasp = GraspCommand.from_vector(self.read("grasp_command", self._controller))
-        begun = {0, *(step.push.command_id for step in record.steps if step.push)}
-        grasped = {0, *(step.grasp.command_id for step in record.steps if step.grasp)}
+        # A command stays on its port until the next one. Number 0 is no command.
+        known_pushes = {0, *(step.push.command_id for step in record.steps if step.push)}
+        known_grasps = {0, *(step.grasp.command_id for step in record.steps if step.grasp)}
         record.last = status
         record.steps.append(
             TaskStep(
-                time,
-                status,
-                np.array(self.read("object.pose")),
-                None if push.command_id in begun else push,
-                None if grasp.command_id in grasped else grasp,
+                time=time,
+                status=status,
+                pose=np.array(self.read("object.pose")),
+                push=None if push.command_id in known_pushes else push,
+                grasp=None if grasp.command_id in known_grasps else grasp,
             )
         )
         return True
 
     def AimCamera(self, meshcat: Meshcat) -> None:
-        """Points Meshcat's camera so that the whole arm and the whole table are in sight, whatever the robot does."""
+        """Points Meshcat's camera so that the whole arm and the whole table stay in sight."""
         station = self.station
+        # It looks at a point halfway between the middle of the scene and the object.
         x0, y0, x1, y1 = station.table_top.union(shapely.Point(0.0, 0.0)).bounds
         x, y = (np.array([x0 + x1, y0 + y1]) / 2 + station.scenario.object_pose[:2]) / 2
         distance = CAMERA_SHARE * float(np.hypot(x1 - x0, y1 - y0))
         AimCamera(meshcat, (x, y, CAMERA_HEIGHT), distance, CAMERA_AZIMUTH, CAMERA_ELEVATION)
 
     def _observe(self, record: R) -> None:
-        """Writes down what there is by now, and lets the judge speak."""
-        time = record.duration = self.simulator.get_context().get_time()
+        """Writes into the record what there is by now, and judges whether the task is over."""
+        time = self.simulator.get_context().get_time()
+        record.duration = time
         record.log = self.read("estimate.push_log")
-        found = self.read("estimate.identification")
-        if found.push_names and (not record.estimates or found is not record.estimates[-1]):
-            record.estimates.append(found)
-        hidden = (
-            self.station.found is not None and not self.read("executor.status").ready
-        )  # by the arm at work
-        if hidden or np.isfinite(self.read("object.pose")).all():
+        estimate = self.read("estimate.identification")
+        if estimate.push_names and (not record.estimates or estimate is not record.estimates[-1]):
+            record.estimates.append(estimate)
+
+        # While the arm works it may hide the object from a color and depth camera: that does not
+        # count as not being seen.
+        may_be_hidden = self.station.found is not None and not self.read("executor.status").ready
+        if may_be_hidden or np.isfinite(self.read("object.pose")).all():
             self._last_seen = time
         if self.note(record, time):
             self._last_new = time
-        record.status, record.message = self.judge(
-            record, Waiting(time - self._last_seen, time - self._last_new)
-        )
+        waiting = Waiting(unseen=time - self._last_seen, idle=time - self._last_new)
+        record.status, record.message = self.judge(record, waiting)
+
+        # Whatever the judgment, a task in which the arm was stopped ends once the arm is at rest.
         guard = self._read_guard()
         if guard is None or not guard.stopped:
             return
-        # whatever the judge says, a task in which the arm was stopped ends once that is at rest
         record.status, record.message = GO_ON
         if guard.ended:
             record.status = TaskStatus.INTERRUPTED if guard.by_user else TaskStatus.STOPPED
             record.message = describe_stop(guard)
 
     def _read_guard(self) -> GuardStatus | None:
-        """What the guard of a real arm says; None where there is none."""
+        """Returns the status of a real arm's guard; None if the robot is simulated."""
         if not self.station.HasOutputPort(GUARD_STATUS):
             return None
         status: GuardStatus = self.read(GUARD_STATUS)
@@ -457,7 +527,7 @@ class StationTask(Generic[R]):
 
 
 def describe_stop(guard: GuardStatus) -> str:
-    """Says in a sentence that an arm was stopped, why, and whether it is known to be at rest."""
+    """Says in a sentence when and why an arm was stopped, and whether it was seen at rest."""
     held = "is held" if guard.mode == GuardMode.HOLDING else "was not seen at rest"
     return f"The arm was stopped at {guard.since:.2f} s and {held}: {guard.reason}."
 
@@ -465,7 +535,14 @@ def describe_stop(guard: GuardStatus) -> str:
 def AddEstimateVisualizer(
     builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat
 ) -> EstimateVisualizer:
-    """Shows the station's estimate and what the controller commands, in Meshcat."""
+    """Adds a system that shows the station's estimate and the controller's push in Meshcat.
+
+    Args:
+        builder: the builder that has station and controller.
+        station: a simulated station.
+        controller: the system that commands it.
+        meshcat: Meshcat in which the estimate is shown.
+    """
     part = station.object_in_plant
     visualizer = builder.AddNamedSystem(
         "estimate_visualizer",

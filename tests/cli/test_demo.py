@@ -20,7 +20,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station import scenario_file
 from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.tasks import TASKS, TaskKind, TaskName
+from gridpush_drake.station.task_kind import TaskKind
+from gridpush_drake.station.tasks import TASKS, TaskName
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
 from tests.helpers.renderer import require_renderer
 
@@ -282,7 +283,7 @@ def test_one_whose_place_is_taken_meanwhile_keeps_what_it_made_beside_it(
     outcome = gridpush("demo", "--camera", "ideal", "--out", out, "--json")
     assert outcome.code == 0
     kept = tmp_path / "demo-2"
-    assert f"What was done is kept in {kept} instead." in outcome.err
+    assert f"The files of this run are kept in {kept} instead." in outcome.err
     assert str(out) in outcome.err
     assert (kept / "report.html").read_text() == "what was done"
     assert json.loads(outcome.out)["written"] == [str(kept / "report.html")]

@@ -35,7 +35,7 @@ def test_height_and_mass_are_those_of_the_file(gridpush, tmp_path):
     for given, height in (((), 0.08), (("--height", 0.05), 0.05)):
         told = gridpush("export", file, out, *given, "--force", "--json")
         assert json.loads(told.out)["height"] == height
-        assert told.err == "tall: no total_mass in its file; 1 kg is taken\n"
+        assert told.err == "tall: its file has no total_mass; 1 kg is assumed\n"
         plant, _ = parse_sdf(out)
         middle = plant.GetBodyByName("tall").default_com()
         assert middle[2] == pytest.approx(height / 2)

@@ -143,7 +143,7 @@ def test_a_tag_on_the_object_is_aligned_once_and_then_tells_its_pose(capsys, fol
         *size,
     )
     assert absent.code == 2
-    assert "tag 5 is not in view; there are: none" in absent.err
+    assert "tag 5 is not in view; the tags in view are: none" in absent.err
 
 
 def test_object_says_what_is_wrong_and_shows_it(capsys, folder):
@@ -165,7 +165,7 @@ def test_object_says_what_is_wrong_and_shows_it(capsys, folder):
             capsys, "object", folder / "photo.png", *files, "--out", folder / read, "--force"
         )
         assert done.code == 2
-        assert f"{read}: is read, too" in done.err
+        assert f"{read}: is also read by this command" in done.err
     for (photo, camera), message in cases:
         done = run_gridpush(
             capsys, "object", folder / photo, "--camera", folder / camera, "--out", folder / "o.yaml", "--picture",
@@ -282,9 +282,9 @@ def test_track_says_what_is_wrong(capsys, folder):
     (folder / "nothing").mkdir()
     (folder / "text.mp4").write_text("no video")
     for video, tip, message in [
-        ("video", "late.csv", "expected clocks that overlap"),
+        ("video", "late.csv", "expected times that overlap"),
         ("video", "odd.csv", "line 2: is '1,0'"),
-        ("video", "tag:5", "tag 5 is in no frame; there are: none"),
+        ("video", "tag:5", "tag 5 is in no frame; the tags that are seen are: none"),
         ("video", "tag:x", "expected TIP.csv, or tag:ID"),
         ("video", "tag:²", "expected TIP.csv, or tag:ID"),
         ("nothing", "tip.csv", "holds no images"),

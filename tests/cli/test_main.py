@@ -29,8 +29,8 @@ def test_every_command_has_help(gridpush, command):
     assert outcome.err == ""
 
 
-def test_a_paragraph_of_help_is_one_line_of_the_docstring():
-    """The help breaks its lines where the docstring does, so none breaks within a sentence."""
+def test_a_paragraph_of_help_has_no_line_breaks_of_the_source():
+    """Typer keeps the line breaks of a help text, so that none may be left within a sentence."""
     pending, commands = [typer.main.get_command(app)], []
     while pending:
         command = pending.pop()

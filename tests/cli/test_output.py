@@ -34,7 +34,9 @@ def picture(tmp_path):
 
 def expect_one_line(done, said):
     assert done.returncode == 2
-    assert done.stderr == f"gridpush: error: standard output {said}; what was to be said is lost\n"
+    assert (
+        done.stderr == f"gridpush: error: standard output {said}; what was printed there is lost\n"
+    )
 
 
 def test_a_full_disk_loses_only_the_words(picture):

@@ -42,7 +42,7 @@ def test_replaces_no_file_that_it_reads(refuses, model, block, pushes, tmp_path,
             "--out",
             out,
             "--force",
-            says=[out, "is read, too; expected another file"],
+            says=[out, "is also read by this command; expected another file"],
         )
     assert (pushes.read_bytes(), source.read_bytes()) == before
 
@@ -50,7 +50,7 @@ def test_replaces_no_file_that_it_reads(refuses, model, block, pushes, tmp_path,
 def test_predicts_with_an_objects_prior_and_says_so(gridpush, block, pushes, tmp_path):
     outcome = gridpush("predict", block, pushes, "--out", tmp_path / "predicted.csv")
     assert outcome.code == 0
-    assert "an object, not a model: predicted with its prior" in outcome.out
+    assert "an object, not a model: its mass and friction are assumed to be spread" in outcome.out
 
 
 def test_says_which_radius_it_takes(gridpush, block, pushes, tmp_path):
@@ -62,7 +62,10 @@ def test_says_which_radius_it_takes(gridpush, block, pushes, tmp_path):
         gridpush("predict", path, pushes, "--out", tmp_path / f"{path.stem}.csv").err
         for path in (block, tmp_path / "plain.yaml")
     ]
-    assert said == ["", "block: no pusher.radius in its file; 0.005 m is taken for the pusher's\n"]
+    assert said == [
+        "",
+        "block: its file has no pusher.radius; the pusher's radius is assumed to be 0.005 m\n",
+    ]
 
 
 def test_prints_one_json_document(gridpush, model, pushes, tmp_path):

@@ -190,5 +190,5 @@ def test_refuses(refuses, stream, thing, tmp_path):
             "--out",
             read,
             "--force",
-            says=[read, "is read, too"],
+            says=[read, "is also read by this command"],
         )

@@ -11,7 +11,9 @@ def test_says_where_the_kernels_are_kept_and_whether_they_were_compiled(gridpush
     found = json.loads(gridpush("warm-up", "--json").out)
     assert found["compiled"] is False
     assert "kernels-" in found["folder"]
-    assert gridpush("warm-up").out.startswith("The kernels were compiled before; they are kept in ")
+    assert gridpush("warm-up").out.startswith(
+        "The simulation was compiled before; the compiled code is"
+    )
 
 
 @pytest.mark.parametrize("code", ["raise SystemExit(3)", "import time; time.sleep(60)", "1 +"])

@@ -10,13 +10,8 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.station.arm import (
-    AddArmDriver,
-    AddArmKinematics,
-    ArmReach,
-    CalcStartPosture,
-    MakeControlPlant,
-)
+from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.arm_driver import AddArmDriver, AddArmKinematics
 from gridpush_drake.station.robot import AddRobot, find_robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.messages import PushCommand

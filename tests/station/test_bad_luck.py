@@ -8,7 +8,8 @@ import pytest
 from gridpush_drake.bench.campaign import calc_center_error
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
-from gridpush_drake.station.pregrasp_task import HELD, LOST, PreGraspTask
+from gridpush_drake.station.pregrasp_task import PreGraspTask
+from gridpush_drake.station.task import TaskStatus
 from gridpush_drake.station.tasks import PreGraspKind
 from gridpush_drake.systems.messages import PreGraspMode, PushCommand, PushPhase
 
@@ -75,7 +76,7 @@ def test_an_object_out_of_sight_for_good_is_lost_and_the_finger_goes_up():
             stranger.cover(True)
 
     record = task.run(progress=meddle)
-    assert record.status == LOST
+    assert record.status == TaskStatus.LOST
     assert record.message == f"The object has not been seen for {PreGraspTask.lost_after:g} s."
     assert record.last.mode == PreGraspMode.LOST
     assert f"not been seen for {TIMEOUT:g} s" in record.last.reason
@@ -114,7 +115,7 @@ def test_an_object_moved_out_of_sight_and_nudged_in_a_slide_is_lifted_all_the_sa
     assert "not been seen" in record.steps[lost].status.reason
     assert record.steps[lost + 1].status.reason == "The object is seen again."
     np.testing.assert_allclose(record.steps[lost + 1].pose, elsewhere, atol=0.02)
-    assert record.status == HELD, record.message
+    assert record.status == TaskStatus.HELD, record.message
     assert record.raised > 0.07
     assert calc_center_error(record, record.estimates[-1].params) < 0.03
 
@@ -150,4 +151,4 @@ def test_a_slide_in_which_the_object_is_shoved_over_the_edge_is_broken_off():
         record.steps[modes.index(PreGraspMode.STOPPING) + 1].status.reason
         == "A push was broken off."
     )
-    assert record.status == HELD, record.message
+    assert record.status == TaskStatus.HELD, record.message

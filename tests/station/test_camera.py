@@ -22,11 +22,13 @@ from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import record_pushes
 from gridpush_drake.station import camera as station_camera
 from gridpush_drake.station.camera import calc_pose_age, make_camera
-from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
+from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.scenario import CameraConfig, PushScenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_camera import CameraConfig
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, read_scenario
+from gridpush_drake.station.task import TaskStatus
 from tests.helpers.renderer import require_renderer
 from tests.helpers.shapes import make_shape
 
@@ -213,7 +215,9 @@ def test_a_push_is_tracked_and_learned_from_by_the_camera_alone(renderer):
     scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.06
     task = IdentifyTask(scenario)
     record = task.run()
-    assert record.status == FINISHED and len(record.log) == 1 and len(record.estimates) == 1
+    assert (
+        record.status == TaskStatus.FINISHED and len(record.log) == 1 and len(record.estimates) == 1
+    )
     sight = record.sight
     assert sight.seen.mean() > 0.9
     position, angle = sight.calc_rms()

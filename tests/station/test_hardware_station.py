@@ -8,7 +8,7 @@ from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
 from gridpush_drake.station.arm import ArmPosture
 from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
+from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation, make_limits
 from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
 from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.robot import find_robot, make_robot_directives
@@ -180,7 +180,22 @@ def creep(fault, time, data):
     return [message.encode()]
 
 
-COLLIDES = (push_back, turn_joints_once)
+def press_tip_once(fault, time, data):
+    """40 N from below on the finger's tip, in one status; every joint's torque is within its limit."""
+    if time > fault.begun:
+        return [data]
+    world = fault.bench.twin.world
+    posture = ArmPosture(world.setting.control_plant, ROBOT)
+    q, step = np.array(lcmt_iiwa_status.decode(data).joint_position_measured), 1e-6
+    heights = [posture.calc_tip_pose(q + step * e).translation()[2] for e in np.eye(len(q))]
+    slope = (np.array(heights) - posture.calc_tip_pose(q).translation()[2]) / step
+    torque = 40.0 * slope  # of the force f at the tip: J' f
+    limits = make_limits(world.setting.scenario, world.setting.control_plant).torque
+    assert (np.abs(torque) < 0.9 * limits).all()
+    return [make_status(data, joint_torque_external=torque.tolist())]
+
+
+COLLIDES = (push_back, turn_joints_once, press_tip_once)
 """Faults after which the arm goes back."""
 
 
@@ -194,6 +209,7 @@ COLLIDES = (push_back, turn_joints_once)
         (OBJECT_STATUS, jump, "the object was seen to jump by "),
         (ARM.status, freeze_joints, "no joint's measured position has changed for "),
         (ARM.status, turn_joints_once, "the external torque on joint 1 is 40.0 N m"),
+        (ARM.status, press_tip_once, "the force on the finger's tip is 40.0 N; 30.0 N are allowed"),
         (ARM.status, turn_a_joint_once, "joint 1 was measured to move at "),
         (OBJECT_STATUS, creep, "the object was seen to move by "),
     ],

@@ -10,15 +10,9 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.identify_task import (
-    FINISHED,
-    OBJECT_LOST,
-    STUCK,
-    IdentifyTask,
-    PokeJudge,
-)
+from gridpush_drake.station.identify_task import IdentifyTask, PokeJudge
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.task import Waiting
+from gridpush_drake.station.task import TaskStatus, Waiting
 from gridpush_drake.systems.messages import PushCommand, PushPhase, PushStatus
 
 
@@ -40,7 +34,7 @@ def short():
 @pytest.mark.slow
 def test_carries_out_its_pushes(short):
     record, _, told = short
-    assert record.status == FINISHED
+    assert record.status == TaskStatus.FINISHED
     assert (len(record.training_log), len(record.held_out_log), len(record.estimates)) == (1, 1, 1)
     assert record.held_out_log[0].push.length == pytest.approx(0.1 + 0.008, abs=1e-3)
     assert record.limit_report.ok
@@ -85,7 +79,7 @@ def test_ends_when_the_object_leaves_the_table():
             )
 
     record = experiment.run(progress=shove)
-    assert record.status == OBJECT_LOST
+    assert record.status == TaskStatus.OBJECT_LOST
     assert "left the table during push 2" in record.message
     assert len(record.estimates) == 1
 
@@ -136,7 +130,7 @@ def test_gives_up_after_many_refusals():
     status, message = watch.judge(
         PushStatus(command_id=20, refused=20, reason="the arm sulks"), waiting
     )
-    assert status == STUCK
+    assert status == TaskStatus.STUCK
     assert "the arm sulks" in message
 
 
@@ -184,7 +178,7 @@ def test_runs_of_one_diagram_leak_no_memory():
 def test_learns_a_hammer():
     record = IdentifyTask(make_scenario(8, 6, seed=1)).run()
     obj = record.obj
-    assert record.status == FINISHED
+    assert record.status == TaskStatus.FINISHED
     assert record.limit_report.ok, record.limit_report
     assert record.limit_report.tracking_error < 1e-3
     before, after = (
@@ -203,7 +197,7 @@ def test_does_not_end_before_the_last_push_is_learned_from():
     scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.08
     scenario.simulation.answer_delay = 2.0  # the finger has long gone up by then
     record = IdentifyTask(scenario).run()
-    assert record.status == FINISHED
+    assert record.status == TaskStatus.FINISHED
     assert [found.push_names for found in record.estimates] == [
         tuple(seen.name for seen in record.log)
     ]

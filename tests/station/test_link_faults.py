@@ -9,7 +9,10 @@ from drake import lcmt_iiwa_command, lcmt_iiwa_status, lcmt_planar_manipuland_st
 
 from gridpush_drake.cli import robot as robot_command
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
+from gridpush_drake.station.arm import ArmPosture
+from gridpush_drake.station.lcm import hardware_link
 from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
+from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.tasks import TASKS
 from gridpush_drake.systems.messages import PushPhase
 from tests.helpers.twin_bench import TwinBench
@@ -22,16 +25,23 @@ STOPS_WITHIN = 0.1
 NEAR = 1e-3
 """rad, of a joint that is where it is held."""
 
+PATIENCE = 1.2
+"""s, for braking, and for being measured at rest, beside a way back."""
+
 FAR = 4e9
 """us, by which a clock jumps."""
 
 
-@pytest.fixture(scope="module")
-def bench():
+def make_scenario():
     scenario = PushScenario(object="open_book", base="planar", object_pose=[0.55, 0.0, 0.0])
     scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.08
     scenario.pokes.distance = [0.05, 0.05]
-    return TwinBench(scenario, IdentifyTask)
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return TwinBench(make_scenario(), IdentifyTask)
 
 
 class Fault:
@@ -210,6 +220,37 @@ def fail_in_station(bench, begun):
 
     bench.link._step = failing
     return lambda: delattr(bench.link, "_step")
+
+
+@pytest.mark.slow
+def test_the_link_waits_for_as_long_as_the_arm_goes_back(monkeypatch):
+    """The task fails while the arm goes back from a collision, by a way of 0.1 m."""
+    monkeypatch.setattr(hardware_link, "STOPPING_TIME", PATIENCE)
+    scenario = make_scenario()
+    scenario.safety.retreat = 0.1
+    bench = TwinBench(scenario, IdentifyTask)
+    bench.begin()
+    torque = partial(change_status, joint_torque_external=lambda torque: [40.0, *torque[1:]])
+    fault = Fault(bench, ARM.status, torque, count=1)
+    note = bench.task.note
+
+    def fail_while_it_goes_back(record, time):
+        if bench.task.read("guard.status").stopped and bench.time > fault.begun + 0.2:
+            raise BrokenPencilError("the pencil broke")
+        return note(record, time)
+
+    bench.task.note = fail_while_it_goes_back
+    record, sent = run(bench)
+    assert "BrokenPencilError" in record.message
+    begun = next(time for time, text in bench.link.report.events if "guard stopping" in text)
+    held = next(time for time, text in bench.link.report.events if "guard holding: " in text)
+    print(f"it went back for {held - begun:.2f} s")
+    assert held - begun > 0.2 + PATIENCE + 0.5
+    posture = ArmPosture(bench.twin.world.setting.control_plant, find_robot(scenario.directives))
+    tips = np.array([posture.calc_tip_pose(q).translation() for q in sent])
+    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    back = steps[-round((held - begun) / ARM_PERIOD) :].sum()
+    assert 0.095 < back < 0.1 + 0.01  # with what it needed for braking
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.station.task import ADVANCE, TaskStep
-from gridpush_drake.station.tasks import BEFORE_LOOKING, TASKS
+from gridpush_drake.station.task_kind import BEFORE_LOOKING
+from gridpush_drake.station.tasks import TASKS
 from gridpush_drake.systems.messages import (
     ContactPointMode,
     ContactPointStatus,

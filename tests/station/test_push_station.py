@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.display.server import StartMeshcatServer
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.station.arm import DRIVER_OUTPUTS
+from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario

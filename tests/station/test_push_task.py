@@ -5,7 +5,7 @@ import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 
 from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.station.push_task import FAILED, LOST, REACHED, PushTask
+from gridpush_drake.station.push_task import PushTask
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import TaskStatus
 
@@ -29,7 +29,7 @@ def put(task: PushTask, pose) -> None:
 def test_reaches_the_goal(name):
     task = PushTask(make_scenario(object=name))
     record = task.run(1)
-    assert record.status == REACHED, record.message
+    assert record.status == TaskStatus.REACHED, record.message
     assert record.error < 0.02
     assert record.error == pytest.approx(calc_goal_error(record.obj, record.pose, record.goal))
     assert record.limit_report.ok, record.limit_report
@@ -52,7 +52,7 @@ def test_pushes_on_from_where_somebody_put_the_object():
 
     record = task.run(0, progress=meddle)
     assert moved
-    assert record.status == REACHED, record.message
+    assert record.status == TaskStatus.REACHED, record.message
     assert record.pushes >= 2 and record.error < 0.02
 
 
@@ -65,7 +65,7 @@ def test_ends_when_the_object_falls_and_when_nobody_waits():
             put(task, (0.6, 1.5, 0.0))
 
     record = task.run(progress=shove)
-    assert record.status == LOST and "left the table during push 1" in record.message
+    assert record.status == TaskStatus.LOST and "left the table during push 1" in record.message
     assert np.isnan(record.pose).all()
 
     def interrupt(status, logged):
@@ -83,5 +83,7 @@ def test_says_why_a_goal_is_out_of_the_question(goal, cause):
     scenario = make_scenario(object="pliers")
     scenario.goal.pose = goal
     record = PushTask(scenario).run()
-    assert (record.status, record.last.cause, record.pushes) == (FAILED, cause, 0), record.message
+    assert (record.status, record.last.cause, record.pushes) == (TaskStatus.FAILED, cause, 0), (
+        record.message
+    )
     assert record.duration < 2.0

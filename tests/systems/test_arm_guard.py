@@ -1,4 +1,5 @@
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -311,6 +312,19 @@ def test_wrong_joints_with_a_torque_lead_the_arm_nowhere_but_back_on_its_way(wro
     bench.check_limits()
     check_stop(bench.positions, stopped, retreats=True)
     assert bench.status.mode == GuardMode.HOLDING
+
+
+def test_it_says_when_it_will_have_gone_back():
+    bench = Bench(limits=replace(LIMITS, retreat=0.1))
+    bench.follow_ramp(count=150)
+    assert np.isnan(bench.status.back_at)
+    status = bench.step(force=[40.0, 0.0, 0.0])
+    assert status.kinds == (StopKind.FORCE,)
+    assert np.isnan(status.back_at)  # it brakes first
+    status = bench.rest(seconds=6.0, force=np.zeros(3))
+    assert status.mode == GuardMode.HOLDING
+    assert bench.time - status.since > 0.1 / RETREAT_TIP_SPEED
+    assert abs(bench.time - status.back_at) < 0.1  # and it was measured at rest
 
 
 def test_a_further_fault_ends_the_retreat_where_it_is_and_is_told():

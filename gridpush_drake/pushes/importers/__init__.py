@@ -27,7 +27,9 @@ class Importer(Protocol):
 
     A field is a bool, a number, a text, or a GridObject where an object's file or name is asked
     for. Its metadata has its `help` and, where it is not called after the field, its `name` on the
-    command line. The first line of the class's docstring is the command's help.
+    command line. The first line of the class's docstring is the command's help. If an import needs
+    more than a file, the class may have a text `example` with the options of the example that the
+    help shows.
     """
 
     file: ClassVar[str]  # a stand-in for the file's name, such as "LOG.txt"

@@ -63,47 +63,77 @@ class Track(NamedTuple):
 
 @dataclass(frozen=True)
 class BagImporter:
-    """Pushes from a ROS 1 bag, or a ROS 2 one (sqlite3 or MCAP).
+    """Convert the pushes in a ROS 1 bag or a ROS 2 bag (sqlite3 or MCAP).
 
     A topic is named as in the bag; of a tf topic also the child frame, after a colon: /tf:object.
     Times are those in the messages' headers.
     """
 
     file: ClassVar[str] = "BAG"
-    source: ClassVar[str] = "ROS, a .bag, .db3 or .mcap, or a ROS 2 folder"
+    source: ClassVar[str] = "a ROS 1 bag (.bag), or a ROS 2 bag (.db3, .mcap, or its folder)"
+    example: ClassVar[str] = "--object object.yaml --object-topic /object --tip-topic /tip"
 
     obj: GridObject | None = field(
-        default=None, metadata={"help": "The object that was pushed; required.", "name": "--object"}
+        default=None,
+        metadata={
+            "help": "The object that was pushed: an object file or a shipped object's name. It has "
+            "to be given.",
+            "name": "--object",
+        },
     )
     object_topic: str = field(
         default="",
         metadata={
-            "help": "Topic of the object: PoseStamped, TransformStamped, Odometry; for tf add the frame, /tf:object."
+            "help": "Topic of the object's pose: PoseStamped, TransformStamped, Odometry, or tf "
+            "with the object's frame after a colon, such as /tf:object. It has to be given."
         },
     )
-    tip_topic: str = field(default="", metadata={"help": "Topic of the pusher's tip, likewise."})
+    tip_topic: str = field(
+        default="",
+        metadata={
+            "help": "Topic of the pose of the pusher's tip, of the same kinds. It has to be given."
+        },
+    )
     force_topic: str = field(
-        default="", metadata={"help": "Of the force, WrenchStamped, in the frame of the poses."}
+        default="",
+        metadata={
+            "help": "Topic of the force on the object (WrenchStamped, N), in the frame of the "
+            "poses; without it the log holds no forces."
+        },
     )
     object_delay: float | None = field(
         default=None,
         metadata={
-            "help": "How much later the object's stamps are than what was seen, s; by default, what the pushes say."
+            "help": "How much later the time stamps of the object's poses are than the moment at "
+            "which the object was there, s. If it is not given, it is found from the pushes."
         },
     )
-    tip_delay: float = field(default=0.0, metadata={"help": "The same of the tip's stamps, s."})
-    rate: float = field(default=30.0, metadata={"help": "Samples a second, Hz."})
+    tip_delay: float = field(
+        default=0.0,
+        metadata={
+            "help": "How much later the time stamps of the tip's poses are than the moment at "
+            "which the tip was there, s."
+        },
+    )
+    rate: float = field(
+        default=30.0, metadata={"help": "How many poses a second are taken from the bag, Hz."}
+    )
     table_height: float = field(
         default=0.0, metadata={"help": "Height of the table's top in the bag's frame, m."}
     )
     engaged_below: float = field(
         default=SegmenterOptions.engaged_below,
         metadata={
-            "help": "Height above the table below which the tip's center can touch the object, m."
+            "help": "Height of the tip's center above the table, below which the tip can touch the "
+            "object, m."
         },
     )
     negate_force: bool = field(
-        default=False, metadata={"help": "The sensor tells the force on the pusher."}
+        default=False,
+        metadata={
+            "help": "Reverse the force's sign, for a sensor that tells the force on the pusher "
+            "instead of that on the object."
+        },
     )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
@@ -117,7 +147,8 @@ class BagImporter:
         path = Path(path)
         if self.obj is None:
             raise PushLogError(
-                f"{path}: --object is missing; expected the file or name of the object that was pushed"
+                f"{path}: --object is missing; expected the file or name of the object that was "
+                "pushed"
             )
         self._check_numbers()
         tracks = self._read_tracks(path)
@@ -126,8 +157,8 @@ class BagImporter:
         for other in (tip, force):
             if other is not None and thing.frame and other.frame and other.frame != thing.frame:
                 raise PushLogError(
-                    f"{path}: {other.what} is in frame {other.frame!r}, {thing.what} in {thing.frame!r}; "
-                    "expected the same frame"
+                    f"{path}: {other.what} is in frame {other.frame!r}, {thing.what} in "
+                    f"{thing.frame!r}; expected the same frame"
                 )
         late = (self.object_delay or 0.0) - self.tip_delay
         samples, rest = make_stream(path, thing, tip, self.rate, self.table_height, late)
@@ -147,8 +178,8 @@ class BagImporter:
         found = record_pushes(samples, self.obj, radius, segmenter, record, source=str(path))
         if not len(found.log):
             raise PushLogError(
-                f"{path}: holds no push of {self.obj.name}; expected a tip that comes below {self.engaged_below:g} m "
-                "and moves the object (--engaged-below, --table-height)"
+                f"{path}: holds no push of {self.obj.name}; expected a tip that comes below "
+                f"{self.engaged_below:g} m and moves the object (--engaged-below, --table-height)"
             )
         for text in found.unusable:
             warn(f"{path}: {text}", PushLogWarning, stacklevel=2)
@@ -230,8 +261,8 @@ def make_stream(
         )
     if (last - first) * rate > MAX_SAMPLES:
         raise PushLogError(
-            f"{path}: {last - first:.0f} s at --rate {rate:g} make more than {MAX_SAMPLES} samples; "
-            "expected a lower rate (Hz), or a part of the bag"
+            f"{path}: {last - first:.0f} s at --rate {rate:g} make more than {MAX_SAMPLES} "
+            "samples; expected a lower rate (Hz), or a part of the bag"
         )
     t = np.arange(math.ceil(first * rate), math.floor(last * rate) + 1) / rate
     if not len(t):
@@ -307,8 +338,8 @@ def _make_track(path: Path, messages: "list[_Message]", name: str) -> Track:
     values = np.array([messages[i].values for i in first])
     if not (np.abs(values) <= MAX_NUMBER).all():
         raise PushLogError(
-            f"{path}: {name} holds a number that is not finite, or larger than {MAX_NUMBER:g}; expected m, N and a "
-            "unit quaternion"
+            f"{path}: {name} holds a number that is not finite, or larger than {MAX_NUMBER:g}; "
+            "expected m, N and a unit quaternion"
         )
     if len(t) < MIN_MESSAGES:
         raise PushLogError(
@@ -387,7 +418,8 @@ class _Bag:
             )
         if kind == TF and not child:
             raise PushLogError(
-                f"{self._path}: {topic} holds many frames; expected one after a colon, {topic}:FRAME"
+                f"{self._path}: {topic} holds many frames; expected one after a colon, "
+                f"{topic}:FRAME"
             )
         try:
             found = [

@@ -185,7 +185,7 @@ def triangle_block(uniform_plate: bool = False) -> GridObject:
 
 @dataclass(frozen=True)
 class CmuImporter:
-    """Pushes of a triangular block (Zhou, Paolini, Bagnell, Mason, ICRA 2016).
+    """Convert a log of CMU's triangular block (Zhou, Paolini, Bagnell, Mason, ICRA 2016).
 
     To calibrate is to correct the logged tool point to the tip's center (TIP_OFFSET), to take the
     log's steps out of its straight path, and to let it travel on for TIP_EXTENSION. Shuffled, no
@@ -193,20 +193,31 @@ class CmuImporter:
     """
 
     file: ClassVar[str] = "LOG.txt"
-    source: ClassVar[str] = "GitHub robinzhoucmu/MLab_EXP"
+    source: ClassVar[str] = "a log in the GitHub repository robinzhoucmu/MLab_EXP"
 
     calibrate: bool = field(
-        default=True, metadata={"help": "Correct the logged tool point to the tip's center."}
+        default=True,
+        metadata={
+            "help": "Correct the places in the log, which are those of a point on the tool, to the "
+            "center of the pusher's tip."
+        },
     )
-    shuffle: bool = field(default=True, metadata={"help": "Put the pushes in random order."})
+    shuffle: bool = field(
+        default=True,
+        metadata={
+            "help": "Put the pushes in random order. In the log each push begins where the one "
+            "before it ended."
+        },
+    )
     uniform_plate: bool = field(
         default=False,
         metadata={
-            "help": "Take the block's center of mass as known to be at its centroid.",
+            "help": "Write into the object file that the block's center of mass is at its "
+            "centroid.",
             "name": "--uniform-plate",
         },
     )
-    seed: int = field(default=0, metadata={"help": "Of everything random."})
+    seed: int = field(default=0, metadata={"help": "Seed of the random order."})
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -231,7 +242,8 @@ class CmuImporter:
                 raise PushLogError(f"{path}: push {i + 1}: {error}") from error
             if seen is None:
                 raise PushLogError(
-                    f"{path}: push {i + 1}: the tool does not move; expected a path, at times that increase"
+                    f"{path}: push {i + 1}: the tool does not move; expected a path, at times that "
+                    "increase"
                 )
             pushes.append(seen)
         return PushLog(tuple(pushes), str(path)), triangle_block(self.uniform_plate)

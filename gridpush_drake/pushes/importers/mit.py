@@ -114,7 +114,7 @@ MODEL_ERRORS = (
 
 @dataclass(frozen=True)
 class MitImporter:
-    """Pushes of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
+    """Convert a file of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
 
     Without `shape` and `obj` the object is the last part of the file's name after an underscore if
     that is one, otherwise the file's own `shape_id`. A PushLogWarning says where the name or
@@ -122,17 +122,22 @@ class MitImporter:
     """
 
     file: ClassVar[str] = "FILE.mat"
-    source: ClassVar[str] = "the MIT push data set, start and end"
+    source: ClassVar[str] = "a file of the MIT push data set with each push's start and end"
 
     shape: str | None = field(
         default=None,
         metadata={
-            "help": "The shape's name, such as rect1; by default as the file's name or content says."
+            "help": "The name of the shape that was pushed, such as rect1. If it is not given, the "
+            "file's name or its content tells."
         },
     )
     obj: GridObject | None = field(
         default=None,
-        metadata={"help": "The object, where its shape is not known.", "name": "--object"},
+        metadata={
+            "help": "The object that was pushed, if it is none of the data set's shapes: an object "
+            "file or a shipped object's name.",
+            "name": "--object",
+        },
     )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:

@@ -18,7 +18,8 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.station.arm import DRIVER_OUTPUTS, ArmPosture
+from gridpush_drake.station.arm import ArmPosture
+from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS
 from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.grasping import ExportOutputs
 from gridpush_drake.station.lcm.robot_messages import (

@@ -9,7 +9,7 @@ from pydrake.systems.primitives import LinearSystem
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.station.arm import DRIVER_OUTPUTS, AddArmDriver
+from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, AddArmDriver
 from gridpush_drake.station.camera import StationCamera
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
 from gridpush_drake.station.lcm.robot_messages import (

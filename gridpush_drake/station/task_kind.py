@@ -1,0 +1,297 @@
+"""`TaskKind`: what `gridpush demo`, `robot` and `campaign` need to know of a kind of task.
+
+It says in which scenario the task is done, when it is done, how a run is shown and recorded, which
+files the run leaves in a folder (`write_files`), and how these are described and summarized. The
+registry of the kinds there are is in `station.tasks`.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydrake.geometry import Meshcat
+
+from gridpush_drake.display.cell_colors import CellColors
+from gridpush_drake.display.live_page import LivePage
+from gridpush_drake.display.overlay import (
+    Mark,
+    Overlay,
+    Phase,
+    list_estimate_marks,
+    make_close_up,
+    make_color_scale,
+)
+from gridpush_drake.display.server import write_recording
+from gridpush_drake.files import write_whole
+from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.multibody.ground_truth import describe_truth
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.stream import write_stream_csv
+from gridpush_drake.report.page import ReportSummary, make_report
+from gridpush_drake.report.progress import Expectation, calc_progress
+from gridpush_drake.station.camera import calc_pose_age
+from gridpush_drake.station.resolve import ResolvedScenario
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario, write_scenario
+from gridpush_drake.station.task import ADVANCE, TaskStatus
+from gridpush_drake.systems.estimate_visualizer import OBJECT_PATH
+from gridpush_drake.systems.messages import ContactPointStatus, PreGraspStatus, PushStatus
+from gridpush_drake.yaml_file import dump_yaml
+
+FRAMES_PER_SECOND = 20.0
+"""Frames of the recording in a simulated second."""
+
+BEFORE_LOOKING = (
+    "The robot looks where the object lies. Colors and ellipse show what it supposes beforehand: "
+    "an even object, of which little is known."
+)
+"""Text beside the scene until the first push."""
+
+FIRST_TITLE = "Looking at the object"
+"""Title above that text."""
+
+FIRST_REASONS = (ContactPointStatus().reason, PreGraspStatus().reason)
+"""Reasons in the controllers' statuses before they have seen anything."""
+
+REPORT = "report.html"
+RECORDING = "recording.html"
+MODEL = "model.yaml"
+OBJECT = "object.yaml"
+PUSHES = "pushes.csv"
+HELD_OUT = "held_out.csv"
+STREAM = "stream.csv"
+TRUTH = "truth.yaml"
+SCENARIO = "scenario.yaml"
+"""Names of the files that a run leaves in its folder."""
+
+FILES = (REPORT, RECORDING, MODEL, OBJECT, PUSHES, STREAM, TRUTH, SCENARIO)
+"""Files that a run of most tasks leaves, in the order in which they are listed to the user."""
+
+Report = Callable[[str, str, int], None]
+"""A function that is told what is being done, a detail that changes all the time, and the number of
+steps done."""
+
+
+class TaskKind:
+    """A kind of task, as the commands know it.
+
+    A `record` in its methods is what a run came to: a `TaskRecord` of the task's own kind.
+
+    Attributes:
+        station: the class of the task, a `StationTask`, made of a scenario and a Meshcat.
+        scenario: name of the shipped scenario in which the task is done if none is given; None for
+            `PushScenario()`, an iiwa with a finger.
+        done: status of a run in which all went well.
+        has_goal: whether there is something to reach, so that a run may end without reaching it.
+        files: names of the files that a run leaves in its folder, the report first.
+        marks: entries of the recording's legend, besides those of the estimate.
+    """
+
+    station: Callable[..., Any]
+    scenario: str | None = None
+    done: TaskStatus = TaskStatus.FINISHED
+    has_goal: bool = True
+    files: tuple[str, ...] = FILES
+    marks: tuple[Mark, ...] = ()
+
+    def make_scenario(self) -> PushScenario:
+        """Makes the scenario in which the task is done if none is given."""
+        return PushScenario() if self.scenario is None else read_scenario(self.scenario)
+
+    def run(
+        self, resolved: ResolvedScenario, page: LivePage, realtime_rate: float, report: Report
+    ) -> Any:
+        """Runs the task, and records it from the moment when everything is set up.
+
+        Args:
+            resolved: the resolved scenario.
+            page: the page that shows and records the run.
+            realtime_rate: greatest number of simulated seconds in a second; 0 for as fast as
+                possible.
+            report: told after every step what is being done, for how long, and how far it is.
+
+        Returns:
+            The record of the run.
+        """
+        task = self.station(resolved, page.meshcat)
+        task.AimCamera(page.meshcat)
+        page.overlay = self.make_overlay(task.station.obj)
+        phases = [Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)]
+        page.show_phases(phases)
+
+        def show(status: PushStatus, logged: int) -> None:
+            time = task.simulator.get_context().get_time()
+            doing, steps = self.describe_step(task, status)
+            report(doing, f"{time:.0f} s simulated", steps)
+            phase = self.describe_phase(task, status, time)
+            if phase is not None and not phase.says_the_same(phases[-1]):
+                phases.append(phase)
+                page.show_phases(phases)
+
+        page.meshcat.StartRecording(FRAMES_PER_SECOND)
+        return task.run(progress=show, realtime_rate=realtime_rate)
+
+    def make_overlay(self, obj: GridObject, phases: Sequence[Phase] = ()) -> Overlay:
+        """Makes what stands beside the scene, in the live page and in the recording."""
+        return Overlay(
+            scale=make_color_scale(obj, CellColors()),
+            marks=(*list_estimate_marks(), *self.marks),
+            phases=tuple(phases),
+            close_up=make_close_up(obj, OBJECT_PATH),
+        )
+
+    def count_steps(self, scenario: PushScenario) -> int:
+        """Returns the number of steps at which the progress bar is full."""
+        return 1
+
+    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
+        """Says what is being done, and returns the number of steps done.
+
+        Args:
+            task: the task that runs.
+            status: status of the executor of pushes.
+        """
+        raise NotImplementedError
+
+    def name_phase(self, status: Any) -> str:
+        """Returns the title beside the recording for a controller's status."""
+        raise NotImplementedError
+
+    def describe_phase(self, task: Any, status: PushStatus, time: float) -> Phase | None:
+        """Describes what is being done, for the live page.
+
+        Args:
+            task: the task that runs.
+            status: status of the executor of pushes.
+            time: time now, s.
+
+        Returns:
+            The phase; None if nothing has been done yet.
+        """
+        now = task.read("status", task.controller)
+        return self._make_phase(now, time)
+
+    def list_phases(self, record: Any) -> list[Phase]:
+        """Lists what the robot did when, for the recording: a phase for each controller's step."""
+        phases = [Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)]
+        for step in record.steps:
+            phase = self._make_phase(step.status, step.time)
+            if phase is not None:
+                phases.append(phase)
+        return phases
+
+    def _make_phase(self, status: Any, time: float) -> Phase | None:
+        """Makes a phase of a controller's status; None if the controller has done nothing yet.
+
+        A status is noted, at `time`, at the end of the `ADVANCE` in which the controller took the
+        step. Meshcat may have drawn what the step commands since the beginning of that interval, so
+        the phase begins there: nothing is drawn before it is described.
+        """
+        if status.reason in FIRST_REASONS:
+            return None
+        return Phase(max(0.0, time - ADVANCE), self.name_phase(status), status.reason)
+
+    def split_log(self, record: Any) -> tuple[PushLog, PushLog]:
+        """Splits the log into pushes to learn from and pushes held out; here none are held out."""
+        return record.log, record.log[:0]
+
+    def make_summary(self, record: Any) -> ReportSummary:
+        """Makes the part of the report that shows the run."""
+        raise NotImplementedError
+
+    def list_expectations(self, record: Any) -> list[Expectation]:
+        """Lists what pokes were expected to tell of the center of mass; here nothing."""
+        return []
+
+    def make_report(self, record: Any, recording: str | None = None) -> str:
+        """Makes the report, as HTML, of the pushes from which the last estimate was learned.
+
+        Args:
+            record: the record of the run; it has an estimate.
+            recording: path of the recording's file, relative to the report; None without one.
+        """
+        estimate = record.estimates[-1]
+        used = record.log.subset(
+            [i for i, seen in enumerate(record.log) if seen.name in estimate.push_names]
+        )
+        return make_report(
+            estimate,
+            used,
+            truth=record.truth,
+            summary=self.make_summary(record),
+            sight=record.sight,
+            progress=calc_progress(record.estimates, record.log, record.truth),
+            expectations=self.list_expectations(record),
+            recording=recording,
+        )
+
+    def summarize(self, record: Any) -> dict[str, Any]:
+        """Summarizes a run in SI units, for JSON; "done" tells if the robot reached its goal."""
+        limits = record.limit_report
+        summary: dict[str, Any] = {"object": record.obj.name, "status": record.status}
+        if self.has_goal:
+            summary["done"] = record.status == self.done
+        return summary | {
+            "message": record.message,
+            "simulated_seconds": record.duration,
+            "limit_report": vars(limits) | {"touched": sorted(map(list, limits.touched))},
+        }
+
+    def describe(self, summary: dict[str, Any]) -> list[str]:
+        """Describes a summary in lines of words."""
+        raise NotImplementedError
+
+
+def write_files(
+    task: TaskKind,
+    folder: Path,
+    scenario: PushScenario,
+    record: Any,
+    meshcat: Meshcat | None,
+    force: bool,
+) -> list[Path]:
+    """Writes the files of a run.
+
+    The model is the station's own. `gridpush identify` makes the same of object.yaml and
+    pushes.csv.
+
+    Args:
+        task: kind of the task.
+        folder: folder in which the files are written.
+        scenario: the scenario of the run.
+        record: the record of the run.
+        meshcat: Meshcat with the recording; None to write no recording.
+        force: whether existing files may be replaced.
+
+    Returns:
+        The files, in the order of `task.files`, without those for which the run was too short.
+
+    Raises:
+        OutputError: a file exists and `force` is not set, or it cannot be written.
+    """
+    obj = record.obj
+    written = {OBJECT, STREAM, SCENARIO}
+    overlay = task.make_overlay(obj, task.list_phases(record))
+    if meshcat is not None:
+        write_recording(meshcat, folder / RECORDING, force, overlay)
+        written.add(RECORDING)
+    obj.write_yaml(folder / OBJECT, force=force)
+    if record.truth is not None:
+        write_whole(folder / TRUTH, dump_yaml(describe_truth(obj, record.truth)), force)
+        written.add(TRUTH)
+    write_scenario(folder / SCENARIO, scenario, force)
+    write_stream_csv(record.stream, folder / STREAM, force, calc_pose_age(scenario.camera))
+
+    # Model and report need an estimate, which there is after the first push.
+    training, held_out = task.split_log(record)
+    if record.estimates:
+        training.write_csv(folder / PUSHES, force)
+        write_model(folder / MODEL, record.estimates[-1], force)
+        recording = RECORDING if meshcat is not None else None
+        write_whole(folder / REPORT, task.make_report(record, recording), force)
+        written |= {PUSHES, MODEL, REPORT}
+    if len(held_out):
+        held_out.write_csv(folder / HELD_OUT, force)
+        written.add(HELD_OUT)
+    return [folder / name for name in task.files if name in written]
