@@ -55,6 +55,10 @@ class ScenarioError(GridPushError):
     """A scenario, or a field of it, is not what it should be."""
 
 
+class PushRefusedError(PlanningError):
+    """A world's robot does not carry a push out; the message says why."""
+
+
 class StationError(GridPushError):
     """A station cannot be built or run as asked."""
 

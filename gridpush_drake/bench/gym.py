@@ -20,7 +20,6 @@ from gridpush_drake.bench.pregrasp.world import is_over
 from gridpush_drake.bench.protocol import hide_parts, know_friction
 from gridpush_drake.bench.speed import one_core
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, Value, count_of, mean_of
-from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import MissingExtraError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
@@ -28,6 +27,7 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
+from gridpush_drake.planning.loop_run import Learner, run_loop
 from gridpush_drake.planning.pregrasp.exploration import (
     choose_poke,
     make_center_functional,
@@ -37,14 +37,14 @@ from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPl
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop, PreGraspLoopOptions
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.planning.simulated_world import Learner, run_loop
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import PushLog
 
 try:
     from gridpush_drake.gym import PushEnvironment, PushVectorEnvironment
-    from gridpush_drake.gym.episode import FRICTION_RANGE, Episode
+    from gridpush_drake.gym.episode import FRICTION_RANGE
     from gridpush_drake.gym.games import GAMES, HELD_OUT, ITERATIONS, MAX_ARM, REACHED
     from gridpush_drake.gym.known_shape import FINGER, PLACES
+    from gridpush_drake.gym.world import EnvironmentWorld
 except ModuleNotFoundError as error:
     if error.name != "gymnasium":
         raise
@@ -247,49 +247,17 @@ def tabulate_scores(played: Sequence[Played], games: Sequence[str]) -> Table:
 
 
 def play_planner(game: str, seed: int) -> Score:
-    """Lets our own planner play an episode; the seed is also the planner's."""
+    """Lets our own planner play an episode of a game; the seed is also the planner's."""
     world = EnvironmentWorld(PushEnvironment(game), seed)
-    {"PushToGoal": _push_to_goal, "SlideToEdge": _slide_to_edge, "Explore": _explore}[game](
-        world, seed
+    PLANNED[game](world, seed)
+    end = world.episode
+    return Score(
+        reward=world.reward,
+        won=world.won,
+        fell=end.fallen,
+        pushes=len(end.pushes),
+        score=float(end.score),
     )
-    return world.finish()
-
-
-class EnvironmentWorld:
-    """An environment as the planner's loops see a world (`planning.simulated_world.PushWorld`)."""
-
-    def __init__(self, env: PushEnvironment, seed: int) -> None:
-        """Begins an episode."""
-        self.env, self._reward, self._won, self.over = env, 0.0, False, False
-        env.reset(seed=seed)
-
-    @property
-    def episode(self) -> Episode:
-        """The present one."""
-        assert self.env.episode is not None
-        return self.env.episode
-
-    @property
-    def pose(self) -> Array | None:
-        """(3,) q_W of the object as it is seen, m and rad; None once the episode is over."""
-        return None if self.over else self.episode.pose
-
-    def execute(self, push: Push) -> ObservedPush:
-        """Takes the action that is this push."""
-        _, reward, terminated, cut_off, info = self.env.step(
-            self.episode.shape.find_action(push, self.episode.pose)
-        )
-        self._reward, self._won, self.over = (
-            self._reward + reward,
-            info["is_success"],
-            terminated or cut_off,
-        )
-        return self.episode.pushes[-1]
-
-    def finish(self) -> Score:
-        """How the episode ended, or stands."""
-        end = self.episode
-        return Score(self._reward, self._won, end.fallen, len(end.pushes), float(end.score))
 
 
 def _hide(obj: GridObject) -> GridObject:
@@ -334,6 +302,14 @@ def _explore(world: EnvironmentWorld, seed: int) -> None:
                 episode.model, episode.pose, pokes, make_center_functional(episode.model)
             ).push
         )
+
+
+PLANNED: dict[str, Callable[[EnvironmentWorld, int], None]] = {
+    "PushToGoal": _push_to_goal,
+    "SlideToEdge": _slide_to_edge,
+    "Explore": _explore,
+}
+"""Functions that play an episode of each game with our own planner, of a seed."""
 
 
 def play_random(game: str, seed: int, episodes: int) -> list[Score]:

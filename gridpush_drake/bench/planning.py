@@ -29,13 +29,14 @@ from gridpush_drake.bench.table import (
     count_of,
     mean_of,
 )
+from gridpush_drake.bench.worlds import LCP, find_world
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
 from gridpush_drake.planning.goal.next_push import GoalRules, RobustnessOptions
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
-from gridpush_drake.planning.simulated_world import Learner, SimulatedWorld
+from gridpush_drake.planning.loop_run import Learner
 
 LEARNING, UNIFORM, TRUE, LOOK_AHEAD = "learning", "uniform", "true", "true, two ahead"
 """Which model pushes are planned with: learned on the way, uniform throughout, the truth; that
@@ -186,6 +187,7 @@ class Job:
     pairs: int
     modes: tuple[str, ...]
     seed: int
+    world: str = LCP
 
 
 def run(
@@ -198,11 +200,13 @@ def run(
     execution: Execution = QUIET,
     *,
     quick: bool = False,
+    world: str = LCP,
 ) -> list[Table]:
     """Measures the choice of contact points, and pushing to goal poses on the round table.
 
     The arguments are the options of `gridpush bench planning`, and `modes` which model pushes are
-    planned with. Without `objects`, contact points are chosen on all, and the masks and
+    planned with; `world` is the name of the world in which objects are pushed, see
+    `bench.worlds`. Without `objects`, contact points are chosen on all, and the masks and
     `PUSHED_SHIPPED` are pushed. One set, and three pairs of poses, where `quick`.
 
     Returns:
@@ -218,13 +222,23 @@ def run(
     check_known("objects", objects or known, known)
     if not 1 <= sets <= protocol.mass_sets:
         raise GridPushError(f"sets: {sets}; expected 1 to {protocol.mass_sets}")
+    find_world(world)
     count, pairs = (QUICK_SETS, QUICK_PAIRS) if quick else (sets, len(protocol.pairs))
     names = {
         "contact": list(objects or known),
         "push": list(objects or list_objects(protocol, PUSHED_SHIPPED)),
     }
     jobs = [
-        Job(part, folder, name, number, pairs, tuple(modes), seed)
+        Job(
+            kind=part,
+            data=folder,
+            name=name,
+            number=number,
+            pairs=pairs,
+            modes=tuple(modes),
+            seed=seed,
+            world=world,
+        )
         for part in parts
         for number in range(count)
         for name in names[part]
@@ -276,10 +290,15 @@ def _push(job: Job) -> list[Run]:
     runs = []
     for pair, (start, goal) in enumerate(protocol.pairs[: job.pairs]):
         for mode in job.modes:
-            world = SimulatedWorld(
-                obj, hidden, start, protocol.surface, position_std=POSITION_STD, angle_std=ANGLE_STD,
+            world = find_world(job.world)(
+                obj,
+                hidden,
+                start,
+                protocol.surface,
+                position_std=POSITION_STD,
+                angle_std=ANGLE_STD,
                 seed=job.seed + pair,
-            )  # fmt: skip
+            )
             done = push_to_goal(
                 world, plain, goal,
                 GoalRules(
@@ -290,10 +309,11 @@ def _push(job: Job) -> list[Run]:
                 learner=Learner(seed=job.seed) if mode == LEARNING else None,
             )  # fmt: skip
             errors = [step.prediction_error for step in done.steps]
-            error = float(calc_goal_error(obj, world.true_pose, goal))
+            truth = world.truth
+            error = float(calc_goal_error(obj, truth.pose, goal))
             runs.append(
                 Run(
-                    job.name, mode, not world.fallen and error < SUCCESS, world.fallen, len(done.steps), done.status,
+                    job.name, mode, not truth.fallen and error < SUCCESS, truth.fallen, len(done.steps), done.status,
                     errors[0] if errors else np.nan, calc_mean(errors[1:]),
                     done.simulations, done.planning_seconds, done.learning_seconds,
                 )

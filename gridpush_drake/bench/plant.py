@@ -1,25 +1,21 @@
 """The same pushes in Drake's MultibodyPlant and in the grid LCP model.
 
-Random parts, random pushes of 10 cm from random places of the outline. The plant's sphere feet
-resist no spin, so the model's exact counterpart is spin="none"; "coupled", the default elsewhere,
-gives cells their area. With the "planar" base each cell bears its own weight, as the model assumes;
-with the "free" base the loads shift because the push acts above the table.
+Objects have random parts. They get random pushes of 10 cm from random places of their outlines. The
+plant's sphere feet resist no spin, so the model's exact counterpart is spin="none"; "coupled", the
+default elsewhere, gives cells their area. With the "planar" base each cell bears its own weight, as
+the model assumes. With the "free" base the loads shift, because the pusher touches the object above
+the table.
 
-A grid object in a MultibodyPlant, pushed by a sphere along a given path.
-
-The sphere slides on two prismatic joints, x and y, and is held to its path by stiff implicit PD
-gains: it errs by force/gain, 1e-6 m. A pusher of huge mass at constant velocity would seem simpler,
-but Drake's solver stops at a residual relative to the largest momentum around, and the object's
-motion is then not solved at all.
+`PlantWorld` is the plant as a world of closed loops and other benches.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.geometry import Box, CollisionFilterDeclaration, GeometrySet, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
@@ -31,7 +27,7 @@ from pydrake.multibody.tree import (
     SpatialInertia,
 )
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder
 from shapely import Point
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
@@ -40,6 +36,7 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import AddGridObject, Base
@@ -47,34 +44,86 @@ from gridpush_drake.multibody.ground_truth import (
     CalcPlanarPose,
     SetGridObjectParameters,
     SetGridObjectPose,
+    SetGridObjectVelocity,
     sample_ground_truth,
 )
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import (
+    FALLEN_TILT,
+    OBSERVATIONS,
+    CenterOfMassSupport,
+    TrackedWorld,
+    WorldMotion,
+    WorldTruth,
+)
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 OBJECTS = ("claw_hammer", "combination_wrench", "toolbox", "spray_bottle")
-PUSHES, DISTANCE, SPEED = 20, 0.1, 0.05
-"""Of an object; m and m/s."""
+"""Shipped objects that are pushed."""
+
+PUSHES = 20
+"""Number of pushes of each object."""
+
+DISTANCE = 0.1
+"""Length of a push, m."""
+
+SPEED = 0.05
+"""Speed of the pusher, m/s."""
 
 SLANT = radians(30)
-"""Furthest from the outline's normal."""
+"""Greatest angle of a push from the outline's inward normal, rad."""
 
 MIN_MOTION = 0.01
-"""m, mean over the cells; pushes that move the object less are drawn again."""
+"""Mean distance that a push must move the cells, m; pushes that move them less are drawn again."""
 
 MODEL_TIME_STEP = 1e-3
-"""s, of the model: the plant's."""
+"""Time step of the model, s; the planar plant has the same."""
 
 TRIES = 100
+"""Number of random pushes that are tried before it is said that none moves the object."""
+
 BASES: tuple[Base, ...] = ("planar", "free")
+"""Bases of the object in the plant, see `AddGridObject`."""
+
 SPINS: tuple[Literal["none", "coupled"], ...] = ("none", "coupled")
+"""Models of how a cell resists spinning."""
+
+TIME_STEP = {"planar": 1e-3, "free": 2e-3}
+"""Time step of the plant by the object's base, s."""
+
+STICTION_TOLERANCE = 1e-5
+"""Stiction tolerance of the plant, m/s. With Drake's own, 1e-3, a finger that should stick slips by
+0.1 mm in a push of 0.1 m."""
+
+PUSH_HEIGHT = 0.012
+"""Height of the center of the pusher, a sphere, above the table, m."""
+
+PUSHER_MASS = 1.0
+"""Mass of each of the pusher's two bodies, kg."""
+
+PUSHER_GAIN = 1e7
+"""Stiffness with which the pusher is held to its path, N/m."""
+
+PUSHER_DAMPING = 1e4
+"""Damping with which the pusher is held to its path, N s/m."""
+
+TABLE_SIZE = (4.0, 4.0, 0.1)
+"""Sides of the table in the plant along x, y and z, m."""
 
 
 @dataclass(frozen=True)
 class PlantJob:
-    """The pushes of one object, held in one way."""
+    """The pushes of one object.
+
+    Attributes:
+        name: name of a shipped object.
+        base: base of the object in the plant.
+        seeds: seeds of the pushes.
+    """
 
     name: str
     base: Base
@@ -83,10 +132,19 @@ class PlantJob:
 
 @dataclass(frozen=True)
 class PlantScore:
-    """How far plant (its base, its tilt) and model (its spin) differ at the end of one push, m and rad.
+    """How far plant and model differ at the end of one push.
 
-    `position` is the distance of B's origins, `cells` the mean one of the cells, `moved` how far
-    the plant's cells went on average, and `tracking_error` the plant's pusher's.
+    Attributes:
+        name: name of the object.
+        base: base of the object in the plant.
+        seed: seed of the push.
+        spin: the model's spin.
+        position: distance of both origins of the body frame, m.
+        angle: difference of both angles, rad.
+        cells: mean distance of the cells in plant and model, m.
+        moved: mean distance that the plant's cells went, m.
+        tracking_error: greatest distance of the plant's pusher from its path, m.
+        tilt: greatest tilt of the object in the plant, rad.
     """
 
     name: str
@@ -109,7 +167,14 @@ def calc_scores(
     seed: int = 0,
     execution: Execution = QUIET,
 ) -> list[PlantScore]:
-    """Compares the two, push by push, and for each spin model; `seed` is the first push's.
+    """Compares plant and model, push by push, for each spin model.
+
+    Args:
+        objects: names of shipped objects.
+        pushes: number of pushes of each object.
+        bases: bases of the objects in the plant.
+        seed: seed of the first push; the others' follow.
+        execution: how the jobs are run.
 
     Raises:
         ObjectError: an object is not shipped.
@@ -123,35 +188,55 @@ def calc_scores(
 
 
 def run_job(job: PlantJob) -> list[PlantScore]:
-    """Pushes one object in the plant and in the model, once a seed."""
+    """Pushes one object in the plant and in the model, once for each seed."""
     obj = GridObject.from_yaml(find_shipped_object(job.name))
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    pusher = PlantPusher(obj, CellParameters.uniform(obj), radius, job.base)
+    world = PlantWorld(obj, CellParameters.uniform(obj), radius=radius, base=job.base)
     scores = []
     for seed in job.seeds:
         params = sample_ground_truth(obj, seed, friction_by_part=True)
         push, pose = draw_push(obj, params, seed, radius)
-        motion = pusher.push(params, push, pose)
+        world.set_params(params)
+        world.put(pose)
+        world.execute(push)
+        motion = world.truth.motion
+        assert motion is not None
+        assert motion.tilt is not None
         moved = calc_pose_error(obj, motion.poses[-1], pose).cell
         for spin in SPINS:
             physics = Physics(regime="inertial", spin=spin)
-            expected = simulate(
-                obj, params, push, pose, MODEL_TIME_STEP, physics=physics
-            ).final_pose
-            error = calc_pose_error(obj, expected, motion.poses[-1])
+            expected = simulate(obj, params, push, pose, MODEL_TIME_STEP, physics=physics)
+            error = calc_pose_error(obj, expected.final_pose, motion.poses[-1])
             scores.append(
                 PlantScore(
-                    job.name, job.base, seed, spin, error.position, error.angle, error.cell, moved,
-                    motion.tracking_error, motion.tilt,
+                    name=job.name,
+                    base=job.base,
+                    seed=seed,
+                    spin=spin,
+                    position=error.position,
+                    angle=error.angle,
+                    cells=error.cell,
+                    moved=moved,
+                    tracking_error=world.tracking_error,
+                    tilt=float(motion.tilt.max()),
                 )
-            )  # fmt: skip
+            )
     return scores
 
 
 def draw_push(
     obj: GridObject, params: CellParameters, seed: int, radius: float
-) -> tuple[Push, np.ndarray]:
-    """Draws a push of a pusher's radius, from a place of the outline inwards, and a pose (3,) of the object.
+) -> tuple[Push, Array]:
+    """Draws a push from a place of the outline inwards, and where the object lies.
+
+    Args:
+        obj: the object.
+        params: its masses and frictions.
+        seed: seed of the push and the pose.
+        radius: radius of the pusher, m.
+
+    Returns:
+        The push, and the object's pose (3,), m and rad.
 
     Raises:
         PushError: hardly any push moves the object.
@@ -159,17 +244,15 @@ def draw_push(
     rng = np.random.default_rng((seed, 3))
     for _ in range(TRIES):
         pose = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi)])
-        place, angle = rng.uniform(0, obj.edges.perimeter), rng.uniform(-SLANT, SLANT)
+        place = rng.uniform(0, obj.edges.perimeter)
+        angle = rng.uniform(-SLANT, SLANT)
         point, _, normal = obj.edges.at(place)
+        # In a notch the pusher may not reach the place without touching another one.
         if obj.outline.distance(Point(point + normal * radius)) < (1 - 1e-6) * radius:
             continue
         push = Push.on_outline(obj, place, angle, DISTANCE, radius=radius, speed=SPEED, pose=pose)
-        if (
-            calc_pose_error(
-                obj, simulate(obj, params, push, pose, regime="inertial").final_pose, pose
-            ).cell
-            >= MIN_MOTION
-        ):
+        last = simulate(obj, params, push, pose, regime="inertial").final_pose
+        if calc_pose_error(obj, last, pose).cell >= MIN_MOTION:
             return push, pose
     raise PushError(f"{obj.name}: none of {TRIES} random pushes moves it by {MIN_MOTION * MM:g} mm")
 
@@ -197,9 +280,11 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
     }
     worst = max(score.tracking_error for score in scores)
     notes = (
-        f"Difference of the last poses after pushes of {DISTANCE * 100:g} cm at {SPEED * 100:g} cm/s; random parts.",
+        f"Difference of the last poses after pushes of {DISTANCE * 100:g} cm at "
+        f"{SPEED * 100:g} cm/s; random parts.",
         "Planar: every foot bears its cell's weight, dt 1 ms.",
-        "Free: six degrees of freedom, pushed 12 mm above the table, dt 2 ms: load shifts to the cells in front.",
+        "Free: six degrees of freedom, pushed 12 mm above the table, dt 2 ms: load shifts to the "
+        "cells in front.",
         "Spin: the model's; none is the plant's sphere feet.",
         f"The plant's pusher left its path by at most {worst * 1e6:.1f} µm.",
     )
@@ -208,134 +293,193 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
     )
 
 
-TIME_STEP = {"planar": 1e-3, "free": 2e-3}
-"""s."""
+class PlantWorld(TrackedWorld):
+    """An object in a MultibodyPlant on a table, pushed by a sphere along a given path.
 
-STICTION_TOLERANCE = 1e-5
-"""m/s; Drake's own, 1e-3, lets a finger that should stick slip by 0.1 mm in a push of 0.1 m."""
+    The sphere slides on two prismatic joints, x and y, and is held to its path by stiff implicit PD
+    gains: it errs by force/gain, 1e-6 m. A pusher of huge mass at constant velocity would seem
+    simpler, but Drake's solver stops at a residual relative to the largest momentum around, and the
+    object's motion is then not solved at all.
 
-PUSH_HEIGHT = 0.012
-"""m, of the sphere's center above the table."""
-
-PUSHER_MASS, PUSHER_GAIN, PUSHER_DAMPING = 1.0, 1e7, 1e4
-"""kg, of each of the pusher's two bodies; N/m and N s/m."""
-
-TABLE_SIZE = (4.0, 4.0, 0.1)
-"""m."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlantMotion:
-    """How an object moved.
+    With the "planar" base the object cannot fall: as in `SimulatedWorld`, it counts as fallen where
+    its center of mass leaves the hull of what lies on the table. With the "free" base it has fallen
+    where it tilts by FALLEN_TILT.
 
     Attributes:
-        times: (T+1,) s.
-        poses: (T+1, 3) q = (x, y, theta) of B in W, m and rad.
-        tracking_error: the pusher's greatest distance from its path at any of the times, m.
-        tilt: the greatest angle of B's z axis from the vertical, rad.
-    """
-
-    times: NDArray[np.float64]
-    poses: NDArray[np.float64]
-    tracking_error: float
-    tilt: float
-
-
-class PlantPusher:
-    """A Diagram of one object, a table and a pusher; it is built once and pushes as often as wanted.
-
-    Args:
         obj: the object.
-        params: its masses and frictions, until a push brings others.
-        radius: of the pusher, m.
-        base: "planar" or "free".
-        push_height: of the pusher's center above the table, m.
-        edge: x of the table's edge in W, m: the table is where x is less; None for one without.
-        options: passed on to `AddGridObject`.
+        params: its true masses and frictions; `set_params` changes them.
+        radius: radius of the pusher, m.
+        dt: time step of the plant, s.
+        plant: the plant.
+        scene_graph: its geometry.
+        pusher: the pusher's model instance.
+        handle: the object in the plant.
+        simulator: what advances plant and geometry.
+        tracking_error: greatest distance of the pusher from its path during the last push, m.
     """
+
+    params: CellParameters
 
     def __init__(
-        self, obj: GridObject, params: CellParameters, radius: float, base: Base = "planar",
-        push_height: float = PUSH_HEIGHT, edge: float | None = None, **options: Any,
-    ) -> None:  # fmt: skip
+        self,
+        obj: GridObject,
+        params: CellParameters,
+        pose: ArrayLike = (0.0, 0.0, 0.0),
+        surface: SupportSurface | None = None,
+        *,
+        radius: float | None = None,
+        base: Base = "planar",
+        push_height: float = PUSH_HEIGHT,
+        edge: float | None = None,
+        position_std: float = 0.0,
+        angle_std: float = 0.0,
+        seed: int | np.random.Generator = 0,
+        observations: int = OBSERVATIONS,
+        **options: Any,
+    ) -> None:
+        """Builds the plant, which pushes as often as wanted, and puts the object down.
+
+        Args:
+            obj: the object.
+            params: its true masses and frictions.
+            pose: (3,) where it lies, m and rad.
+            surface: the table as far as falling goes, see above; None for one without end. The
+                plant's own table is TABLE_SIZE large.
+            radius: radius of the pusher, m; the one that planners push with where None.
+            base: "planar" or "free".
+            push_height: height of the pusher's center above the table, m.
+            edge: x of the plant's table's edge in W, m: the table is where x is less; None for a
+                table about the world's origin.
+            position_std: standard deviation of seen positions, per axis, m.
+            angle_std: standard deviation of seen angles, rad.
+            seed: seed of the noise, or the generator that draws it.
+            observations: number of poses that are seen during a push after the first one.
+            options: passed on to `AddGridObject`.
+        """
+        self.obj = obj
+        self.params = params
+        self.radius = ContactOptions().radius if radius is None else radius
+        self.dt = TIME_STEP[base]
+        self.tracking_error = 0.0
+        self._support = None if surface is None else CenterOfMassSupport(obj, params, surface)
         builder = DiagramBuilder()
-        self.radius, self.dt = radius, TIME_STEP[base]
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, self.dt)
         self.plant.set_stiction_tolerance(STICTION_TOLERANCE)
         middle = [0.0 if edge is None else edge - TABLE_SIZE[0] / 2, 0.0, -TABLE_SIZE[2] / 2]
         table = self.plant.RegisterCollisionGeometry(
-            self.plant.world_body(), RigidTransform(np.array(middle)), Box(*TABLE_SIZE), "table",
+            self.plant.world_body(),
+            RigidTransform(np.array(middle)),
+            Box(*TABLE_SIZE),
+            "table",
             MakePartnerProperties(),
-        )  # fmt: skip
-        self.pusher = AddPusher(self.plant, radius, push_height)
+        )
+        self.pusher = AddPusher(self.plant, self.radius, push_height)
         self.handle = AddGridObject(
             self.plant, self.scene_graph, obj, params, base, table=[table], **options
         )
+        # The pusher may be low, and must not rub on the table.
         tip = self.plant.GetCollisionGeometriesForBody(self.plant.GetBodyByName("tip", self.pusher))
         self.scene_graph.collision_filter_manager().Apply(
             CollisionFilterDeclaration().ExcludeBetween(GeometrySet(tip), GeometrySet(table))
         )
         self.plant.Finalize()
         self.simulator = Simulator(builder.Build())
+        self.set_params(params)
+        super().__init__(
+            pose,
+            position_std=position_std,
+            angle_std=angle_std,
+            seed=seed,
+            observations=observations,
+        )
 
-    def push(
-        self, params: CellParameters, push: Push, pose: ArrayLike = (0.0, 0.0, 0.0)
-    ) -> PlantMotion:
-        """Pushes the object from rest at a pose (3,), m and rad, with these masses and frictions.
+    def set_params(self, params: CellParameters) -> None:
+        """Gives the object other masses and frictions."""
+        context = self.simulator.get_mutable_context()
+        SetGridObjectParameters(self.plant, self.scene_graph, context, self.handle, params)
+        self.params = params
+
+    def do_put(self, pose: Array) -> Array:
+        """Puts the object down flat at a pose (3,), at rest."""
+        SetGridObjectPose(self.plant, self._plant_context, self.handle, pose)
+        return pose
+
+    def do_push(self, push: Push, pose: Array) -> WorldMotion:
+        """Pushes the object from where it is, at rest.
 
         Raises:
             PushError: the pusher's radius is another.
         """
         if not np.isclose(push.radius, self.radius):
             raise PushError(
-                f"push: the radius is {push.radius:g} m; expected that of the plant's, {self.radius:g}"
+                f"push: the radius is {push.radius:g} m; "
+                f"expected that of the plant's pusher, {self.radius:g} m"
             )
-        plant, simulator = self.plant, self.simulator
-        context = simulator.get_mutable_context()
-        plant_context = plant.GetMyMutableContextFromRoot(context)
-        SetGridObjectParameters(plant, self.scene_graph, context, self.handle, params)
-        SetGridObjectPose(plant, plant_context, self.handle, pose)
+        plant = self.plant
+        context = self.simulator.get_mutable_context()
+        plant_context = self._plant_context
         times = np.linspace(0, push.duration, round(push.duration / self.dt) + 1)
         path = push.tip_at(times)
         velocity = np.gradient(path, times, axis=0)
         desired = plant.get_desired_state_input_port(self.pusher)
+
+        # Everything is at rest but the pusher, which is on its path already.
+        SetGridObjectVelocity(plant, plant_context, self.handle, (0.0, 0.0, 0.0))
         plant.SetPositions(plant_context, self.pusher, path[0])
         plant.SetVelocities(plant_context, self.pusher, velocity[0])
         desired.FixValue(plant_context, np.r_[path[0], velocity[0]])
         context.SetTime(0)
-        simulator.Initialize()
-        poses, error, tilt = [CalcPlanarPose(plant, plant_context, self.handle)], 0.0, 0.0
+        self.simulator.Initialize()
+
+        poses = [CalcPlanarPose(plant, plant_context, self.handle)]
+        tilt = [0.0]
+        self.tracking_error = 0.0
         for i in range(1, len(times)):
-            # the gains act at the step's end, so that is where the pusher is wanted
+            # The gains act at the step's end, so that is where the pusher is wanted.
             desired.FixValue(plant_context, np.r_[path[i], velocity[i]])
-            simulator.AdvanceTo(i * self.dt)
+            self.simulator.AdvanceTo(i * self.dt)
             poses.append(CalcPlanarPose(plant, plant_context, self.handle))
-            error = max(
-                error,
-                float(np.linalg.norm(plant.GetPositions(plant_context, self.pusher) - path[i])),
-            )
-            upright = (
-                plant.EvalBodyPoseInWorld(plant_context, self.handle.body).rotation().matrix()[2, 2]
-            )
-            tilt = max(tilt, float(np.arccos(np.clip(upright, -1, 1))))
-        return PlantMotion(times, np.array(poses), error, tilt)
+            off = float(np.linalg.norm(plant.GetPositions(plant_context, self.pusher) - path[i]))
+            self.tracking_error = max(self.tracking_error, off)
+            tilt.append(self._read_tilt())
+        made = np.array(poses)
+        made[:, 2] = np.unwrap(np.append(pose[2], made[:, 2]))[1:]
+        fell = max(tilt) >= FALLEN_TILT or (self._support is not None and self._support.falls(made))
+        return WorldMotion(times=times, poses=made, fell=fell, tilt=np.array(tilt))
+
+    @property
+    def truth(self) -> WorldTruth:
+        """What is true of the object now, for judges only."""
+        return replace(super().truth, tilt=self._read_tilt())
+
+    @property
+    def _plant_context(self) -> Context:
+        return self.plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
+
+    def _read_tilt(self) -> float:
+        """Reads the angle of B's z axis from the vertical, rad."""
+        X_WB = self.plant.EvalBodyPoseInWorld(self._plant_context, self.handle.body)
+        upright = X_WB.rotation().matrix()[2, 2]
+        return float(np.arccos(np.clip(upright, -1, 1)))
 
 
 def AddPusher(plant: MultibodyPlant, radius: float, height: float) -> ModelInstanceIndex:
     """Adds a sphere on two prismatic joints, x and y of the world, with PD gains, before Finalize.
 
+    Args:
+        plant: the plant.
+        radius: radius of the sphere, m.
+        height: height of its center above the world's origin, m.
+
     Returns:
-        Its model instance; the desired state is x, y (m) and their rates.
+        Its model instance; the desired state is x, y (m) and their rates (m/s).
     """
     instance = plant.AddModelInstance("pusher")
     inertia = SpatialInertia.SolidSphereWithMass(PUSHER_MASS, radius)
     slide = plant.AddRigidBody("slide", instance, inertia)
     tip = plant.AddRigidBody("tip", instance, inertia)
-    rail = plant.AddFrame(
-        FixedOffsetFrame(
-            "rail", plant.world_frame(), RigidTransform(np.array([0, 0, height])), instance
-        )
-    )
+    X_WR = RigidTransform(np.array([0, 0, height]))
+    rail = plant.AddFrame(FixedOffsetFrame("rail", plant.world_frame(), X_WR, instance))
     for name, parent, child, axis in (
         ("x", rail, slide.body_frame(), [1, 0, 0]),
         ("y", slide.body_frame(), tip.body_frame(), [0, 1, 0]),

@@ -5,3 +5,4 @@ from .episode import GameOptions as GameOptions
 from .games import Explore as Explore
 from .games import PushToGoal as PushToGoal
 from .games import SlideToEdge as SlideToEdge
+from .world import EnvironmentWorld as EnvironmentWorld

@@ -23,6 +23,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
+from gridpush_drake.planning.world import WorldMotion
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 OBJECTS = (
@@ -104,6 +105,8 @@ class Episode:
         parts: any of which is to hang over; hidden, for they tell where the center of mass is.
         model: what a learner holds possible; None in games without one.
         held_out: the pushes that it is tested on, from the pose (0, 0, 0).
+        motion: how the last push truly moved the object; None before the first, and where the
+            object was put elsewhere since.
     """
 
     shape: KnownShape
@@ -120,6 +123,7 @@ class Episode:
     parts: tuple[GraspPart, ...] = ()
     model: UncertainModel | None = None
     held_out: PushLog = field(default_factory=lambda: PushLog(()))
+    motion: WorldMotion | None = None
 
     @property
     def log(self) -> PushLog:
@@ -175,9 +179,19 @@ class PushGame:
         """Draws an episode; `rng` also draws its noise."""
         raise NotImplementedError
 
-    def judge(self, before: Episode, after: Episode) -> Turn:
-        """What a push was worth; the episode with its `score`."""
+    def measure(self, episode: Episode) -> float:
+        """Calculates the game's score of an episode as it stands, m."""
         raise NotImplementedError
+
+    def judge(self, before: Episode, after: Episode) -> Turn:
+        """Says what a push was worth, and returns the episode after it with its `score`."""
+        raise NotImplementedError
+
+    def put(self, episode: Episode, pose: Array) -> Episode:
+        """Returns the episode with its object put down at a pose (3,), seen and measured anew."""
+        seen = self.add_noise(pose, episode.rng)
+        moved = replace(episode, true_pose=pose, pose=seen, fallen=False, motion=None)
+        return replace(moved, score=self.measure(moved))
 
     def make_own_spaces(self) -> dict[str, Box]:
         """What this game adds to the observation."""
@@ -271,6 +285,9 @@ class PushGame:
             episode, true_pose=poses[-1].copy(), pose=pose, fallen=fallen,
             last_action=np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0), last_motion=moved,
             pushes=(*episode.pushes, observed),
+            motion=WorldMotion(
+                times=motion.times[: len(poses)], poses=poses, fell=fallen, overhang=not on_table
+            ),
         )  # fmt: skip
 
     def is_cut_off(self, episode: Episode) -> bool:

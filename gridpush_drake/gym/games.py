@@ -66,10 +66,14 @@ class PushToGoal(PushGame):
             error = float(calc_goal_error(shape.obj, start, goal))
         return Episode(shape, hidden, rng, start, self.add_noise(start, rng), error, goal=goal)
 
+    def measure(self, episode: Episode) -> float:
+        """Calculates the mean distance of the cells from where they are at the goal, m."""
+        assert episode.goal is not None
+        return float(calc_goal_error(episode.shape.obj, episode.true_pose, episode.goal))
+
     def judge(self, before: Episode, after: Episode) -> Turn:
         """By how much nearer the goal is."""
-        assert after.goal is not None
-        error = float(calc_goal_error(after.shape.obj, after.true_pose, after.goal))
+        error = self.measure(after)
         won = error < REACHED and not after.fallen
         reward = PER_METER * (before.score - error) + won - after.fallen
         return Turn(replace(after, score=error), reward, won)
@@ -126,9 +130,13 @@ class SlideToEdge(PushGame):
         score = float(calc_overhangs(near, start, self.surface).max())
         return Episode(shape, hidden, rng, start, self.add_noise(start, rng), score, parts=near)
 
+    def measure(self, episode: Episode) -> float:
+        """Calculates how far the part that is farthest out hangs over the edge, m."""
+        return float(calc_overhangs(episode.parts, episode.true_pose, self.surface).max())
+
     def judge(self, before: Episode, after: Episode) -> Turn:
         """By how much farther out a part is."""
-        overhang = float(calc_overhangs(after.parts, after.true_pose, self.surface).max())
+        overhang = self.measure(after)
         won = overhang >= 0 and not after.fallen
         reward = PER_METER * (overhang - before.score) + won - after.fallen
         return Turn(replace(after, score=overhang), reward, won)
@@ -178,6 +186,11 @@ class Explore(PushGame):
             model=model,
             held_out=held_out,
         )
+
+    def measure(self, episode: Episode) -> float:
+        """Calculates how far, on average, the learner puts the cells from where they truly end, m."""
+        assert episode.model is not None
+        return _calc_held_out_error(episode.model, episode.held_out)
 
     def judge(self, before: Episode, after: Episode) -> Turn:
         """By how much better the learner foretells."""

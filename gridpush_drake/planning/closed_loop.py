@@ -6,7 +6,7 @@
 
 `ClosedLoop.step` takes a frozen state and an `Observation` to the next state; the state holds the
 push asked for. A LeafSystem steps it with what is on its ports, a benchmark with what a simulated
-world shows (`world.run_loop`).
+world shows (`loop_run.run_loop`).
 
 A single observation is noisy, and may show an object that moves still. The latest poses q_1 .. q_k
 are of one rest if

@@ -6,7 +6,6 @@ import pytest
 from gridpush_drake.bench import gym
 from gridpush_drake.bench.gym import (
     WEIGHTS,
-    EnvironmentWorld,
     choose_by_weights,
     play_learned,
     play_planner,
@@ -14,7 +13,7 @@ from gridpush_drake.bench.gym import (
     train,
 )
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.gym import PushEnvironment, PushVectorEnvironment
+from gridpush_drake.gym import EnvironmentWorld, PushEnvironment, PushVectorEnvironment
 
 
 @pytest.mark.slow
@@ -29,7 +28,7 @@ def test_the_planner_wins_where_chance_does_not():
 def test_a_planned_push_is_carried_out_as_planned():
     env = PushEnvironment("SlideToEdge")
     world = EnvironmentWorld(env, 3)
-    push = world.episode.shape.make_push(np.array([0.2, -0.3, 0.1]), world.pose)
+    push = world.episode.shape.make_push(np.array([0.2, -0.3, 0.1]), world.observe())
     made = world.execute(push).push
     np.testing.assert_allclose(made.start, push.start, atol=1e-6)
     np.testing.assert_allclose(made.velocity, push.velocity, atol=1e-6)

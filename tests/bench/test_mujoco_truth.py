@@ -23,7 +23,7 @@ from gridpush_drake.geometry.se2 import rotate
 pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
 
 from gridpush_drake.bench.truth import mujoco_world
-from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TruthWorld
+from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, MujocoWorld
 
 RADIUS = 0.01
 
@@ -31,7 +31,7 @@ RADIUS = 0.01
 def make_world(kind, name="claw_hammer", seed=0):
     rng = np.random.default_rng(seed)
     obj, params = draw_masses(name, rng)
-    return TruthWorld(make_body(kind, obj, params, rng), RADIUS)
+    return MujocoWorld(make_body(kind, obj, params, rng), RADIUS)
 
 
 def make_push(obj, place, distance=0.05):
@@ -41,8 +41,8 @@ def make_push(obj, place, distance=0.05):
 def calc_shift(world, push):
     """How far the load's center is from the center of mass at the push's end, along the push."""
     world.put((0, 0, 0))
-    world.push(push)
-    theta = world.read_pose()[2]
+    world.execute(push)
+    theta = world.truth.pose[2]
     loads = world.read_loads()
     center = world.body.feet.T @ loads / loads.sum() - world.body.params.center_of_mass(
         world.body.obj
@@ -59,7 +59,7 @@ def test_loads_at_rest_are_in_equilibrium(kind):
     assert world.foot_loads.sum() == pytest.approx(weight, rel=1e-4)
     center = world.foot_loads @ feet / world.foot_loads.sum()
     world.put((0, 0, 0))
-    leaning = BODY_HEIGHT / 2 * world.read_tilt()  # the center of mass is above the feet
+    leaning = BODY_HEIGHT / 2 * world.truth.tilt  # the center of mass is above the feet
     np.testing.assert_allclose(
         center, params.center_of_mass(world.body.obj), atol=1.01 * leaning + 1e-7
     )
@@ -74,7 +74,8 @@ def test_each_cell_bears_its_own_weight_and_moves_as_the_model_says():
     np.testing.assert_allclose(world.loads, params.mass * GRAVITY, rtol=1e-6)
     push = make_push(obj, 0.1)
     world.put((0, 0, 0))
-    motion = world.push(push)
+    world.execute(push)
+    motion = world.truth.motion
     expected = simulate(obj, params, push, regime="quasi_static").final_pose
     apart = np.linalg.norm(obj.cells_at(motion.poses[-1]) - obj.cells_at(expected), axis=1).mean()
     moved = np.linalg.norm(obj.cells_at(motion.poses[-1]) - obj.p_BC, axis=1).mean()
@@ -104,11 +105,11 @@ def test_a_force_below_friction_moves_nothing():
     data.qfrc_applied[[0, 5]] = force, -center[1] * force
     for _ in range(1000):
         world._mujoco.mj_step(world._model, data)
-    assert np.abs(world.read_pose()).max() < 5e-5
+    assert np.abs(world._read_pose()).max() < 5e-5
     data.qfrc_applied[:] *= 1.1 / 0.95
     for _ in range(500):
         world._mujoco.mj_step(world._model, data)
-    assert world.read_pose()[0] > 0.02
+    assert world._read_pose()[0] > 0.02
 
 
 def test_a_set_is_reproducible_and_written_whole(tmp_path):
@@ -148,10 +149,11 @@ def test_edges_left_out_while_they_are_far_change_nothing(monkeypatch):
     push, ends = Push((left - RADIUS - 0.001, (low + high) / 2), (0.05, 0.0), 1.0, RADIUS), []
     for near in (10.0, mujoco_world.NEAR_EDGE):
         monkeypatch.setattr(mujoco_world, "NEAR_EDGE", near)
-        world = TruthWorld(body, RADIUS, table)
+        world = MujocoWorld(body, RADIUS, table)
         world.put((0.0, 0.0, 0.0))
-        motion = world.push(push)
+        world.execute(push)
+        motion = world.truth.motion
         world.wait(0.2)
-        ends.append(np.concatenate([motion.poses[-1], world.read_pose(), [world.read_tilt()]]))
+        ends.append(np.concatenate([motion.poses[-1], world.truth.pose, [world.truth.tilt]]))
     assert ends[0][0] > 0.03  # beyond the edge by a centimeter or more
     np.testing.assert_array_equal(ends[0], ends[1])

@@ -7,7 +7,7 @@ from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.plant import (
     OBJECTS,
     PlantJob,
-    PlantPusher,
+    PlantWorld,
     calc_scores,
     draw_push,
     make_table,
@@ -36,13 +36,14 @@ def params(obj):
 
 
 def test_one_push_ends_where_the_model_has_it(obj, params):
-    rig = PlantPusher(obj, params, 0.01)
     push, pose = draw_push(obj, params, 7, 0.01)
-    motion = rig.push(params, push, pose)
+    world = PlantWorld(obj, params, pose, radius=0.01)
+    world.execute(push)
+    motion = world.truth.motion
     expected = simulate(
         obj, params, push, pose, 1e-3, physics=Physics(regime="inertial", spin="none")
     )
-    assert motion.tracking_error < 1e-5
+    assert world.tracking_error < 1e-5
     assert np.linalg.norm(motion.poses[-1, :2] - pose[:2]) > 0.01
     np.testing.assert_allclose(motion.poses[-1], expected.final_pose, rtol=0, atol=3e-4)
     # and all along the way
@@ -50,13 +51,20 @@ def test_one_push_ends_where_the_model_has_it(obj, params):
 
 
 def test_a_plant_pushes_again_the_same(obj, params):
-    rig = PlantPusher(obj, CellParameters.uniform(obj), 0.01)
+    world = PlantWorld(obj, params, radius=0.01)
     push = Push.on_outline(obj, 0.02, 0.1, 0.02, radius=0.01, speed=0.1)
-    first = rig.push(params, push)
-    rig.push(CellParameters.uniform(obj), push, (0.1, 0.1, 1.0))
-    np.testing.assert_array_equal(rig.push(params, push).poses, first.poses)
+    world.execute(push)
+    first = world.truth.motion
+    world.set_params(CellParameters.uniform(obj))
+    world.put((0.1, 0.1, 1.0))
+    world.execute(push)
+    world.set_params(params)
+    world.put((0.0, 0.0, 0.0))
+    world.execute(push)
+    np.testing.assert_array_equal(world.truth.motion.poses, first.poses)
+    assert np.linalg.norm(first.poses[-1]) > 1e-3
     with pytest.raises(PushError, match="radius"):
-        rig.push(params, Push.on_outline(obj, 0.02, 0.1, 0.02, radius=0.02, speed=0.1))
+        world.execute(Push.on_outline(obj, 0.02, 0.1, 0.02, radius=0.02, speed=0.1))
 
 
 def test_a_free_object_pushed_low_moves_as_the_model_has_it(obj, params):
@@ -65,13 +73,12 @@ def test_a_free_object_pushed_low_moves_as_the_model_has_it(obj, params):
     expected = simulate(
         obj, params, push, dt=2e-3, physics=Physics(regime="inertial", spin="none")
     ).final_pose
-    low, high = (
-        np.abs(
-            PlantPusher(obj, params, 0.01, "free", push_height=z).push(params, push).poses[-1]
-            - expected
-        )
-        for z in (5e-4, 0.02)
-    )
+    worlds = [
+        PlantWorld(obj, params, radius=0.01, base="free", push_height=z) for z in (5e-4, 0.02)
+    ]
+    for world in worlds:
+        world.execute(push)
+    low, high = (np.abs(world.truth.pose - expected) for world in worlds)
     assert np.linalg.norm(low[:2]) < 2e-4 and low[2] < np.radians(0.2)
     assert np.linalg.norm(high[:2]) > 5 * np.linalg.norm(low[:2])
 

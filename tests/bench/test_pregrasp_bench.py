@@ -17,11 +17,13 @@ from gridpush_drake.bench.pregrasp.experiments import (
     tabulate_exploration_by_object,
     tabulate_slides,
 )
-from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoWorld, Outcome
-from gridpush_drake.bench.protocol import add_pose_noise
+from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoEdgeWorld, Outcome
+from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD, add_pose_noise
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import transform
+
+NOISE = {"position_std": POSITION_STD, "angle_std": ANGLE_STD}
 
 
 def test_hidden_parameters_stay_within_what_is_told(monkeypatch):
@@ -47,23 +49,25 @@ def test_tables_take_turns():
 
 def test_the_world_drops_what_is_pushed_off():
     obj = load_bench_object("toothpaste_tube", pregrasp.FRICTION_RANGE)
-    rng = np.random.default_rng(0)
-    world = EdgeWorld(
-        obj, pregrasp.make_truth(obj, 0), make_table(0), np.array([0.3, 0.0, 0.0]), rng
-    )
-    assert np.abs(world.pose - world.true_pose).max() < 0.02
+    world = EdgeWorld(obj, pregrasp.make_truth(obj, 0), (0.3, 0.0, 0.0), make_table(0), **NOISE)
+    assert 0 < np.abs(world.observe() - world.truth.pose).max() < 0.02
     assert not world.execute(Push((0.19, 0.0), (0.03, 0.0), 1.0, 0.008)).overhang
-    assert not world.fallen
-    assert world.true_pose[0] > 0.31
+    assert not world.truth.fallen
+    assert world.truth.stays
+    assert world.truth.pose[0] > 0.31
     for _ in range(12):
-        x, y, theta = world.true_pose
+        x, y, theta = world.truth.pose
         start = np.array([x, y]) - 0.108 * np.array([np.cos(theta), np.sin(theta)])
         seen = world.execute(Push(start, (0.03, 0.0), 1.0, 0.008))
-        if world.fallen:
+        if world.truth.fallen:
             break
-    assert world.fallen
-    assert world.pose is None
+    assert world.truth.fallen
+    assert not world.truth.stays
+    assert world.observe() is None
     assert seen.overhang
+    world.put((0.0, 0.0, 0.0))
+    assert world.observe() is not None
+    assert world.truth.stays
 
 
 @pytest.mark.slow
@@ -71,28 +75,25 @@ def test_a_body_in_mujoco_moves_alike_and_drops():
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
     obj = load_bench_object("toothpaste_tube", pregrasp.FRICTION_RANGE)
     truth = pregrasp.make_truth(obj, 0)
-    rng = np.random.default_rng(0)
-    body = MujocoWorld(
-        obj, truth, pregrasp.RECTANGLE, np.array([0.3, 0.0, 0.0]), rng, "half_height"
-    )
-    model = EdgeWorld(
-        obj, replace(truth, push_height=0.015), make_table(0), np.array([0.3, 0.0, 0.0]), rng
-    )
+    body = MujocoEdgeWorld(obj, truth, (0.3, 0.0, 0.0), make_table(0), support="half_height")
+    model = EdgeWorld(obj, replace(truth, push_height=0.015), (0.3, 0.0, 0.0), make_table(0))
     push = Push((0.19, 0.01), (0.03, 0.0), 1.5, 0.008)
     assert not body.execute(push).overhang
     model.execute(push)
-    assert np.linalg.norm(model.true_pose[:2] - [0.3, 0.0]) > 0.005
-    np.testing.assert_allclose(body.true_pose[:2], model.true_pose[:2], atol=0.002)
-    assert abs(body.true_pose[2] - model.true_pose[2]) < np.radians(2)
-    assert body.hangs_safely()
+    true, expected = body.truth.pose, model.truth.pose
+    assert np.linalg.norm(expected[:2] - [0.3, 0.0]) > 0.005
+    np.testing.assert_allclose(true[:2], expected[:2], atol=0.002)
+    assert abs(true[2] - expected[2]) < np.radians(2)
+    assert body.truth.stays
+    np.testing.assert_array_equal(body.truth.pose, true)  # to ask changes nothing
     for _ in range(6):
-        x, y, theta = body.true_pose
+        x, y, theta = body.truth.pose
         start = np.array([x, y]) - 0.108 * np.array([np.cos(theta), np.sin(theta)])
         body.execute(Push(start, (0.05, 0.0), 1.0, 0.008))
-        if body.fallen:
+        if body.truth.fallen:
             break
-    assert body.fallen
-    assert body.pose is None
+    assert body.truth.fallen
+    assert body.observe() is None
 
 
 def test_a_light_end_over_the_edge_rests_there_and_is_not_flung_up():
@@ -101,13 +102,14 @@ def test_a_light_end_over_the_edge_rests_there_and_is_not_flung_up():
     obj, mass_set = load_bench_object("claw_hammer", (0.2, 0.6)), 8
     rng = np.random.default_rng([0, mass_set])
     rng.uniform(size=3)
-    body = MujocoWorld(
-        obj, pregrasp.make_truth(obj, mass_set), pregrasp.RECTANGLE, np.zeros(3), rng, "three_feet"
-    )
-    world = body._truth
+    world = MujocoEdgeWorld(
+        obj, pregrasp.make_truth(obj, mass_set), np.zeros(3), make_table(0), seed=rng,
+        support="three_feet",
+    )  # fmt: skip
     world.put((0.14976997, -0.19900505, -3.48661867))
-    motion = world.push(Push((0.07897363, -0.16276592), (-0.01204642, -0.02747515), 5.0, 0.008))
-    feet = body.surface.signed_distances(transform(motion.poses[-1], world.body.feet[:3]))
+    world.execute(Push((0.07897363, -0.16276592), (-0.01204642, -0.02747515), 5.0, 0.008))
+    motion = world.truth.motion
+    feet = world.surface.signed_distances(transform(motion.poses[-1], world.body.feet[:3]))
     assert sorted(feet > 0) == [False, True, True]
     assert np.degrees(motion.tilt.max()) < 1
 

@@ -18,20 +18,21 @@ from gridpush_drake.bench.truth.sets import draw_masses, make_body
 
 pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
 
-from gridpush_drake.bench.truth.mujoco_world import TruthWorld
+from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
 
 
 @pytest.mark.parametrize("kind", ["half_height", "three_feet"])
 def test_a_box_tips_where_its_center_of_mass_leaves_the_table(kind):
     rng = np.random.default_rng(5)
     obj, params = draw_masses("toolbox", rng)
-    world = TruthWorld(make_body(kind, obj, params, rng).harden(), 0.01, HALF_PLANE)
+    world = MujocoWorld(make_body(kind, obj, params, rng).harden(), 0.01, HALF_PLANE)
     center = params.center_of_mass(obj)
     assert np.abs(center).max() < 0.1
     for x, tips in ((-0.008, False), (0.003, True)):
         world.put((x - center[0], 0.0, 0.0))
         world.wait(0.8)
-        assert (world.read_tilt() > np.radians(10)) == tips
+        assert (world.truth.tilt > np.radians(10)) == tips
+        assert world.truth.stays != tips
 
 
 @pytest.mark.slow

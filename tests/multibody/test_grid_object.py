@@ -10,7 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from shapely import Point, Polygon, unary_union
 
-from gridpush_drake.bench.plant import PlantPusher
+from gridpush_drake.bench.plant import PlantWorld
 from gridpush_drake.errors import ObjectError, ParameterError
 from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.multibody.contact_material import (
@@ -261,7 +261,7 @@ def to_polygon(flat) -> Polygon:
 @pytest.mark.parametrize("name", OBJECTS)
 def test_a_sphere_touches_the_outline_with_its_depth_and_normal(name):
     obj, radius = load(name), 0.008
-    rig = PlantPusher(obj, CellParameters.uniform(obj), radius)
+    rig = PlantWorld(obj, CellParameters.uniform(obj), radius=radius)
     context = rig.simulator.get_mutable_context()
     plant_context = rig.plant.GetMyMutableContextFromRoot(context)
     SetGridObjectPose(rig.plant, plant_context, rig.handle, (0.0, 0.0, 0.0))
@@ -325,7 +325,7 @@ def test_mesh_is_a_closed_prism_of_the_outline(name):
 
 def test_only_the_sides_and_spheres_collide():
     obj = load("square")
-    rig = PlantPusher(obj, CellParameters.uniform(obj), 0.01)
+    rig = PlantWorld(obj, CellParameters.uniform(obj), radius=0.01)
     inspector = rig.scene_graph.model_inspector()
     frame = rig.plant.GetBodyFrameIdOrThrow(rig.handle.body.index())
     assert set(inspector.GetGeometries(frame, Role.kProximity)) == {

@@ -22,7 +22,7 @@ shorter the pokes, the more there is to gain by design.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -43,21 +43,24 @@ from gridpush_drake.bench.pregrasp.bounds import (
 from gridpush_drake.bench.pregrasp.world import (
     PUSH_HEIGHTS,
     EdgeWorld,
-    MujocoWorld,
+    MujocoEdgeWorld,
     Outcome,
     PaperLearner,
     know_height,
     run_pregrasp,
 )
 from gridpush_drake.bench.protocol import (
+    ANGLE_STD,
     MASS_RANGE,
     PLANNING_METERS_PER_PIXEL,
+    POSITION_STD,
     add_pose_noise,
     find_masks,
     know_friction,
 )
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, calc_mean, count_of, mean_of
 from gridpush_drake.bench.truth.sets import KINDS
+from gridpush_drake.bench.worlds import LCP, find_world
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, make_direction
@@ -75,6 +78,7 @@ from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, fin
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import PushWorld, WorldMaker
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 MASK_OBJECT = "hammer"
@@ -324,7 +328,6 @@ SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, BOUNDS, ALL = (
 )
 EXPERIMENTS = (ALL, SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, BOUNDS)
 
-LCP = "lcp"
 TRUTHS = (LCP, *KINDS)
 """What moves the objects: the model's own simulator, or MuJoCo bodies by how they stand."""
 
@@ -427,7 +430,10 @@ def run(
     check_known("methods", methods, METHODS)
     check_known("experiment", [experiment], EXPERIMENTS)
     if truths is not None:
-        check_known("truths", truths, TRUTHS)
+        own = [truth for truth in truths if ":" in truth]
+        check_known("truths", truths, (*TRUTHS, *own))
+        for truth in own:
+            find_world(truth)
         methods, experiment = (LEARNED,), SLIDING_ONLY
     for what, count in (("mass sets", mass_sets), ("seeds", seeds)):
         if count < 1:
@@ -506,28 +512,45 @@ def run_job(job: Job) -> SlideScore | ExplorationScore | BoundsScore:
         return explore(obj, truth, job.name, job.mass_set, job.seed, *EXPLORING[job.method])
     rng = np.random.default_rng([job.seed, job.mass_set])
     start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
-    if job.truth is None:
-        world = EdgeWorld(obj, truth, make_table(job.seed + job.mass_set), start, rng)
-    elif job.truth == LCP:
-        obj, truth = know_height(obj, PUSH_HEIGHTS[0]), replace(truth, push_height=PUSH_HEIGHTS[0])
-        world = EdgeWorld(obj, truth, SupportSurface.rectangle((0.0, 0.0), RECTANGLE), start, rng)
-    else:
-        world = MujocoWorld(obj, truth, RECTANGLE, start, rng, job.truth)
+    surface = make_table(job.seed + job.mass_set)
+    make_world: WorldMaker = EdgeWorld
+    if job.truth is not None:
+        # Truths are compared on one table, with everything pushed at the same height.
+        surface = SupportSurface.rectangle((0.0, 0.0), RECTANGLE)
+        if job.truth in KINDS:
+            make_world = partial(MujocoEdgeWorld, support=job.truth)
+        elif job.truth == LCP:
+            obj = know_height(obj, PUSH_HEIGHTS[0])
+            truth = replace(truth, push_height=PUSH_HEIGHTS[0])
+        else:
+            make_world = find_world(job.truth)
+    world = make_world(
+        obj, truth, start, surface, position_std=POSITION_STD, angle_std=ANGLE_STD, seed=rng
+    )
+    hidden = world.truth.params
+    if job.truth in KINDS and hidden is not None:
+        # MuJoCo's body stands where it can, and is pushed at a height that is known only then.
+        obj = know_height(obj, hidden.push_height)
     known = PreGraspOptions().min_pokes
     min_pokes = {TRUE: 0, UNIFORM: 0, UNBOUNDED: PAPER_PUSHES}.get(job.method, known)
     options = PreGraspOptions(min_pokes=min_pokes, max_arm=max_arm)
-    planner = PreGraspPlanner(world.obj, world.surface, options, parts)
+    planner = PreGraspPlanner(obj, surface, options, parts)
     return SlideScore(job.name, job.truth or job.method, _run(world, planner, job.method))
 
 
-def _run(world: EdgeWorld, planner: PreGraspPlanner, method: str) -> Outcome:
+def _run(world: PushWorld, planner: PreGraspPlanner, method: str) -> Outcome:
+    """Runs the task by a method of METHODS or TOLD."""
     if method in (LEARNED, WIDE, *TOLD):
         return run_pregrasp(world, planner)
     if method == UNBOUNDED:
         paper = PaperLearner(NO_BOUND, PAPER_PUSHES)
-        return run_pregrasp(world, planner, paper.learn, paper.make_inference(world.obj))
-    params = world.hidden if method == TRUE else CellParameters.uniform(world.obj)
-    granted = UncertainModel.of_parameters(world.obj, params)
+        return run_pregrasp(world, planner, paper.learn, paper.make_inference(planner.obj))
+    params = CellParameters.uniform(planner.obj)
+    if method == TRUE:
+        hidden = world.truth.params
+        assert hidden is not None
+        params = hidden
+    granted = UncertainModel.of_parameters(planner.obj, params)
     return run_pregrasp(world, planner, None, lambda found, log: granted)
 
 

@@ -1,27 +1,29 @@
-"""The worlds of the pre-grasp benchmark: a hidden object on a table with an edge.
+"""The worlds of the pre-grasp benchmark, and how a run in one of them is made and judged.
 
-The truth is the quasi-static LCP with loads that follow what still lies on the table, or a rigid
-body in MuJoCo that stands as the model does not suppose; poses are seen with noise. The loop is
-`planning.pregrasp.pregrasp_loop`.
+An object with hidden masses lies on a table with an edge. What moves it is the quasi-static LCP
+with loads that follow what still lies on the table (`EdgeWorld`), or a rigid body in MuJoCo that
+stands as the model does not suppose (`MujocoEdgeWorld`). Poses are seen with noise. Any other
+`PushWorld` will do as well. The loop is `planning.pregrasp.pregrasp_loop`.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
-from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TruthBody, TruthWorld
-from gridpush_drake.bench.truth.sets import make_body
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, MujocoWorld, TruthBody
+from gridpush_drake.bench.truth.sets import HALF_HEIGHT, make_body
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import calc_loads
-from gridpush_drake.errors import ObjectError
+from gridpush_drake.errors import ObjectError, PlanningError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.loop_run import Learn, Learner, run_loop
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
@@ -33,136 +35,224 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
 )
 from gridpush_drake.planning.pregrasp.slides import simulate_near_edge
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
-from gridpush_drake.planning.simulated_world import Learn, Learner, SimulatedWorld, run_loop
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.planning.world import (
+    FALLEN_TILT,
+    REGIME,
+    PushWorld,
+    TrackedWorld,
+    WorldMotion,
+    WorldTruth,
+)
+from gridpush_drake.pushes.push_log import PushLog
 
 LEARNER = Learner(memory=14)
-"""The default method, from the latest pushes: the cost of learning grows with them, and what they
-tell hardly does."""
-
-FALLEN = np.radians(10)
-"""Tilt from which a body counts as dropped."""
+"""Default method of learning, from the latest pushes: the cost of learning grows with their number,
+and what they tell hardly does."""
 
 REST_TIME = 0.5
-"""s that a body in MuJoCo is given to come to rest after a push, or to tip."""
+"""Time that a body in MuJoCo is given to come to rest after a push, or to tip, s."""
 
 PUSH_HEIGHTS = (BODY_HEIGHT / 2, BODY_HEIGHT / 4)
-"""m above the table, of the finger: the second where, pushed at the first, no three feet would bear
-a body."""
+"""Heights of the finger above the table, m. The second one is taken where no three feet would bear
+a body that is pushed at the first."""
 
 TIME_STEP = 5e-4
-"""s of MuJoCo: the poses of bodies that stay on the table are within 0.1 mm of those of half the
-step."""
+"""Time step of MuJoCo, s. Poses of bodies that stay on the table are within 0.1 mm of those of half
+the step."""
 
 ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
-"""Nothing moves between two pushes: the object is decided on as it is first seen."""
+"""Options of a loop in a world in which nothing moves between two pushes: the object is decided on
+as it is first seen."""
 
 
-class EdgeWorld(SimulatedWorld):
-    """A hidden object on a table, whose support presses as much as what lies on it bears; seen anew at every look."""
+class EdgeWorld(TrackedWorld):
+    """An object on a table, moved by `simulate`, with loads that follow what lies on the table.
 
-    surface: SupportSurface
+    The object is seen anew at every look: since the last push somebody may have moved it, which
+    says nothing of its masses.
+
+    Attributes:
+        obj: the object.
+        params: its true masses and frictions.
+        surface: the table.
+    """
+
+    params: CellParameters
 
     def __init__(
-        self, obj: GridObject, hidden: CellParameters, surface: SupportSurface, pose: ArrayLike,
-        rng: np.random.Generator,
-    ) -> None:  # fmt: skip
-        """Puts the object down at a pose (3,); `rng` draws the noise."""
+        self,
+        obj: GridObject,
+        params: CellParameters,
+        pose: ArrayLike,
+        surface: SupportSurface | None = None,
+        *,
+        position_std: float = 0.0,
+        angle_std: float = 0.0,
+        seed: int | np.random.Generator = 0,
+    ) -> None:
+        """Puts an object down; the arguments are those of `planning.world.WorldMaker`.
+
+        Raises:
+            PlanningError: there is no table, or a number is out of range.
+        """
+        self.obj = obj
+        self.params = params
+        self.surface = require_table(surface)
         super().__init__(
-            obj,
-            hidden,
             pose,
-            surface,
-            position_std=POSITION_STD,
-            angle_std=ANGLE_STD,
-            seed=rng,
+            position_std=position_std,
+            angle_std=angle_std,
+            seed=seed,
             observations=1,
+            looks_anew=True,
+        )
+
+    def do_put(self, pose: Array) -> Array:
+        """Returns the pose (3,) itself: the object has no other state."""
+        return pose
+
+    def do_push(self, push: Push, pose: Array) -> WorldMotion:
+        """Simulates a push of the object from a pose (3,), up to where it falls."""
+        times = make_path_times(push, REGIME)
+        motion = simulate_near_edge(self.obj, self.params, push, pose, self.surface)
+        return WorldMotion(
+            times=times[: len(motion.poses)],
+            poses=motion.poses,
+            fell=motion.fell,
+            overhang=not find_supported(self.obj, motion.poses, self.surface).all(),
         )
 
     @property
-    def pose(self) -> Array | None:
-        """(3,) q_W as it is seen now; None once the object has fallen."""
-        # since the last push somebody may have moved it, which says nothing of its masses
-        self._seen = self.observe()
-        return None if self.fallen else self._seen
-
-    def execute(self, push: Push) -> ObservedPush:
-        """Pushes; what is seen is noisy, and says whether a part of the object hung over the edge."""
-        self._on_table = True
-        seen = super().execute(push)
-        return replace(seen, overhang=not self._on_table)
-
-    def _move(self, push: Push, times: Array) -> tuple[Array, bool]:
-        motion = simulate_near_edge(self.obj, self.hidden, push, self.true_pose, self.surface)
-        self._on_table = bool(find_supported(self.obj, motion.poses, self.surface).all())
-        return motion.poses, motion.fell
-
-    def hangs_safely(self) -> bool:
-        """Whether the object, as it lies, stays on the table."""
-        return calc_loads(self.obj, self.hidden, self.true_pose, self.surface.corners) is not None
+    def truth(self) -> WorldTruth:
+        """What is true of the object now, for judges only."""
+        truth = super().truth
+        loads = calc_loads(self.obj, self.params, truth.pose, self.surface.corners)
+        return replace(truth, stays=loads is not None)
 
 
-class MujocoWorld(EdgeWorld):
-    """A rigid body in MuJoCo on a rectangular table. It is dropped where it tilts by FALLEN or more."""
+class MujocoEdgeWorld(MujocoWorld):
+    """A rigid body in MuJoCo on a rectangular table.
+
+    The object is seen anew at every look. It has fallen where it tilts by FALLEN_TILT or more, or
+    does within REST_TIME after a push.
+
+    Attributes:
+        obj: the object, of which is known at what height it is pushed.
+        params: its true masses, of a sum of 1 kg, its frictions, and the height at which it is
+            pushed.
+        surface: the table.
+    """
 
     def __init__(
-        self, obj: GridObject, hidden: CellParameters, size: tuple[float, float], pose: ArrayLike,
-        rng: np.random.Generator, support: str,
-    ) -> None:  # fmt: skip
-        """Puts the body down.
+        self,
+        obj: GridObject,
+        params: CellParameters,
+        pose: ArrayLike,
+        surface: SupportSurface | None = None,
+        *,
+        position_std: float = 0.0,
+        angle_std: float = 0.0,
+        seed: int | np.random.Generator = 0,
+        support: str = HALF_HEIGHT,
+    ) -> None:
+        """Puts a body down; the other arguments are those of `planning.world.WorldMaker`.
 
         Args:
             obj: the object.
-            hidden: its true masses, up to a common scale, and frictions.
-            size: of the table about the world's origin, m.
-            pose: (3,) m and rad.
-            rng: draws the feet's places and the noise.
-            support: how it stands, of `truth.sets.KINDS`.
-
-        The height at which it is pushed is known: `obj` has it.
+            params: its true masses, up to a common scale, and frictions.
+            pose: (3,) where it lies, m and rad.
+            surface: the table, a rectangle along the world's axes.
+            position_std: standard deviation of seen positions, per axis, m.
+            angle_std: standard deviation of seen angles, rad.
+            seed: seed of the feet's places and of the noise, or the generator that draws them.
+            support: how the body stands, one of `truth.sets.KINDS`.
 
         Raises:
-            GridPushError: MuJoCo is not installed.
+            MissingExtraError: MuJoCo is not installed.
             ObjectError: no three feet are found that it stands on.
+            PlanningError: the table is no rectangle along the world's axes.
         """
-        x, y = size[0] / 2, size[1] / 2
-        light = replace(hidden, mass=hidden.mass / hidden.total_mass)
+        self.surface = require_table(surface)
+        left, low, right, high = self.surface.polygon.bounds
+        if len(self.surface.corners) != CORNERS or not np.isclose(
+            self.surface.polygon.area, (right - left) * (high - low)
+        ):
+            raise PlanningError(
+                f"table: is {self.surface!r}; expected a rectangle along the world's axes"
+            )
+        rng = np.random.default_rng(seed)
+        light = replace(params, mass=params.mass / params.total_mass)
         body = replace(_stand(support, obj, light, rng).harden(), time_step=TIME_STEP)
-        known, told = (
-            know_height(obj, body.push_height),
-            replace(light, push_height=body.push_height),
+        self.obj = know_height(obj, body.push_height)
+        super().__init__(
+            body,
+            ContactOptions().radius,
+            (left, low, right, high),
+            pose,
+            position_std=position_std,
+            angle_std=angle_std,
+            seed=rng,
+            observations=1,
+            looks_anew=True,
         )
-        self._truth = TruthWorld(body, ContactOptions().radius, (-x, -y, x, y))
-        self._truth.put(pose)
-        super().__init__(known, told, SupportSurface.rectangle((0.0, 0.0), size), pose, rng)
+        self.params = replace(light, push_height=body.push_height)
 
-    def _move(self, push: Push, times: Array) -> tuple[Array, bool]:
-        motion = self._truth.push(push)
-        self._truth.wait(REST_TIME)
-        poses = np.column_stack(
-            [np.interp(times, motion.times, column) for column in motion.poses.T]
-        )
-        fell = bool(self._truth.read_tilt() >= FALLEN)
-        if (motion.tilt >= FALLEN).any():
-            fallen = motion.times[np.argmax(motion.tilt >= FALLEN)]
-            fell, poses = True, poses[: max(int(np.searchsorted(times, fallen)), 1)]
+    def do_push(self, push: Push, pose: Array) -> WorldMotion:
+        """Pushes the body, and waits until it rests; the motion ends where it falls."""
+        made = self._push(push)
+        self._let_pass(REST_TIME)
+        times = make_path_times(push, REGIME)
+        poses = np.column_stack([np.interp(times, made.times, column) for column in made.poses.T])
+        assert made.tilt is not None
+        tilts = made.tilt >= FALLEN_TILT
+        fell = bool(self._read_tilt() >= FALLEN_TILT)
+        if tilts.any():
+            fell = True
+            fallen = made.times[np.argmax(tilts)]
+            poses = poses[: max(int(np.searchsorted(times, fallen)), 1)]
         elif not fell:
-            poses[-1] = self._truth.read_pose()
-        poses[:, 2] = np.unwrap(np.append(self.true_pose[2], poses[:, 2]))[1:]
-        self._on_table = bool(find_supported(self.obj, poses, self.surface).all())
-        return poses, fell
+            # It may have moved on a little while it came to rest.
+            poses[-1] = self._read_pose()
+        poses[:, 2] = np.unwrap(np.append(pose[2], poses[:, 2]))[1:]
+        return WorldMotion(
+            times=times[: len(poses)],
+            poses=poses,
+            fell=fell,
+            tilt=np.interp(times[: len(poses)], made.times, made.tilt),
+            overhang=not find_supported(self.obj, poses, self.surface).all(),
+        )
 
-    def hangs_safely(self) -> bool:
-        """Whether the object, as it lies, stays on the table."""
-        self._truth.wait(REST_TIME)
-        return bool(self._truth.read_tilt() < FALLEN)
+    @property
+    def truth(self) -> WorldTruth:
+        """What is true of the body now, for judges only; it stays if it does for another REST_TIME."""
+        return replace(super().truth, stays=self._would_stay())
+
+    def _would_stay(self) -> bool:
+        """Says whether the body stands after another REST_TIME; that time passes in a copy."""
+        kept = (self._datas, self._scene, self._steps)
+        self._datas = [copy(data) for data in self._datas]
+        self._let_pass(REST_TIME)
+        stays = self._read_tilt() < FALLEN_TILT
+        self._datas, self._scene, self._steps = kept
+        return stays
+
+
+CORNERS = 4
+"""Number of corners of a rectangle."""
+
+
+def require_table(surface: SupportSurface | None) -> SupportSurface:
+    """Returns a table. Raises PlanningError where there is none."""
+    if surface is None:
+        raise PlanningError("table: is missing; expected one, whose edge objects are slid to")
+    return surface
 
 
 def _stand(
     support: str, obj: GridObject, params: CellParameters, rng: np.random.Generator
 ) -> TruthBody:
-    """The body, pushed at the first of PUSH_HEIGHTS at which it stands."""
+    """Makes the body, pushed at the first of PUSH_HEIGHTS at which it stands."""
     for height in PUSH_HEIGHTS[:-1]:
         try:
             return make_body(support, obj, params, rng, height)
@@ -172,16 +262,23 @@ def _stand(
 
 
 def know_height(obj: GridObject, height: float) -> GridObject:
-    """The object, known to be pushed at a height, m."""
+    """Returns the object, known to be pushed at a height, m, by the finger that planners push with."""
     radius = obj.prior.pusher_radius or ContactOptions().radius
     return replace(obj, prior=replace(obj.prior, pusher_radius=radius, push_height=height or None))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended: whether a part was declared graspable, and truly hangs over with the object at rest; or fell.
+    """How a run ended.
 
-    `margin` is the goal's stability margin at the worst, m; None without a goal.
+    Attributes:
+        grasped: whether a part was declared graspable, truly hangs over the edge, and the object is
+            at rest.
+        dropped: whether the object fell.
+        pokes: number of pushes that were made to learn only.
+        slides: number of pushes towards the edge.
+        reason: the end in a sentence.
+        margin: stability margin of the goal at the worst, m; None without a goal.
     """
 
     grasped: bool
@@ -193,7 +290,7 @@ class Outcome:
 
 
 def run_pregrasp(
-    world: EdgeWorld,
+    world: PushWorld,
     planner: PreGraspPlanner,
     learn: Learn | None = LEARNER,
     infer: Infer | None = None,
@@ -202,32 +299,41 @@ def run_pregrasp(
 
     Args:
         world: the hidden object.
-        planner: decides.
-        learn: learns after every push; None never.
+        planner: decides, and knows the table.
+        learn: learns after every push; None never learns.
         infer: says what is held possible; by default what the identification's posterior says.
     """
     loop = PreGraspLoop(planner, lambda *_: None, infer=infer, options=ONE_OBSERVATION)
-    state = run_loop(loop, planner.obj, world, is_over, learn=learn, surface=world.surface).state
-    status = state.status
-    margin = float(status.margin) if np.isfinite(status.margin) else None
-    if world.fallen:
-        return Outcome(False, True, status.pokes, status.slides, status.reason, margin)
-    grasped = status.mode == PreGraspMode.VERIFYING and _hangs_over(world, planner)
-    return Outcome(grasped, False, status.pokes, status.slides, status.reason, margin)
+    run = run_loop(loop, planner.obj, world, is_over, learn=learn, surface=planner.surface)
+    status = run.state.status
+    truth = world.truth
+    grasped = False
+    if status.mode == PreGraspMode.VERIFYING and not truth.fallen:
+        overhangs = calc_overhangs(planner.parts, truth.pose, planner.surface)
+        grasped = bool(overhangs.max() >= 0) and truth.stays
+    return Outcome(
+        grasped=grasped,
+        dropped=truth.fallen,
+        pokes=status.pokes,
+        slides=status.slides,
+        reason=status.reason,
+        margin=float(status.margin) if np.isfinite(status.margin) else None,
+    )
 
 
 def is_over(state: PreGraspState) -> bool:
-    """Whether a loop is done, but for the grasp."""
+    """Says whether a loop is done, but for the grasp."""
     return state.status.over or state.status.mode in (PreGraspMode.VERIFYING, PreGraspMode.LOST)
 
 
 @dataclass(frozen=True)
 class PaperLearner:
-    """What the paper's method learns: masses and frictions within a range, taken for granted.
+    """Learns as the paper does: masses and frictions within a range, which are taken for granted.
 
     Attributes:
-        friction_range: that frictions are sought in.
-        min_pokes: the first pushes, chosen, as the default method's are, by what that one learned.
+        friction_range: least and greatest friction that is sought.
+        min_pokes: number of pokes before the paper's method learns. These first ones are chosen, as
+            those of the default method are, by what that method learned.
     """
 
     friction_range: tuple[float, float]
@@ -236,7 +342,7 @@ class PaperLearner:
     def learn(
         self, obj: GridObject, log: PushLog, before: Identification | None
     ) -> Identification | None:
-        """What the pushes say."""
+        """Learns from the latest pushes."""
         chosen = LEARNER.select(log)
         if len(chosen) < self.min_pokes:
             return LEARNER(obj, log, before)
@@ -247,21 +353,18 @@ class PaperLearner:
         return identify(wide, chosen, method="paper", regime="quasi_static")
 
     def make_inference(self, obj: GridObject) -> Infer:
-        """What is held possible: what the posterior says of the first pokes, then the parameters as they are."""
+        """Makes what says what is held possible.
+
+        At first that is what the posterior says of the pokes, and then the parameters as they are.
+        """
 
         def infer(found: Identification | None, log: PushLog) -> UncertainModel | None:
             if found is None:
                 return None
             if len(LEARNER.select(log)) < self.min_pokes:
-                used = log.subset(
-                    [i for i, seen in enumerate(log) if seen.name in found.push_names]
-                )
+                names = found.push_names
+                used = log.subset([i for i, seen in enumerate(log) if seen.name in names])
                 return UncertainModel.of_identification(found, log=used)
             return UncertainModel.of_parameters(obj, found.params)
 
         return infer
-
-
-def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:
-    overhangs = calc_overhangs(planner.parts, world.true_pose, world.surface)
-    return bool(overhangs.max() >= 0) and world.hangs_safely()

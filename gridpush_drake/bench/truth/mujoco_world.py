@@ -1,19 +1,22 @@
-"""Bodies that do not obey the model, in MuJoCo: one free rigid body on feet, pushed by a disc at a given height.
+"""Bodies that do not obey the model, in MuJoCo: a rigid body on feet, pushed by a disc.
 
-What distinguishes the kinds is where the feet are, how stiff, and how high the pusher touches:
+What distinguishes the kinds is where the feet are, how stiff they are, and how high the pusher
+touches the body:
 
-    own_weight   a foot below each cell, as stiff as the cell is heavy, pushed at the table's height
-    half_height  the same, pushed at half the body's height
+    own_weight   a foot below each cell, as stiff as the cell is heavy; pushed at the table's height
+    half_height  the same feet; pushed at half the body's height
     foundation   a foot below each cell, all alike: an evenly compliant bottom
-    vertices     rigid feet at the vertices of the outline's hull, uneven by tenths of a millimeter:
-    a few of them bear three_feet   three rigid feet below cells
+    vertices     rigid feet at the vertices of the outline's hull, uneven by tenths of a millimeter,
+                 so that a few of them bear the body
+    three_feet   three rigid feet below cells
 
 A rigid body whose feet are as stiff as their cells are heavy sinks evenly, so each cell bears its
-own weight: the model's assumption, in a body with six degrees of freedom. Nothing changes that
-while the pusher's force and friction act at one height; pushed above the table, it loads its front
-and unloads its rear, as does every kind but the first.
+own weight. That is the model's assumption, in a body with six degrees of freedom. It holds as long
+as the pusher's force and friction act at one height. Pushed above the table, a body loads its front
+and unloads its rear, as every kind but the first one does.
 
-How MuJoCo's contacts are set is said in `multibody.mjcf`.
+The bodies themselves are drawn in `bench.truth.sets`. How MuJoCo's contacts are set is explained in
+`multibody.mjcf`.
 """
 
 from dataclasses import dataclass, replace
@@ -38,50 +41,85 @@ from gridpush_drake.multibody.mjcf import (
 )
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.world import (
+    FALLEN_TILT,
+    OBSERVATIONS,
+    TrackedWorld,
+    WorldMotion,
+    WorldTruth,
+)
 
 if TYPE_CHECKING:
     import mujoco
 
-RIGID_TIME_STEP, RIGID_SINKAGE = 5e-4, 1e-4
-"""s, of bodies on rigid feet, and m that such a foot sinks under its share of the weight; a
-compliant bottom sinks by SINKAGE."""
+RIGID_TIME_STEP = 5e-4
+"""Time step of bodies on rigid feet, s."""
+
+RIGID_SINKAGE = 1e-4
+"""Distance by which a rigid foot sinks under its share of the weight, m. (A compliant bottom sinks
+by `multibody.mjcf.SINKAGE`.)"""
 
 BODY_HEIGHT = 0.03
-"""m, of every object; its mass is spread evenly over it."""
+"""Height of every body, m; its mass is spread evenly over it."""
 
-PUSHER_INERTIA, PUSHER_MASS, PUSHER_HALF_LENGTH = 1000.0, 0.01, 0.1
-"""kg that resists a change of the pusher's given speed within a step; kg of what may follow the
-object up and down, so that the pusher does not carry it; and m."""
+PUSHER_INERTIA = 1000.0
+"""Mass added to the pusher's two horizontal joints, kg: it resists a change of the pusher's given
+speed within a step."""
+
+PUSHER_MASS = 0.01
+"""Mass of what may follow the object up and down with the pusher, kg; so light that the pusher does
+not carry the object."""
+
+PUSHER_HALF_LENGTH = 0.1
+"""Half the length of the pusher, a vertical rod, m."""
 
 PUSHER_SINKAGE = 1e-4
-"""m that the pusher would sink into the body's side were it pushed by the body's weight."""
+"""Distance by which the pusher would sink into the body's side if it pushed with the body's weight,
+m."""
 
 SETTLE_TIME = 1.0
-"""s that a body is given to come to rest on its feet."""
+"""Time that a body is given to come to rest on its feet before it is first put down, s."""
 
 Bounds = tuple[float, float, float, float]
-"""Least x and y, greatest x and y, m."""
+"""Sides of a table along the world's axes: least x, least y, greatest x, greatest y, m."""
 
 ENDLESS: Bounds = (-TABLE_HALF, -TABLE_HALF, TABLE_HALF, TABLE_HALF)
-"""A table that nothing comes to the end of."""
+"""Sides of a table whose edges nothing reaches, m."""
 
 EDGE_RADIUS = 0.003
-"""m, of the rounded edge; its highest line is the edge."""
+"""Radius of the rounded edge of a table, m; its highest line is the edge."""
 
 EDGE_GAP = 5e-4
-"""m of a compliant body's flat bottom above the feet's ends: they alone bear it until it all but
-tips."""
+"""Height of a compliant body's flat bottom above the feet's ends, m: the feet alone bear the body
+until it all but tips."""
 
-EDGE_SINKAGE, EDGE_TIME_STEP = 5e-5, 2.5e-4
-"""m, of compliant bodies at an edge: the few feet that bear most there sink several times as deep;
-and s at most of any body near one: at twice that, the far end of a light one may swing itself
-up."""
+EDGE_SINKAGE = 5e-5
+"""Distance by which the feet of compliant bodies sink at an edge, m. There a few feet bear most of
+the weight and sink several times as deep."""
+
+EDGE_TIME_STEP = 2.5e-4
+"""Greatest time step of any body near an edge, s. With twice that step, the far end of a light body
+may swing itself up."""
 
 EDGE_BEARING = 10
-"""Places of the bottom by which a weight on the edge is shared out, to say how stiff they are."""
+"""Number of places of the bottom that share a weight which lies on the edge. It says how stiff
+these places are."""
 
 PLATE_HALF = 0.005
-"""m, half the thickness of the plates that the bottom is made of, one a cell."""
+"""Half the thickness of the plates, one for each cell, that the bottom is made of, m."""
+
+LOOK_EVERY = 50
+"""Number of steps after which it is checked again whether an edge is near."""
+
+NEAR_EDGE = 0.01
+"""Distance of the body's outline from an edge, m, below which contacts with the edges are looked
+for."""
+
+FAR = (0.0, 50.0)
+"""Place of the pusher while it does not push, m."""
+
+Edge = tuple[tuple[float, float], tuple[float, float]]
+"""Both ends of a side of the table, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +127,18 @@ class TruthBody:
     """A rigid body, its feet, and how it is pushed.
 
     Attributes:
-        obj: its outline and cells.
-        params: its cells' masses; friction of each cell, here of the foot nearest to it, and that
-            of the pusher.
+        obj: the object whose outline and cells the body has.
+        params: masses of the cells, friction of the foot nearest to each cell, and friction of the
+            pusher.
         feet: (F, 2) where the feet are, body frame, m.
-        cell: (F,) the cell that each foot belongs to.
-        load: (F,) that makes a foot sink by `sinkage`, N.
-        sinkage: m.
-        gap: (F,) how much shorter a foot is than the longest, m.
-        push_height: of the pusher's contact above the feet's ends, m.
+        cell: (F,) number of the cell that each foot belongs to.
+        load: (F,) force that makes a foot sink by `sinkage`, N.
+        sinkage: distance by which the feet sink under `load`, m.
+        gap: (F,) how much shorter a foot is than the longest one, m.
+        push_height: height of the pusher's contact above the feet's ends, m.
         bottom: height of the flat bottom, which a table's edge touches, above the longest feet's
             ends, m.
-        time_step: s.
+        time_step: time step in which the body is simulated, s.
     """
 
     obj: GridObject
@@ -115,53 +153,76 @@ class TruthBody:
     time_step: float = TIME_STEP
 
     def harden(self) -> "TruthBody":
-        """The same body for a table with an edge, where it must not sink far before it tips."""
-        return (
-            self
-            if self.sinkage <= EDGE_SINKAGE
-            else replace(self, sinkage=EDGE_SINKAGE, time_step=EDGE_TIME_STEP)
-        )
+        """Returns the body for a table with an edge, where it must not sink far before it tips."""
+        if self.sinkage <= EDGE_SINKAGE:
+            return self
+        return replace(self, sinkage=EDGE_SINKAGE, time_step=EDGE_TIME_STEP)
 
 
-@dataclass(frozen=True, eq=False)
-class TruthMotion:
-    """How a body moved.
+class MujocoWorld(TrackedWorld):
+    """A rigid body in MuJoCo on a table with or without an edge, pushed by a disc.
 
-    Attributes:
-        times: (T+1,) s.
-        poses: (T+1, 3) q = (x, y, theta) of B in W, m and rad.
-        tilt: (T+1,) angle of B's z axis from the vertical, rad.
-        height: (T+1,) of B's origin above where it stood at rest, m.
-    """
-
-    times: Array
-    poses: Array
-    tilt: Array
-    height: Array
-
-
-class TruthWorld:
-    """A body on a table with or without an edge, and a pusher.
+    The pushes' forces, the tilting and the falling are MuJoCo's. A body counts as fallen when it
+    tilts by FALLEN_TILT or more.
 
     Attributes:
-        body: what is pushed.
-        radius: of the pusher, m.
-        loads: (n,) that the feet of each cell bear at rest, wholly on the table, N.
+        body: the body that is pushed.
+        params: its cells' true masses and frictions.
+        radius: radius of the pusher, m.
+        foot_loads: (F,) what each foot bears at rest, wholly on the table, N.
+        loads: (n,) what the feet of each cell bear at rest, wholly on the table, N.
     """
 
-    def __init__(self, body: TruthBody, radius: float, table: Bounds = ENDLESS) -> None:
-        """Finds how the body rests on a table of these sides in W, m; the radius is the pusher's.
+    params: CellParameters
+
+    def __init__(
+        self,
+        body: TruthBody,
+        radius: float,
+        table: Bounds = ENDLESS,
+        pose: ArrayLike | None = None,
+        *,
+        settle: float = 0.0,
+        position_std: float = 0.0,
+        angle_std: float = 0.0,
+        seed: int | np.random.Generator = 0,
+        observations: int = OBSERVATIONS,
+        looks_anew: bool = False,
+    ) -> None:
+        """Finds how the body rests on the table, and puts it down.
+
+        Args:
+            body: the body.
+            radius: radius of the pusher, m.
+            table: sides of the table in W, m.
+            pose: (3,) where the body is put down first, m and rad; the middle of the table where
+                None.
+            settle: how long the body is given to come to rest when it is put down, s. With 0 it is
+                put down as it rests wholly on the table, which is right away from the edges.
+            position_std: standard deviation of seen positions, per axis, m.
+            angle_std: standard deviation of seen angles, rad.
+            seed: seed of the noise, or the generator that draws it.
+            observations: number of poses that are seen during a push after the first one.
+            looks_anew: whether `observe` draws new noise every time.
 
         Raises:
             MissingExtraError: MuJoCo is not installed.
+            PlanningError: a number is out of range.
         """
         mujoco = import_extra("mujoco", "bench")
-        self.body, self.radius, self._mujoco = body, radius, mujoco
-        self._table, self._steps, self._scene, edges = table, 0, 0, _find_edges(table)
+        self.body = body
+        self.params = body.params
+        self.radius = radius
+        self._mujoco = mujoco
+        self._settle = settle
+        self._table = table
         self._rim = np.array(body.obj.outline.convex_hull.exterior.coords)[:-1]
-        scenes = (
-            ([], edges) if edges else ([],)
-        )  # away from the edges, to look for contacts with them takes most time
+
+        # There are two scenes, without and with the table's edges: to look for contacts with them
+        # takes most of the time, and far from them there are none. The second one takes smaller
+        # steps.
+        edges = _find_edges(table)
+        scenes: list[list[Edge]] = [[], edges] if edges else [[]]
         self._models = [
             mujoco.MjModel.from_xml_string(_describe(body, radius, table, each)) for each in scenes
         ]
@@ -170,79 +231,52 @@ class TruthWorld:
             model.opt.timestep = body.time_step / split
             _set_contacts(model, body)
         self._datas = [mujoco.MjData(model) for model in self._models]
-        self._model, self._data = self._models[0], self._datas[0]
-        self._settle((table[0] + table[2]) / 2, (table[1] + table[3]) / 2)
+        self._scene = 0
+        self._steps = 0
 
-    def _settle(self, x: float, y: float) -> None:
-        """Finds how the body rests wholly on the table, at x, y: height, tilt, and loads."""
-        self._data.qpos[:2] = x, y
-        self.wait(SETTLE_TIME)
-        self._rest_quaternion, self._rest_height = (
-            self._data.qpos[3:7].copy(),
-            float(self._data.qpos[2]),
+        middle = np.array([(table[0] + table[2]) / 2, (table[1] + table[3]) / 2, 0.0])
+        self._find_rest(middle[:2])
+        super().__init__(
+            middle if pose is None else pose,
+            position_std=position_std,
+            angle_std=angle_std,
+            seed=seed,
+            observations=observations,
+            looks_anew=looks_anew,
         )
+
+    def _find_rest(self, middle: Array) -> None:
+        """Finds how the body rests wholly on the table, at (2,) x and y: height, tilt, and loads."""
+        self._data.qpos[:2] = middle
+        self._let_pass(SETTLE_TIME)
+        self._rest_height = float(self._data.qpos[2])
+        self._rest_quaternion = self._data.qpos[3:7].copy()
         self.foot_loads = self.read_loads()
-        self.loads = np.bincount(self.body.cell, self.foot_loads, self.body.obj.n).astype(
-            np.float64
-        )
+        loads = np.bincount(self.body.cell, self.foot_loads, self.body.obj.n)
+        self.loads = loads.astype(np.float64)
 
-    def read_loads(self) -> Array:
-        """(F,) normal forces of the feet, N."""
-        loads, force = np.zeros(len(self.body.feet)), np.zeros(6)
-        table, first = self._model.geom("table").id, self._model.geom("f0").id
-        for i in range(self._data.ncon):
-            contact = self._data.contact[i]
-            if table in (contact.geom1, contact.geom2) and contact.efc_address >= 0:
-                self._mujoco.mj_contactForce(self._model, self._data, i, force)
-                loads[max(contact.geom1, contact.geom2) - first] += force[0]
-        return loads
+    def do_put(self, pose: Array) -> Array:
+        """Puts the body down at a pose (3,), and waits for `settle`; returns where it then lies."""
+        x, y, theta = pose
+        turn = np.array([np.cos(theta / 2), 0, 0, np.sin(theta / 2)])
+        quaternion = np.zeros(4)
+        self._mujoco.mju_mulQuat(quaternion, turn, self._rest_quaternion)
+        self._steps = 0
+        self._mujoco.mj_resetData(self._model, self._data)
+        self._data.qpos[:7] = x, y, self._rest_height, *quaternion
+        if not self._settle:
+            return pose
+        self._let_pass(self._settle)
+        return self._read_pose(pose[2])
 
-    def wait(self, seconds: float) -> None:
-        """Lets time pass while the pusher is far away."""
-        self._data.qpos[7:9], self._data.qvel[6:9] = FAR, 0
-        for _ in range(round(seconds / self.body.time_step)):
-            self._step()
+    def do_push(self, push: Push, pose: Array) -> WorldMotion:
+        """Pushes the body from where it is, at rest, with a disc of this world's radius."""
+        motion = self._push(push)
+        motion.poses[:, 2] = np.unwrap(np.append(pose[2], motion.poses[:, 2]))[1:]
+        return motion
 
-    def _step(self) -> None:
-        """Takes a step in the scene without edges, or, where one is near, several smaller ones in that with them."""
-        if self._steps % LOOK_EVERY == 0:
-            rim = transform(self.read_pose(), self._rim)
-            left, low, right, high = self._table
-            near = (
-                min(*(rim - (left, low)).min(axis=0), *((right, high) - rim).min(axis=0))
-                < NEAR_EDGE
-            )
-            self._turn_to(len(self._models) - 1 if near else 0)
-        self._mujoco.mj_step(self._model, self._data, self._splits[self._scene])
-        self._steps += 1
-
-    def _turn_to(self, scene: int) -> None:
-        self._scene = scene
-        before, self._model, self._data = self._data, self._models[scene], self._datas[scene]
-        if self._data is not before:
-            for name in ("qpos", "qvel", "qacc_warmstart"):
-                getattr(self._data, name)[:] = getattr(before, name)
-
-    def put(self, pose: ArrayLike) -> None:
-        """Puts the body down at a pose (3,), m and rad, as it rests wholly on the table."""
-        x, y, theta = np.asarray(pose, dtype=np.float64)
-        data, turned, self._steps = self._data, np.zeros(4), 0
-        self._mujoco.mj_resetData(self._model, data)
-        self._mujoco.mju_mulQuat(
-            turned, np.array([np.cos(theta / 2), 0, 0, np.sin(theta / 2)]), self._rest_quaternion
-        )
-        data.qpos[:7] = x, y, self._rest_height, *turned
-
-    def read_pose(self) -> Array:
-        """(3,) q of B in W, m and rad."""
-        return _calc_poses(self._data.qpos[None, :7])[0]
-
-    def read_tilt(self) -> float:
-        """Angle of B's z axis from the vertical, rad."""
-        return float(_calc_tilts(self._data.qpos[None, :7])[0])
-
-    def push(self, push: Push) -> TruthMotion:
-        """Pushes the body, with a disc of this world's radius, from where it is, at rest; theta is continuous."""
+    def _push(self, push: Push) -> WorldMotion:
+        """Pushes the body; the angles are continuous, and the first is between -pi and pi."""
         dt = self.body.time_step
         count = round(push.duration / dt)
         times = np.linspace(0.0, push.duration, count + 1)
@@ -253,41 +287,104 @@ class TruthWorld:
         for i in range(count + 1):
             seen[i] = self._data.qpos[:7]
             if i < count:
-                self._data.qpos[7:9], self._data.qvel[6:8] = path[i], speed[i]
+                self._data.qpos[7:9] = path[i]
+                self._data.qvel[6:8] = speed[i]
                 self._step()
         poses = _calc_poses(seen)
         poses[:, 2] = np.unwrap(poses[:, 2])
-        return TruthMotion(times, poses, _calc_tilts(seen), seen[:, 2] - self._rest_height)
+        tilt = _calc_tilts(seen)
+        return WorldMotion(
+            times=times, poses=poses, fell=bool((tilt >= FALLEN_TILT).any()), tilt=tilt
+        )
+
+    @property
+    def truth(self) -> WorldTruth:
+        """What is true of the body now, for judges only; it stays while it does not tilt by FALLEN_TILT."""
+        tilt = self._read_tilt()
+        return replace(super().truth, tilt=tilt, stays=tilt < FALLEN_TILT)
+
+    def wait(self, seconds: float) -> None:
+        """Lets time pass while the pusher is far away."""
+        self._let_pass(seconds)
+        self._pose = self._read_pose(self._pose[2])
+
+    def read_loads(self) -> Array:
+        """Reads the feet's normal forces (F,), N."""
+        loads = np.zeros(len(self.body.feet))
+        force = np.zeros(6)
+        table = self._model.geom("table").id
+        first = self._model.geom("f0").id
+        for i in range(self._data.ncon):
+            contact = self._data.contact[i]
+            if table in (contact.geom1, contact.geom2) and contact.efc_address >= 0:
+                self._mujoco.mj_contactForce(self._model, self._data, i, force)
+                loads[max(contact.geom1, contact.geom2) - first] += force[0]
+        return loads
+
+    @property
+    def _model(self) -> "mujoco.MjModel":
+        """The model of the scene that is stepped at present."""
+        return self._models[self._scene]
+
+    @property
+    def _data(self) -> "mujoco.MjData":
+        """The state of the scene that is stepped at present."""
+        return self._datas[self._scene]
+
+    def _let_pass(self, seconds: float) -> None:
+        self._data.qpos[7:9] = FAR
+        self._data.qvel[6:9] = 0
+        for _ in range(round(seconds / self.body.time_step)):
+            self._step()
+
+    def _step(self) -> None:
+        """Takes a step, or several smaller ones where an edge of the table is near."""
+        if self._steps % LOOK_EVERY == 0:
+            rim = transform(self._read_pose(), self._rim)
+            left, low, right, high = self._table
+            room = (*(rim - (left, low)).min(axis=0), *((right, high) - rim).min(axis=0))
+            self._turn_to(len(self._models) - 1 if min(room) < NEAR_EDGE else 0)
+        self._mujoco.mj_step(self._model, self._data, self._splits[self._scene])
+        self._steps += 1
+
+    def _turn_to(self, scene: int) -> None:
+        """Goes on in another scene, from the state of the present one."""
+        before = self._data
+        self._scene = scene
+        if self._data is not before:
+            for name in ("qpos", "qvel", "qacc_warmstart"):
+                getattr(self._data, name)[:] = getattr(before, name)
+
+    def _read_pose(self, near: float | None = None) -> Array:
+        """Reads q of B in W (3,), m and rad; the angle is the one nearest to `near` where that is given."""
+        pose = _calc_poses(self._data.qpos[None, :7])[0]
+        if near is not None:
+            pose[2] = np.unwrap([near, pose[2]])[1]
+        return pose
+
+    def _read_tilt(self) -> float:
+        """Reads the angle of B's z axis from the vertical, rad."""
+        return float(_calc_tilts(self._data.qpos[None, :7])[0])
 
 
 def _calc_poses(positions: Array) -> Array:
-    """(K, 3) q of B in W from (K, 7) positions and quaternions, m and rad."""
+    """Calculates q of B in W (K, 3), m and rad, from positions and quaternions (K, 7)."""
     w, x, y, z = positions[:, 3:].T
-    return np.column_stack(
-        [positions[:, :2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))]
-    )
+    theta = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.column_stack([positions[:, :2], theta])
 
 
 def _calc_tilts(positions: Array) -> Array:
-    """(K,) angles of B's z axis from the vertical, rad, likewise."""
+    """Calculates B's angles from the vertical (K,), rad, from positions and quaternions (K, 7)."""
     _, x, y, _ = positions[:, 3:].T
     return np.asarray(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
 
 
-LOOK_EVERY, NEAR_EDGE = 50, 0.01
-"""Steps, and m of the outline inside an edge from where on contacts with the edges are looked
-for."""
-
-FAR = (0.0, 50.0)
-"""m, where the pusher is while it does not push."""
-
-
-Edge = tuple[tuple[float, float], tuple[float, float]]
-"""Ends of a side of the table, m."""
-
-
 def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) -> str:
-    """The scene in MJCF, with some of the table's edges; all contacts are between pairs that are named."""
+    """Describes the scene in MJCF, with some of the table's edges.
+
+    No geoms collide by themselves: all contacts are between pairs that are named.
+    """
     left, low, right, high = table
     rims = "".join(
         f'<geom name="e{i}" type="capsule" size="{EDGE_RADIUS}" '
@@ -317,7 +414,7 @@ def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) 
 
 
 def _find_edges(table: Bounds) -> list[Edge]:
-    """The ends of those of the table's sides that are within reach."""
+    """Finds the ends of those of the table's sides that are within reach."""
     left, low, right, high = table
     corners = [(left, low), (right, low), (right, high), (left, high)]
     sides = zip(corners, corners[1:] + corners[:1], strict=True)
@@ -325,36 +422,49 @@ def _find_edges(table: Bounds) -> list[Edge]:
 
 
 def _describe_inertia(body: TruthBody) -> str:
-    obj, mass = body.obj, body.params.mass
-    x, y = body.params.center_of_mass(obj)
-    arm_x, arm_y = (obj.p_BC - (x, y)).T
-    cell = mass.sum() * obj.cell_size**2 / 12
+    """Describes mass, center of mass and inertia: each cell is a block of the body's height."""
+    mass = body.params.mass
+    x, y = body.params.center_of_mass(body.obj)
+    arm_x, arm_y = (body.obj.p_BC - (x, y)).T
+    cell = mass.sum() * body.obj.cell_size**2 / 12
     flat = mass.sum() * BODY_HEIGHT**2 / 12 + cell
-    ixx, iyy, ixy = mass @ arm_y**2 + flat, mass @ arm_x**2 + flat, -mass @ (arm_x * arm_y)
+    ixx = mass @ arm_y**2 + flat
+    iyy = mass @ arm_x**2 + flat
+    ixy = -mass @ (arm_x * arm_y)
     izz = mass @ (arm_x**2 + arm_y**2) + 2 * cell
-    return f'<inertial pos="{x} {y} {BODY_HEIGHT / 2}" mass="{mass.sum()}" fullinertia="{ixx} {iyy} {izz} {ixy} 0 0"/>'
+    return (
+        f'<inertial pos="{x} {y} {BODY_HEIGHT / 2}" mass="{mass.sum()}" '
+        f'fullinertia="{ixx} {iyy} {izz} {ixy} 0 0"/>'
+    )
 
 
 def _describe_geoms(body: TruthBody) -> str:
-    """Feet f, walls w along the outline at the pusher's height, and plates p: the flat bottom."""
-    z, half, edges = body.push_height, body.obj.cell_size / 2, body.obj.edges
+    """Describes feet f, walls w along the outline at the pusher's height, and plates p, the bottom."""
+    z = body.push_height
+    half = body.obj.cell_size / 2
+    edges = body.obj.edges
     feet = (
         f'<geom name="f{i}" type="sphere" size="{FOOT_RADIUS}" pos="{x} {y} {FOOT_RADIUS + gap}"/>'
         for i, ((x, y), gap) in enumerate(zip(body.feet, body.gap, strict=True))
     )
     walls = (
-        f'<geom name="w{i}" type="capsule" size="{WALL_RADIUS}" fromto="{a[0]} {a[1]} {z} {b[0]} {b[1]} {z}"/>'
+        f'<geom name="w{i}" type="capsule" size="{WALL_RADIUS}" '
+        f'fromto="{a[0]} {a[1]} {z} {b[0]} {b[1]} {z}"/>'
         for i, (a, b) in enumerate(zip(edges.start, edges.end, strict=True))
     )
     plates = (
-        f'<geom name="p{i}" type="box" size="{half} {half} {PLATE_HALF}" pos="{x} {y} {body.bottom + PLATE_HALF}"/>'
+        f'<geom name="p{i}" type="box" size="{half} {half} {PLATE_HALF}" '
+        f'pos="{x} {y} {body.bottom + PLATE_HALF}"/>'
         for i, (x, y) in enumerate(body.obj.p_BC)
     )
     return "".join([*feet, *walls, *plates])
 
 
 def _describe_pairs(body: TruthBody, edges: int) -> str:
-    """Feet on the table, the pusher on walls, plates on the table's edges, with their frictions."""
+    """Describes which geoms touch, and with what friction.
+
+    Feet touch the table, the pusher touches walls, and plates touch the table's edges.
+    """
     params = body.params
     feet = [("foot", "table", f"f{i}", mu) for i, mu in enumerate(params.friction[body.cell])]
     walls = [
@@ -365,7 +475,8 @@ def _describe_pairs(body: TruthBody, edges: int) -> str:
         ("edge", f"e{e}", f"p{i}", mu) for e in range(edges) for i, mu in enumerate(params.friction)
     ]
     return "".join(
-        f'<pair name="{kind}_{a}_{b}" geom1="{a}" geom2="{b}" condim="3" friction="{mu} {mu} 0 0 0"/>'
+        f'<pair name="{kind}_{a}_{b}" geom1="{a}" geom2="{b}" condim="3" '
+        f'friction="{mu} {mu} 0 0 0"/>'
         for kind, a, b, mu in (*feet, *walls, *rims)
     )
 
@@ -374,11 +485,11 @@ def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
     """Gives feet, walls and edges their stiffness."""
     weight = np.array([body.params.total_mass * GRAVITY])
     foot, pusher = (float(value) for value in model.body_invweight0[1:, 0])
-    names = [model.pair(i).name for i in range(model.npair)]  # MuJoCo sorts them
+    # MuJoCo sorts the pairs, so that each must be found by its name.
+    names = [model.pair(i).name for i in range(model.npair)]
     feet = [names.index(f"foot_table_f{i}") for i in range(len(body.load))]
-    walls, edges = (
-        [i for i, name in enumerate(names) if name.startswith(kind)] for kind in ("wall", "edge")
-    )
+    walls = [i for i, name in enumerate(names) if name.startswith("wall")]
+    edges = [i for i, name in enumerate(names) if name.startswith("edge")]
     _set_springs(model, feet, body.load, body.sinkage, foot)
     _set_springs(model, walls, weight, PUSHER_SINKAGE, foot + pusher)
     _set_springs(model, edges, weight / EDGE_BEARING, body.sinkage, foot)
@@ -387,7 +498,8 @@ def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
 def _set_springs(
     model: "mujoco.MjModel", rows: list[int], load: Array, sinkage: float, inverse: float
 ) -> None:
-    """Lets pairs of geoms give way by `sinkage` under a load, see `calc_springs`."""
+    """Lets pairs of geoms give way by `sinkage` (m) under a load (N); see `calc_springs`."""
     springs, slip, impedance = calc_springs(load, sinkage, inverse)
-    model.pair_solref[rows], model.pair_solreffriction[rows] = springs, slip
+    model.pair_solref[rows] = springs
+    model.pair_solreffriction[rows] = slip
     model.pair_solimp[rows, :2] = impedance[:, None]

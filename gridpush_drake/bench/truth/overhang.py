@@ -1,11 +1,11 @@
-"""Pushes of bodies that hang over a table's edge, in MuJoCo and in Drake's free plant, and the model beside them.
+"""Pushes of bodies that hang over a table's edge: in MuJoCo, in Drake's plant, and in the model.
 
 The table is the half-plane x < 0. A body with known masses lies on it with 10 to 45 % of its cells
-beyond the edge and is pushed; and it is pushed towards the edge until it tips, to see on which side
-of the limit the model does.
+beyond the edge and is pushed. It is also pushed towards the edge until it tips, to see on which
+side of the limit the model lets it tip.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 from zlib import crc32
@@ -15,9 +15,9 @@ from shapely import LineString, Point
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.paper import calc_interval
-from gridpush_drake.bench.plant import PUSH_HEIGHT, PlantPusher
+from gridpush_drake.bench.plant import PUSH_HEIGHT, PlantWorld
 from gridpush_drake.bench.table import MM, Table, Value
-from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TABLE_HALF, TruthWorld
+from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TABLE_HALF, MujocoWorld
 from gridpush_drake.bench.truth.sets import (
     CLEARANCE,
     HALF_HEIGHT,
@@ -35,63 +35,81 @@ from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import FALLEN_TILT, PushWorld, WorldMotion
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
-World = Literal["mujoco", "drake"]
+WorldName = Literal["mujoco", "drake"]
+"""Name of a world that the model is compared with."""
 
 OVERHANG = "overhang"
-"""The kind's name."""
+"""Name of this kind of truth."""
 
-WORLDS: tuple[World, ...] = ("mujoco", "drake")
+WORLDS: tuple[WorldName, ...] = ("mujoco", "drake")
+"""Worlds that the model is compared with."""
 
 HALF_PLANE = (-TABLE_HALF, -TABLE_HALF, 0.0, TABLE_HALF)
+"""Sides of the table in MuJoCo, m: least x, least y, greatest x, greatest y."""
+
 SURFACE = SupportSurface.rectangle((-TABLE_HALF / 2, 0.0), (TABLE_HALF, 2 * TABLE_HALF))
+"""The table as the model knows it."""
 
 SHARE = (0.10, 0.45)
-"""Of the cells beyond the edge, at a push's beginning and its end."""
+"""Least and greatest share of the cells beyond the edge, at a push's beginning and at its end."""
 
-PUSHES, DISTANCE, SPEED = 4, 0.05, 0.05
-"""Of each body; m and m/s."""
+PUSHES = 4
+"""Number of pushes of each body."""
+
+DISTANCE = 0.05
+"""Length of a push, m."""
+
+SPEED = 0.05
+"""Speed of the pusher, m/s."""
 
 MIN_STABLE = 0.004
-"""m that the center of mass is within the table at the beginning, beside what a push takes away."""
+"""Distance that the center of mass is within the table at the beginning, m, beside what a push
+takes away."""
 
 MAX_TILT = np.radians(2)
-"""Of a body that is pushed over the edge."""
+"""Greatest tilt of a body that counts as staying flat while it is pushed over the edge, rad."""
 
 TIPPING_TILT = np.radians(6)
-"""From which a body tips: before, its bottom may come to rest on the edge when its last foot has
-left the table."""
-
-FALLEN = np.radians(10)
-"""Tilt from which a body counts as dropped."""
+"""Tilt from which a body tips, rad. With less, its bottom may come to rest on the edge when its
+last foot has left the table."""
 
 SETTLE = 0.3
-"""s that a body is given to come to rest over the edge."""
+"""Time that a body is given to come to rest over the edge, s."""
 
-TIP_SPEED, TIP_DISTANCE = 0.02, 0.05
-"""m/s and m, of the pushes across the limit."""
+TIP_SPEED = 0.02
+"""Speed of the pushes across the limit, m/s."""
+
+TIP_DISTANCE = 0.05
+"""Length of the pushes across the limit, m."""
 
 TIP_START = 0.025
-"""m of the center of mass from the edge at their beginning."""
+"""Distance of the center of mass from the edge at their beginning, m."""
 
 TIP_SLACK = 0.005
-"""m of the pusher's path before and behind the limit at which the model is asked."""
+"""Length of the pusher's path before and behind the limit, m, at which the model is asked."""
 
 WAIT = 1.0
-"""s after a push in which a body that is to stay must not tip."""
+"""Time after a push in which a body that is to stay must not tip, s."""
+
+PLANT_SPHERES = 4
+"""Number of contact spheres of each cell in Drake's plant, so that a cell may lie half over the
+edge."""
 
 TIPPED_BODIES = 20
-"""Of each outline."""
+"""Number of bodies of each outline that are pushed until they tip."""
 
 TRIES = 300
+"""Number of random pushes that are tried before it is said that none is as asked for."""
 
 
 @dataclass(frozen=True)
 class OverhangJob:
     """Pushes of one body with some of its cells over the edge."""
 
-    world: World
+    world: WorldName
     name: str
     seed: int
     pushes: int = PUSHES
@@ -187,10 +205,15 @@ def run(
 
 
 def run_overhang(job: OverhangJob) -> list[OverhangScore]:
-    """Pushes one body over the edge, and lets the model do the same."""
+    """Pushes one body over the edge, and lets the model do the same.
+
+    Raises:
+        GridPushError: hardly any push holds the body over the edge without tipping it.
+    """
     rng = np.random.default_rng([job.seed, crc32(job.name.encode()), WORLDS.index(job.world)])
     obj, params = draw_masses(job.name, rng)
-    move, radius, height = _make_world(job.world, obj, params, rng)
+    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    world, height = _make_world(job.world, obj, params, radius, rng)
     known = replace(params, push_height=height)
     scores: list[OverhangScore] = []
     for _ in range(TRIES):
@@ -198,50 +221,54 @@ def run_overhang(job: OverhangJob) -> list[OverhangScore]:
             return scores
         pose = _draw_pose(obj, known, rng)
         push = _draw_push(obj, pose, radius, rng)
-        done = None if pose is None or push is None else move(push, pose)
-        if push is not None and done is not None and done[1] < MAX_TILT:
-            score = _score(job, obj, known, push, *done[0][[0, -1]])
-            if SHARE[0] <= score.share <= SHARE[1] and score.moved >= MIN_MOTION:
-                scores.append(score)
+        if pose is None or push is None:
+            continue
+        motion = _execute_flat(world, push, pose)
+        if motion is None:
+            continue
+        score = _score(job, obj, known, push, *motion.poses[[0, -1]])
+        if SHARE[0] <= score.share <= SHARE[1] and score.moved >= MIN_MOTION:
+            scores.append(score)
     raise GridPushError(
-        f"{job.name}: {TRIES} random pushes hold only {len(scores)} over the edge that do not tip it"
+        f"{job.name}: {TRIES} random pushes hold only {len(scores)} over the edge "
+        "that do not tip it"
     )
 
 
-Move = Callable[[Push, Array], tuple[Array, float] | None]
-"""From a push and a pose to the poses (T+1, 3) and the greatest tilt, rad; None where the body does
-not rest there."""
-
-
 def _make_world(
-    world: World, obj: GridObject, params: CellParameters, rng: np.random.Generator
-) -> tuple[Move, float, float]:
-    """What moves a body, the pusher's radius and the height at which it touches, m."""
-    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    if world == "drake":
-        plant = PlantPusher(obj, params, radius, "free", edge=0.0, spheres_per_cell=4)
+    name: WorldName,
+    obj: GridObject,
+    params: CellParameters,
+    radius: float,
+    rng: np.random.Generator,
+) -> tuple[PushWorld, float]:
+    """Makes a world of a body, and says at what height the pusher touches it, m."""
+    if name == "drake":
+        world = PlantWorld(
+            obj, params, radius=radius, base="free", edge=0.0, spheres_per_cell=PLANT_SPHERES
+        )
+        return world, PUSH_HEIGHT
+    body = make_body(HALF_HEIGHT, obj, params, rng).harden()
+    return MujocoWorld(body, radius, HALF_PLANE, settle=SETTLE), BODY_HEIGHT / 2
 
-        def move_in_plant(push: Push, pose: Array) -> tuple[Array, float]:
-            motion = plant.push(params, push, pose)
-            return motion.poses, motion.tilt
 
-        return move_in_plant, radius, PUSH_HEIGHT
-    truth = TruthWorld(make_body(HALF_HEIGHT, obj, params, rng).harden(), radius, HALF_PLANE)
-
-    def move(push: Push, pose: Array) -> tuple[Array, float] | None:
-        truth.put(pose)
-        truth.wait(SETTLE)
-        if truth.read_tilt() > MAX_TILT:
-            return None
-        motion = truth.push(push)
-        return motion.poses, float(motion.tilt.max())
-
-    return move, radius, BODY_HEIGHT / 2
+def _execute_flat(world: PushWorld, push: Push, pose: Array) -> WorldMotion | None:
+    """Pushes a body from a pose (3,); returns its motion, or None where it does not stay flat."""
+    world.put(pose)
+    if world.truth.tilt > MAX_TILT:
+        return None
+    world.execute(push)
+    motion = world.truth.motion
+    assert motion is not None
+    if motion.tilt is not None and motion.tilt.max() >= MAX_TILT:
+        return None
+    return motion
 
 
 def _draw_pose(obj: GridObject, params: CellParameters, rng: np.random.Generator) -> Array | None:
-    """A pose (3,) with some of the cells beyond the edge, where the body stands; None where it does not."""
-    theta, share = rng.uniform(-np.pi, np.pi), rng.uniform(*SHARE)
+    """Draws a pose (3,) with some of the cells beyond the edge; None where the body would tip there."""
+    theta = rng.uniform(-np.pi, np.pi)
+    share = rng.uniform(*SHARE)
     edge = np.quantile(rotate(theta, obj.p_BC)[:, 0], 1 - share)
     center = rotate(theta, params.center_of_mass(obj))[0] - edge
     reach = float(params.friction.max()) * params.push_height + MIN_STABLE
@@ -251,7 +278,9 @@ def _draw_pose(obj: GridObject, params: CellParameters, rng: np.random.Generator
 def _draw_push(
     obj: GridObject, pose: Array | None, radius: float, rng: np.random.Generator
 ) -> Push | None:
-    place, angle = rng.uniform(0, obj.edges.perimeter), rng.uniform(-SLANT, SLANT)
+    """Draws a push from the outline inwards; None where the pusher does not fit, or without a pose."""
+    place = rng.uniform(0, obj.edges.perimeter)
+    angle = rng.uniform(-SLANT, SLANT)
     point, _, normal = obj.edges.at(place)
     if pose is None or obj.outline.distance(Point(point + normal * (radius + CLEARANCE))) < radius:
         return None
@@ -263,29 +292,40 @@ def _draw_push(
 def _score(
     job: OverhangJob, obj: GridObject, params: CellParameters, push: Push, begin: Array, end: Array
 ) -> OverhangScore:
+    """Compares the poses (3,) at which a push truly began and ended with those of the model."""
     motion = simulate(obj, params, push, begin, regime="quasi_static", table=SURFACE.corners)
     endless = simulate(obj, params, push, begin, regime="quasi_static").final_pose
     center = params.center_of_mass(obj)
 
-    def find(pose: Array) -> Array:
+    def find_center(pose: Array) -> Array:
         return np.asarray(pose[:2] + rotate(pose[2], center))
 
     cells = obj.cells_at(end)
+    there = find_center(end)
     return OverhangScore(
-        job.world, job.name, job.seed, float((cells[:, 0] > 0).mean()),
-        float(np.linalg.norm(cells - obj.cells_at(begin), axis=1).mean()),
-        float(np.linalg.norm(find(motion.final_pose) - find(end))),
-        float(abs(wrap_angle(motion.final_pose[2] - end[2]))), float(np.linalg.norm(find(endless) - find(end))),
-        motion.status == MotionStatus.TIPS,
-    )  # fmt: skip
+        world=job.world,
+        name=job.name,
+        seed=job.seed,
+        share=float((cells[:, 0] > 0).mean()),
+        moved=float(np.linalg.norm(cells - obj.cells_at(begin), axis=1).mean()),
+        position=float(np.linalg.norm(find_center(motion.final_pose) - there)),
+        angle=float(abs(wrap_angle(motion.final_pose[2] - end[2]))),
+        endless=float(np.linalg.norm(find_center(endless) - there)),
+        tips=motion.status == MotionStatus.TIPS,
+    )
 
 
 def run_tipping(job: TippingJob) -> TippingScore:
-    """Pushes one body across the limit, and asks the model before and behind it."""
+    """Pushes one body across the limit, and asks the model before and behind it.
+
+    Raises:
+        GridPushError: hardly any push brings the body across such a limit.
+    """
     rng = np.random.default_rng([job.seed, crc32(job.name.encode()), len(WORLDS)])
     obj, params = draw_masses(job.name, rng)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    world = TruthWorld(make_body(HALF_HEIGHT, obj, params, rng).harden(), radius, HALF_PLANE)
+    body = make_body(HALF_HEIGHT, obj, params, rng).harden()
+    world = MujocoWorld(body, radius, HALF_PLANE, settle=SETTLE)
     known = replace(params, push_height=BODY_HEIGHT / 2)
     for _ in range(TRIES):
         theta = rng.uniform(-np.pi, np.pi)
@@ -295,15 +335,17 @@ def run_tipping(job: TippingJob) -> TippingScore:
         limit = _find_limit(world, push, pose)
         if limit is None:
             continue
-        before, behind = (_cut(push, limit + slack) for slack in (-TIP_SLACK, TIP_SLACK))
+        before = _cut(push, limit - TIP_SLACK)
+        behind = _cut(push, limit + TIP_SLACK)
         if _tips(world, before, pose):
             continue
-        begin = _put(world, pose)
-        told = [
-            simulate(obj, known, each, begin, regime="quasi_static", table=SURFACE.corners)
+        world.put(pose)
+        begin = world.truth.pose
+        stayed, tipped = (
+            simulate(obj, known, each, begin, regime="quasi_static", table=SURFACE.corners).status
+            == MotionStatus.TIPS
             for each in (before, behind)
-        ]
-        stayed, tipped = (motion.status == MotionStatus.TIPS for motion in told)
+        )
         return TippingScore(job.name, job.seed, stayed, tipped)
     raise GridPushError(
         f"{job.name}: none of {TRIES} pushes brings it over the edge as a limit asks for"
@@ -311,31 +353,34 @@ def run_tipping(job: TippingJob) -> TippingScore:
 
 
 def _aim(obj: GridObject, pose: Array, radius: float) -> Push:
-    """A push along x through the center of mass, which is at y = 0, from where the disc nearly touches."""
+    """Aims a push along x through the center of mass, which is at y = 0, from just beside the body."""
     ring = LineString(rotate(pose[2], np.array(obj.outline.exterior.coords)) + pose[:2])
     path = LineString([(ring.bounds[0] - 2 * radius, 0.0), (-TIP_START, 0.0)])
     touch = path.intersection(ring.buffer(radius).exterior).bounds[0]
-    return Push((touch - CLEARANCE, 0.0), (TIP_SPEED, 0.0), TIP_DISTANCE / TIP_SPEED, radius)
+    start = (touch - CLEARANCE, 0.0)
+    return Push(start, (TIP_SPEED, 0.0), TIP_DISTANCE / TIP_SPEED, radius)
 
 
 def _cut(push: Push, distance: float) -> Push:
+    """Shortens a push to a distance, m."""
     return Push(push.start, push.velocity, distance / TIP_SPEED, push.radius)
 
 
-def _put(world: TruthWorld, pose: Array) -> Array:
-    """(3,) where the body comes to rest."""
+def _find_limit(world: PushWorld, push: Push, pose: Array) -> float | None:
+    """Finds the length of the pusher's path at which the body begins to tip, m.
+
+    Returns:
+        The length; None where the body never stood, where it still stands at the push's end, or
+        where the limit is too near to the push's beginning or end.
+    """
     world.put(pose)
-    world.wait(SETTLE)
-    return world.read_pose()
-
-
-def _find_limit(world: TruthWorld, push: Push, pose: Array) -> float | None:
-    """The pusher's path, m, at which the body begins to tip; None where it stands at the end, or never stood."""
-    _put(world, pose)
-    if world.read_tilt() > TIPPING_TILT:
+    if world.truth.tilt > TIPPING_TILT:
         return None
-    motion = world.push(push)
-    fallen = np.flatnonzero(motion.tilt > FALLEN)
+    world.execute(push)
+    motion = world.truth.motion
+    assert motion is not None
+    assert motion.tilt is not None
+    fallen = np.flatnonzero(motion.tilt > FALLEN_TILT)
     if not len(fallen):
         return None
     last = np.flatnonzero(motion.tilt[: fallen[0]] < TIPPING_TILT)[-1]
@@ -343,11 +388,15 @@ def _find_limit(world: TruthWorld, push: Push, pose: Array) -> float | None:
     return limit if TIP_SLACK < limit < TIP_DISTANCE - TIP_SLACK else None
 
 
-def _tips(world: TruthWorld, push: Push, pose: Array) -> bool:
-    _put(world, pose)
-    tilt = float(world.push(push).tilt.max())
+def _tips(world: MujocoWorld, push: Push, pose: Array) -> bool:
+    """Says whether the body tips while it is pushed, or within WAIT afterwards."""
+    world.put(pose)
+    world.execute(push)
+    motion = world.truth.motion
+    assert motion is not None
+    assert motion.tilt is not None
     world.wait(WAIT)
-    return max(tilt, world.read_tilt()) > FALLEN
+    return max(float(motion.tilt.max()), world.truth.tilt) > FALLEN_TILT
 
 
 def tabulate_pushes(scores: Sequence[OverhangScore]) -> Table:

@@ -13,8 +13,8 @@ from gridpush_drake.bench.truth.mujoco_world import (
     BODY_HEIGHT,
     RIGID_SINKAGE,
     RIGID_TIME_STEP,
+    MujocoWorld,
     TruthBody,
-    TruthWorld,
 )
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
@@ -146,7 +146,7 @@ def make_set(
     obj = replace(
         obj, prior=replace(obj.prior, pusher_radius=radius, push_height=body.push_height or None)
     )
-    world = TruthWorld(body, radius)
+    world = MujocoWorld(body, radius, observations=OBSERVATIONS)
     pushes = [draw_push(world, f"push_{i + 1}", rng) for i in range(training + held_out)]
     logs = (PushLog(tuple(pushes[:training])), PushLog(tuple(pushes[training:])))
     return TruthSet(kind, name, seed, obj, params, world.loads, body.push_height, *logs)
@@ -215,29 +215,33 @@ def make_body(
     )
 
 
-def draw_push(world: TruthWorld, name: str, rng: np.random.Generator) -> ObservedPush:
-    """Draws a pose of the body and a push that moves it. Raises GridPushError where hardly any does."""
-    obj, radius = world.body.obj, world.radius
+def draw_push(world: MujocoWorld, name: str, rng: np.random.Generator) -> ObservedPush:
+    """Draws a pose of a world's body and a push that moves it, and makes the push.
+
+    Raises:
+        GridPushError: none of TRIES random pushes moves the body by MIN_MOTION.
+    """
+    obj = world.body.obj
+    radius = world.radius
     for _ in range(TRIES):
         pose = np.array([*rng.uniform(-REACH, REACH, 2), rng.uniform(-np.pi, np.pi)])
-        place, angle, speed = (
-            rng.uniform(0, obj.edges.perimeter),
-            rng.uniform(-SLANT, SLANT),
-            rng.uniform(*SPEED_RANGE),
-        )
+        place = rng.uniform(0, obj.edges.perimeter)
+        angle = rng.uniform(-SLANT, SLANT)
+        speed = rng.uniform(*SPEED_RANGE)
         point, _, normal = obj.edges.at(place)
+        # In a notch the pusher may not reach the place without touching another one.
         if obj.outline.distance(Point(point + normal * (radius + CLEARANCE))) < radius:
             continue
         push = Push.on_outline(
             obj, place, angle, DISTANCE, radius=radius, speed=speed, pose=pose, clearance=CLEARANCE
-        )  # fmt: skip
+        )
         world.put(pose)
-        motion = world.push(push)
+        seen = world.execute(push)
+        motion = world.truth.motion
+        assert motion is not None
         begin, end = obj.cells_at(motion.poses[[0, -1]])
         if np.linalg.norm(end - begin, axis=1).mean() >= MIN_MOTION:
-            rows = np.rint(np.linspace(0, len(motion.times) - 1, OBSERVATIONS + 1)).astype(int)[1:]
-            times = np.minimum(motion.times[rows], push.duration)
-            return ObservedPush(name, push, motion.poses[0], times, motion.poses[rows])
+            return replace(seen, name=name, pose=motion.poses[0])
     raise GridPushError(f"{obj.name}: none of {TRIES} random pushes moves it by {MIN_MOTION:g} m")
 
 

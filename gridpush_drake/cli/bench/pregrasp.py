@@ -35,7 +35,8 @@ def pregrasp(
             "--truth",
             metavar="TRUTH",
             help="What moves the objects, on rectangular tables: lcp, the model's own simulator, or MuJoCo bodies that "
-            "stand as own_weight, half_height, foundation, vertices or three_feet; may be repeated.",
+            "stand as own_weight, half_height, foundation, vertices or three_feet, or MODULE:CLASS of a world of "
+            "your own; may be repeated.",
             show_default="the model's own simulator, on any table",
         ),
     ] = None,

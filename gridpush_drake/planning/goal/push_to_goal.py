@@ -49,7 +49,8 @@ from gridpush_drake.planning.goal.push_plan import (
     check_ends,
     find_stop_reason,
 )
-from gridpush_drake.planning.simulated_world import Learner, PushWorld, run_loop
+from gridpush_drake.planning.loop_run import Learner, run_loop
+from gridpush_drake.planning.world import PushWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 ALIKE_WITHIN, ALIKE_TURN = 0.01, 0.2

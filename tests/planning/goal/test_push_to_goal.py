@@ -14,8 +14,8 @@ from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_plan import plan_pushes
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.planning.simulated_world import SimulatedWorld
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import SimulatedWorld
 from tests.helpers.made_identifications import make_block
 from tests.helpers.shapes import make_shape
 
@@ -143,9 +143,9 @@ def test_reaches_the_goal_with_hidden_masses(block, hidden, known):
         params=hidden if known else None, learner=None,
     )  # fmt: skip
     assert run.status == "reached"
-    assert calc_goal_error(block, world.true_pose, GOAL) < 0.02
+    assert calc_goal_error(block, world.truth.pose, GOAL) < 0.02
     assert len(run.log) == len(run.steps) == world.pushes <= 12
-    assert run.error == pytest.approx(calc_goal_error(block, world.pose, GOAL))
+    assert run.error == pytest.approx(calc_goal_error(block, world.observe(), GOAL))
     assert run.identification is None
 
 
@@ -171,19 +171,17 @@ class MeddledWorld(SimulatedWorld):
 
     meddled, hidden_looks = False, 0
 
-    @property
-    def pose(self):
+    def observe(self):
         if self.hidden_looks > 0:
             self.hidden_looks -= 1
             return None
-        return super().pose
+        return super().observe()
 
     def execute(self, push):
         seen = super().execute(push)
         if not self.meddled:
             self.meddled, self.hidden_looks = True, 2
-            self.true_pose = self.true_pose + [0.05, 0.1, 1.0]
-            self._seen = self.true_pose
+            self.put(self.truth.pose + [0.05, 0.1, 1.0])
         return seen
 
 
@@ -217,12 +215,12 @@ def test_an_object_falls_where_its_center_of_mass_does(block, hidden):
     assert com[0] > 0.02
     for reach, falls in ((-0.012, False), (0.012, True)):
         world = SimulatedWorld(block, hidden, (0.1, 0.0, 0.0), table)
-        start = world.pose[0] - 0.06 - 0.008
-        way = 0.2 + reach - com[0] - world.pose[0]
+        start = world.observe()[0] - 0.06 - 0.008
+        way = 0.2 + reach - com[0] - world.observe()[0]
         world.execute(Push((start, 0.0), (0.03, 0.0), way / 0.03, 0.008))
-        assert world.true_pose[0] == pytest.approx(0.1 + way, abs=1e-3)
-        assert world.fallen == falls
-        assert (world.pose is None) == falls
+        assert world.truth.pose[0] == pytest.approx(0.1 + way, abs=1e-3)
+        assert world.truth.fallen == falls
+        assert (world.observe() is None) == falls
 
 
 def test_a_fallen_object_is_lost(block, hidden):

@@ -8,8 +8,8 @@ from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.goal.next_push import Robustness, RobustnessOptions, draw_model_samples
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.planning.simulated_world import SimulatedWorld
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shapes import make_shape
 
@@ -48,7 +48,7 @@ def test_learning_narrows_the_samples(bar):
     world = SimulatedWorld(bar, hidden, POSE)
     seen = []
     for _ in range(3):
-        plan = optimize_contact(bar, CellParameters.uniform(bar), world.pose, GOAL)
+        plan = optimize_contact(bar, CellParameters.uniform(bar), world.observe(), GOAL)
         seen.append(world.execute(plan.push.push))
     found = identify(bar, PushLog(tuple(seen)), regime="quasi_static")
     spread = [
@@ -89,7 +89,7 @@ def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
             assert TABLE.contains_cells(bar, motion.poses, -OPTIONS.leeway - 1e-3).all()
             world = SimulatedWorld(bar, params, POSE, TABLE)
             world.execute(cut.push)
-            assert not world.fallen
+            assert not world.truth.fallen
 
 
 def test_without_edges_nothing_is_cut(bar, even):

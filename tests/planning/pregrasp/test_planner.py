@@ -3,6 +3,7 @@ import pytest
 import shapely
 
 from gridpush_drake.bench.pregrasp.world import EdgeWorld, run_pregrasp
+from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform_shape
@@ -47,6 +48,7 @@ ROUND = SupportSurface.round((0.3, -0.2), 0.35)
 L_SHAPED = SupportSurface.from_polygon(
     [(0, 0), (0.8, 0), (0.8, 0.4), (0.4, 0.4), (0.4, 0.8), (0, 0.8)]
 )
+NOISE = {"position_std": POSITION_STD, "angle_std": ANGLE_STD}
 PRIOR = PhysicalPrior(friction=0.35, friction_min=0.25, friction_max=0.5)
 
 
@@ -393,7 +395,7 @@ def test_a_plan_without_a_safe_goal_says_so(pan, parts):
 def test_the_whole_task_with_hidden_masses(pan, parts):
     truth = CellParameters.random(pan, 3, friction_range=(0.25, 0.5))
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
-    world = EdgeWorld(pan, truth, TABLE, np.array([0.02, 0.03, 0.5]), np.random.default_rng(0))
+    world = EdgeWorld(pan, truth, (0.02, 0.03, 0.5), TABLE, **NOISE)
     outcome = run_pregrasp(world, planner)
     assert outcome.grasped, outcome
     assert not outcome.dropped
@@ -409,7 +411,7 @@ def test_hidden_masses_never_fall(pan, parts, seed):
     planner = PreGraspPlanner(pan, surface, parts=parts)
     middle = surface.polygon.centroid
     start = np.array([middle.x, middle.y, float(seed)])
-    world = EdgeWorld(pan, truth, surface, start, np.random.default_rng(seed))
+    world = EdgeWorld(pan, truth, start, surface, **NOISE, seed=seed)
     outcome = run_pregrasp(world, planner)
     assert not outcome.dropped, outcome
     assert outcome.grasped, outcome
@@ -420,20 +422,19 @@ class MovedWorld(EdgeWorld):
 
     looks = 0
 
-    @property
-    def pose(self):
+    def observe(self):
         self.looks += 1
         if self.looks == 4:
             assert self.pushes == 3
-            self.true_pose = np.array([-0.15, 0.1, -2.0])
-        return super().pose
+            self.put((-0.15, 0.1, -2.0))
+        return super().observe()
 
 
 @pytest.mark.slow
 def test_an_object_that_somebody_moved_is_slid_from_where_it_is(pan, parts):
     truth = CellParameters.random(pan, 3, friction_range=(0.25, 0.5))
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
-    world = MovedWorld(pan, truth, TABLE, np.array([0.02, 0.03, 0.5]), np.random.default_rng(0))
+    world = MovedWorld(pan, truth, (0.02, 0.03, 0.5), TABLE, **NOISE)
     outcome = run_pregrasp(world, planner)
     assert world.looks > 4
     assert outcome.grasped, outcome

@@ -1,0 +1,147 @@
+"""Steps a closed loop in a world, push after push, and learns on the way.
+
+The loop is the one that a controller in a station steps. Here nothing happens between two
+observations but a push. The worlds are in `planning.world`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Generic
+
+import numpy as np
+
+from gridpush_drake.errors import PushRefusedError
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation
+from gridpush_drake.planning.robot_status import PushStatus
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import PushWorld
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+UNSEEN = np.full(3, np.nan)
+"""Pose (3,) of an object that is not seen, and the goal of a loop that is given none."""
+
+Learn = Callable[[GridObject, PushLog, Identification | None], Identification | None]
+"""Function that learns from pushes. It takes the object, all pushes so far, and what was learned
+before; it returns what is learned now, or None where that is nothing yet."""
+
+
+@dataclass(frozen=True)
+class Learner:
+    """Learns after every push, and begins where it ended the last time.
+
+    Attributes:
+        memory: number of pushes, the latest ones, that are learned from at most; the cost of
+            learning grows with them.
+        seed: seed of the identification.
+    """
+
+    memory: int = 8
+    seed: int = 0
+
+    def select(self, log: PushLog) -> PushLog:
+        """Selects the pushes that are learned from: the latest ones whose motion was seen."""
+        return log.subset([i for i, seen in enumerate(log) if len(seen.t_observed)][-self.memory :])
+
+    def __call__(
+        self, obj: GridObject, log: PushLog, before: Identification | None
+    ) -> Identification | None:
+        """Learns from the latest pushes; returns `before` where the last push shows nothing new."""
+        chosen = self.select(log)
+        if not len(chosen) or chosen[-1] is not log[-1]:
+            return before
+        return identify(obj, chosen, seed=self.seed, regime="quasi_static", start=before)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopRun(Generic[L]):
+    """What came of stepping a loop to its end.
+
+    Attributes:
+        state: the loop's last state.
+        log: the pushes that were made.
+        identification: what was learned from them; None where that is nothing.
+        planning_seconds: wall-clock time of the loop's steps, s.
+        learning_seconds: wall-clock time of learning, s.
+    """
+
+    state: L
+    log: PushLog = field(default_factory=lambda: PushLog(()))
+    identification: Identification | None = None
+    planning_seconds: float = 0.0
+    learning_seconds: float = 0.0
+
+
+def run_loop(
+    loop: ClosedLoop[L],
+    obj: GridObject,
+    world: PushWorld,
+    is_over: Callable[[L], bool],
+    *,
+    learn: Learn | None = None,
+    goal: Array | None = None,
+    surface: SupportSurface | None = None,
+    progress: Callable[[L, ObservedPush, bool], None] | None = None,
+) -> LoopRun[L]:
+    """Steps a loop in a world until it is over.
+
+    Args:
+        loop: the closed loop.
+        obj: the object, as whoever learns sees it.
+        world: where the object lies and is pushed.
+        is_over: says of a loop's state whether it is the last one.
+        learn: learns after every push; None never learns.
+        goal: (3,) q_WB that the loop is shown as its goal, m and rad; None for none.
+        surface: the table, as whoever learns knows it; None where pushes keep clear of its edge.
+        progress: called after every push with the state that asked for it, what was seen, and
+            whether something was learned from it.
+
+    Returns:
+        The last state, the pushes, what was learned, and how long it took.
+    """
+    table = None if surface is None else surface.corners
+    run = LoopRun(state=loop.begin(), log=PushLog((), table=table))
+    target = UNSEEN if goal is None else goal
+    time = 0.0
+    refusal = ""
+    while not is_over(run.state):
+        # The robot is ready whenever the loop looks: a push is over when `execute` returns.
+        time += loop.options.period
+        pose = world.observe()
+        before = run.state.push_id
+        begin = perf_counter()
+        shown = Observation(
+            time=time,
+            pose=UNSEEN if pose is None else pose,
+            robot=PushStatus(command_id=before, reason=refusal),
+            log=run.log,
+            identification=run.identification,
+            goal=target,
+        )
+        state = loop.step(run.state, shown)
+        planning_seconds = run.planning_seconds + perf_counter() - begin
+        run = replace(run, state=state, planning_seconds=planning_seconds)
+        if state.push is None or state.push_id == before:
+            continue
+
+        # The loop has asked for another push. It is made, and learned from, or the loop is told
+        # why it was refused.
+        try:
+            seen = world.execute(state.push)
+        except PushRefusedError as error:
+            refusal = str(error)
+            continue
+        refusal = ""
+        begin = perf_counter()
+        log = replace(run.log, pushes=(*run.log, seen))
+        found = run.identification if learn is None else learn(obj, log, run.identification)
+        learned = found is not run.identification
+        learning_seconds = run.learning_seconds + perf_counter() - begin
+        run = replace(run, log=log, identification=found, learning_seconds=learning_seconds)
+        if progress is not None:
+            progress(state, seen, learned)
+    return run

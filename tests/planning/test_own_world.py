@@ -1,0 +1,152 @@
+"""A world of the user's own, as `docs/extending.md` writes one, in closed loops and in benches."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from gridpush_drake.bench import planning
+from gridpush_drake.bench.pregrasp import experiments as pregrasp
+from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoEdgeWorld
+from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
+from gridpush_drake.bench.worlds import WORLDS, find_world
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.goal.next_push import GoalRules
+from gridpush_drake.planning.goal.push_to_goal import push_to_goal
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import PushWorld, SimulatedWorld, TrackedWorld
+
+PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+RADIUS = 0.05
+FINGER = 0.008
+
+pytestmark = pytest.mark.skipif(
+    not PAGE.is_file(), reason="a wheel's tests have no docs beside them"
+)
+
+
+@pytest.fixture
+def DiscWorld(tmp_path, monkeypatch):
+    """The page's world, in a module that benches can import."""
+    (code,) = re.findall(
+        r"```python\n((?:(?!```).)*class DiscWorld.*?)```", PAGE.read_text(), re.DOTALL
+    )
+    (tmp_path / "disc_world.py").write_text(code)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return find_world("disc_world:DiscWorld")
+
+
+@pytest.fixture(scope="module")
+def puck():
+    return GridObject.from_outline(shapely.Point(0.0, 0.0).buffer(RADIUS), max_cells=40)
+
+
+def test_a_disc_is_driven_straight_away_from_the_finger(DiscWorld, puck):
+    world = DiscWorld(puck, CellParameters.uniform(puck), (0.0, 0.0, 0.3), TABLE)
+    assert isinstance(world, PushWorld)
+    seen = world.execute(Push((-0.1, 0.0), (0.05, 0.0), 2.0, FINGER))
+    # the finger ends at the middle of the table, and touches
+    np.testing.assert_allclose(world.truth.pose, [world.radius + FINGER, 0.0, 0.3], atol=1e-12)
+    np.testing.assert_array_equal(seen.final_pose, world.observe())
+
+    # beside the center, the disc goes off to the side, and the finger still touches it
+    world.put((0.0, 0.0, 0.3))
+    world.execute(Push((-0.1, 0.02), (0.05, 0.0), 2.0, FINGER))
+    x, y, theta = world.truth.pose
+    assert y < -0.02
+    assert np.hypot(x - 0.0, y - 0.02) == pytest.approx(world.radius + FINGER, abs=1e-9)
+    assert theta == 0.3
+
+    # off the table it falls, and is not seen any more
+    world.put((0.45, 0.0, 0.0))
+    world.execute(Push((0.3, 0.0), (0.1, 0.0), 2.0, FINGER))
+    assert world.truth.fallen
+    assert world.observe() is None
+
+
+def test_a_closed_loop_reaches_its_goal_in_it(DiscWorld, puck):
+    params = CellParameters.uniform(puck)
+    noise = {"position_std": 0.0005, "angle_std": 0.001}
+    world = DiscWorld(puck, params, (0.0, 0.0, 0.0), TABLE, **noise, seed=1)
+    goal = (0.15, 0.05, 0.0)
+    rules = GoalRules(PushConstraints(TABLE), max_pushes=12)
+    run = push_to_goal(world, puck, goal, rules, learner=None)
+    assert run.status == "reached"
+    assert calc_goal_error(puck, world.truth.pose, np.array(goal)) < 0.025
+    assert world.pushes == len(run.log) >= 1
+
+
+def test_benches_take_it_by_its_name(DiscWorld):
+    name = "disc_world:DiscWorld"
+    (run,) = planning.run_job(
+        planning.Job(
+            kind="push", data=None, name="pliers", number=0, pairs=1, modes=(planning.UNIFORM,),
+            seed=0, world=name,
+        )
+    )  # fmt: skip
+    assert run.pushes >= 1
+    score = pregrasp.run_job(
+        pregrasp.Job(name="toolbox", mass_set=0, seed=0, method=pregrasp.UNIFORM, truth=name)
+    )
+    assert score.method == name
+    assert score.outcome.slides >= 1
+
+
+def test_an_unknown_world_is_refused(DiscWorld):
+    for name in ("marbles", "disc_world:Marbles", "no_such_module:World", ":", "a:"):
+        with pytest.raises(GridPushError, match="expected one of lcp, edge, mujoco, drake, or MOD"):
+            planning.run(objects=["pliers"], quick=True, world=name)
+    with pytest.raises(GridPushError, match="world: 'disc_world:Marbles'"):
+        pregrasp.run(["toolbox"], truths=["disc_world:Marbles"])
+
+
+def test_the_named_worlds_are_of_one_form():
+    classes = [find_world(name) for name in WORLDS]
+    assert classes[:3] == [SimulatedWorld, EdgeWorld, MujocoEdgeWorld]
+    assert all(issubclass(each, TrackedWorld) for each in (*classes, MujocoWorld))
+    for method in ("put", "execute", "observe"):
+        # none of them has a way of its own to do what the form says
+        assert all(getattr(each, method) is getattr(TrackedWorld, method) for each in classes)
+
+
+@pytest.mark.parametrize("name", ["lcp", "edge", "mujoco", "drake"])
+def test_every_named_world_moves_an_object_alike(name):
+    """The same push of a slab in all of them: what a bench or a loop relies on holds in each."""
+    if name == "mujoco":
+        pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+    slab = GridObject.from_outline(
+        [[-0.06, -0.04], [0.06, -0.04], [0.06, 0.04], [-0.06, 0.04]], max_cells=24
+    )
+    params = CellParameters(np.full(slab.n, 0.02), np.full(slab.n, 0.35), 0.4)
+    world = find_world(name)(slab, params, (0.05, 0.0, 0.0), TABLE, seed=3)
+    assert isinstance(world, PushWorld)
+    np.testing.assert_array_equal(world.observe(), [0.05, 0.0, 0.0])
+    assert world.truth.motion is None
+    push = Push((-0.02, 0.01), (0.03, 0.0), 2.0, FINGER)
+    seen = world.execute(push)
+    motion = world.truth.motion
+    np.testing.assert_allclose(seen.pose, motion.poses[0], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(world.truth.pose, motion.poses[-1])
+    assert motion.times[0] == 0.0
+    assert motion.times[-1] == pytest.approx(push.duration)
+    assert world.truth.stays
+    assert not world.truth.fallen
+    expected = SimulatedWorld(slab, params, (0.05, 0.0, 0.0))
+    expected.execute(push)
+    np.testing.assert_allclose(motion.poses[-1, :2], expected.truth.pose[:2], atol=2e-3)
+    assert abs(motion.poses[-1, 2] - expected.truth.pose[2]) < np.radians(2)
+    assert expected.truth.pose[0] > 0.07
+
+    # the same again, from where it is put back
+    world.put((0.05, 0.0, 0.0))
+    assert world.truth.motion is None
+    world.execute(push)
+    np.testing.assert_allclose(world.truth.pose, motion.poses[-1], atol=1e-6)
