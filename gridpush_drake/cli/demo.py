@@ -45,8 +45,8 @@ def demo(
         str | None,
         typer.Option(
             metavar="NAME|DIR",
-            help="The robot: gantry, iiwa14 or panda, or the folder that holds your own "
-            "robot.yaml. Its scene (arm, finger and table) replaces the scenario's.",
+            help="The robot: gantry, iiwa14, panda, ur5e or xarm6, or the folder that holds "
+            "your own robot.yaml. Its scene (arm, finger and table) replaces the scenario's.",
             show_default="the scenario's, an iiwa14",
         ),
     ] = None,

@@ -198,8 +198,14 @@ def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--robot", "pandaa"], ["pandaa", "did you mean panda", "gantry, iiwa14, panda"]),
-        (["--robot", "gantry"], ["gantry has no gripper", "expected one of iiwa14, panda"]),
+        (
+            ["--robot", "pandaa"],
+            ["pandaa", "did you mean panda", "gantry, iiwa14, panda, ur5e, xarm6"],
+        ),
+        (
+            ["--robot", "gantry"],
+            ["gantry has no gripper", "expected one of iiwa14, panda, ur5e, xarm6"],
+        ),
     ],
 )
 def test_refuses_a_robot_that_it_cannot_have(refuses, tmp_path, arguments, says):

@@ -32,7 +32,7 @@ MEASURES = [
     file for file in FILES if file.endswith(("/robot.yaml", "/finger.yaml", "/gripper.yaml"))
 ]
 MODELS = [file for file in FILES if file.endswith((".sdf", ".urdf"))]
-ARMS = ("iiwa", "panda", "gantry")
+ARMS = ("iiwa", "panda", "gantry", "ur5e", "xarm6")
 ROBOTS = [file for file in MODELS if file.startswith("robots/")]
 TABLE_SCENES = [file for file in SCENES if "name: table" in (find_models() / file).read_text()]
 
@@ -172,9 +172,8 @@ def test_scene_starts_with_the_finger_down_over_the_table(file):
 
 def test_scenes_come_with_and_without_a_gripper():
     able = [file for file in TABLE_SCENES if parse(file)[0].HasModelInstanceNamed("gripper")]
-    assert able == [
-        f"scenes/{name}.dmd.yaml" for name in ("iiwa_grasp", "iiwa_grasp_heavy", "panda_grasp")
-    ]
+    grasping = ("iiwa_grasp", "iiwa_grasp_heavy", "panda_grasp", "ur5e_grasp", "xarm6_grasp")
+    assert able == [f"scenes/{name}.dmd.yaml" for name in grasping]
     assert len(TABLE_SCENES) >= 5
 
 

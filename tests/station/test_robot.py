@@ -115,7 +115,7 @@ def test_the_second_arm_speaks_with_its_twin(second_arm):
     assert bench.link.report.left_out == {}
 
 
-@pytest.mark.parametrize("name", ["panda", "gantry"])
+@pytest.mark.parametrize("name", ["panda", "gantry", "ur5e", "xarm6"])
 def test_a_robot_that_comes_with_the_package_pushes_within_its_limits(name):
     station = MakePushStation(PushScenario(directives=make_robot_directives(name, grasping=False)))
     simulator = Simulator(station)
@@ -327,8 +327,16 @@ def test_a_base_from_where_nothing_is_reached_is_refused(name, tmp_path):
 @pytest.mark.parametrize(
     ("robot", "grasping", "message"),
     [
-        ("pandaa", False, "robot pandaa is not known; did you mean panda.* gantry, iiwa14, panda"),
-        ("gantry", True, "robot gantry has no gripper: .*expected one of iiwa14, panda"),
+        (
+            "pandaa",
+            False,
+            "robot pandaa is not known; did you mean panda.* gantry, iiwa14, panda, ur5e, xarm6",
+        ),
+        (
+            "gantry",
+            True,
+            "robot gantry has no gripper: .*expected one of iiwa14, panda, ur5e, xarm6",
+        ),
         ("/nowhere", False, "robot /nowhere is not known"),
     ],
 )
