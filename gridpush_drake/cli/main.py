@@ -21,6 +21,7 @@ from gridpush_drake.cli.interrupts import (
 )
 from gridpush_drake.cli.lazy_group import LazyCommand, LazyGroup
 from gridpush_drake.cli.output import safe_output
+from gridpush_drake.cli.ros_args import ROS_ARGUMENTS, split_ros_arguments
 from gridpush_drake.errors import GridPushError, ObjectWarning, PushLogWarning
 
 EXIT_BAD_INPUT = 2
@@ -28,6 +29,9 @@ EXIT_BAD_INPUT = 2
 
 DOUBTS = (ObjectWarning, PushLogWarning)
 """Warnings about the user's own files. They are printed in one line; all others are left alone."""
+
+LINKED = {"twin", "tracker", "robot"}
+"""Commands that take arguments of ROS."""
 
 GRACEFUL = {"demo", "view", "twin", "tracker", "robot"}
 """Commands that handle Ctrl-C themselves: they finish in order, and write what was done so far."""
@@ -91,11 +95,11 @@ COMMANDS: dict[str, LazyCommand] = {
     ),
     "twin": LazyCommand(
         "gridpush_drake.cli.twin:twin",
-        "Simulate a robot that `gridpush robot` can move over LCM as if it were a real one.",
+        "Simulate a robot that `gridpush robot` can move as if it were a real one.",
     ),
     "tracker": LazyCommand(
         "gridpush_drake.cli.tracker:tracker",
-        "Find an object in a camera's pictures, and tell `gridpush robot` over LCM where it is.",
+        "Find an object in a camera's pictures, and tell `gridpush robot` where it is.",
     ),
     "robot": LazyCommand(
         "gridpush_drake.cli.robot:robot",
@@ -203,8 +207,12 @@ def _run_watched(args: list[str] | None) -> int | None:
 def _run(args: list[str] | None) -> int | None:
     """Runs the command line; returns the exit code, or None for 0."""
     try:
+        own, ros = split_ros_arguments(sys.argv[1:] if args is None else args)
+        if ros and LINKED.isdisjoint(own[:1]):
+            return _fail(f"--ros-args: expected one of {', '.join(sorted(LINKED))}, with --ros2")
+        ROS_ARGUMENTS.set(ros)
         with _short_warnings():
-            code: int | None = app(args=args, prog_name="gridpush", standalone_mode=False)
+            code: int | None = app(args=own, prog_name="gridpush", standalone_mode=False)
     except GridPushError as error:
         code = _fail(str(error))
     except typer.TyperException as error:

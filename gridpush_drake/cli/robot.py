@@ -1,4 +1,4 @@
-"""`gridpush robot`: carries out a task with a real arm, or with its twin, over LCM.
+"""`gridpush robot`: carries out a task with a real arm, or with its twin, over LCM or ROS 2.
 
 An arm must never be left moving by itself. Therefore this command handles signals and a lost
 terminal in its own way: they stop the arm smoothly, and the files are still written.
@@ -6,7 +6,7 @@ terminal in its own way: they stop the arm smoothly, and the files are still wri
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,10 +23,15 @@ from gridpush_drake.cli.interrupts import (
     is_hangup,
     set_handlers,
 )
+from gridpush_drake.cli.open_link import (
+    DEFAULT_URL,
+    ByRos2,
+    LcmUrl,
+    OpenedLink,
+    open_link,
+)
 from gridpush_drake.cli.output import losable_outputs
 from gridpush_drake.cli.twin import (
-    DEFAULT_URL,
-    LcmUrl,
     ObjectFile,
     RealtimeRate,
     Scenario,
@@ -34,8 +39,11 @@ from gridpush_drake.cli.twin import (
 )
 from gridpush_drake.errors import GridPushError, ScenarioError
 from gridpush_drake.files import make_folder, write_whole
-from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
+from gridpush_drake.station.lcm.hardware_link import HardwareLink
 from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
+from gridpush_drake.station.links.link_bus import LinkBus
+from gridpush_drake.station.links.ros2 import Ros2Role
+from gridpush_drake.station.links.ros2_estimate import Ros2Estimate
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import StationTask
@@ -50,6 +58,12 @@ written besides the files of `gridpush demo`."""
 LOOKING = 20.0
 """Longest time that a command without --go waits for the first push to be planned, s."""
 
+UNFELT = (
+    "Nothing says how the world presses on the arm (no wrench comes): the guard notices an "
+    "obstacle only by joints that do not follow."
+)
+"""What is printed if the robot's driver is known to have no sense of force."""
+
 
 def robot(
     task: Annotated[
@@ -59,6 +73,7 @@ def robot(
     scenario_file: Scenario = None,
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,
+    ros2: ByRos2 = False,
     go: Annotated[
         bool,
         typer.Option(
@@ -91,7 +106,7 @@ def robot(
 ) -> None:
     """Carry out a task of `gridpush demo` with a real arm. Nothing moves without --go.
 
-    The arm's driver is spoken to over LCM; docs/hardware.md says how, and what to check before the
+    The arm's driver is spoken to over LCM or ROS 2; docs/hardware.md says how, and what to check before the
     first run. Ctrl-C, a lost terminal, and anything that seems wrong stop the arm smoothly and hold
     it where it is.
 
@@ -113,21 +128,29 @@ def robot(
     if go:
         make_folder(out)
         options.check_outputs(force, *(out / name for name in (*chosen.files, LOG)))
-    link = HardwareLink(
-        open_lcm(lcm),
-        resolved.robot,
-        realtime_rate=realtime_rate,
-        clock_jump=scenario.safety.clock_jump,
-    )
-    link.wait()
-    options.compile_kernels()
-    station_task = chosen.station(resolved, make_station=partial(MakeHardwareStation, lcm=link.bus))
-    if not go:
-        _look(station_task, link, json)
-        return
-    with _stopping(link) as asked:
-        record = _run(station_task, link)
-        summary = _report(chosen, scenario, record, link, out, force, json)
+    with closing(open_link(Ros2Role.CONTROL, resolved, ros2, lcm)) as network:
+        link = HardwareLink(
+            network.bus,
+            resolved.robot,
+            realtime_rate=realtime_rate,
+            clock_jump=scenario.safety.clock_jump,
+            names=network.names,
+        )
+        if isinstance(network.bus, LinkBus):
+            network.bus.leave_out = link.leave_out
+        link.wait()
+        if network.ros is not None and not network.ros.load_known:
+            print_notice(UNFELT)
+        options.compile_kernels()
+        station_task = chosen.station(
+            resolved, make_station=partial(MakeHardwareStation, lcm=link.bus)
+        )
+        if not go:
+            _look(station_task, link, json)
+            return
+        with _stopping(link) as asked:
+            record = _run(station_task, link, network)
+            summary = _report(chosen, scenario, record, link, out, force, json)
     if summary["status"] == "interrupted":
         raise typer.Exit(SIGNALED + asked.number if asked.number else EXIT_INTERRUPTED)
     if not summary.get("done", summary["status"] == "finished"):
@@ -179,13 +202,16 @@ def _stopping(link: HardwareLink) -> Iterator[StopRequest]:
             signal.signal(number, handler)
 
 
-def _run(task: StationTask[Any], link: HardwareLink) -> Any:
+def _run(task: StationTask[Any], link: HardwareLink, network: OpenedLink) -> Any:
     """Lets the arm move until the task ends or is stopped; returns the task's record."""
+    estimate = None if network.ros is None else Ros2Estimate(network.ros, task, link)
     with count_progress("the robot", 1) as report:
         link.armed = True
         context = task.simulator.get_context
 
         def show(status: Any, logged: int) -> None:
+            if estimate is not None:
+                estimate.publish()
             report(f"{status.phase}, {logged} pushes logged", f"{context().get_time():.0f} s")
 
         return task.run(progress=show, drive=link)

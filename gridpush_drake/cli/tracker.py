@@ -1,4 +1,4 @@
-"""`gridpush tracker`: finds an object in a camera's pictures, and tells where it is, over LCM."""
+"""`gridpush tracker`: finds an object in a camera's pictures, and tells where it is, over LCM or ROS 2."""
 
 from pathlib import Path
 from time import monotonic
@@ -8,12 +8,14 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_line, print_notice
-from gridpush_drake.cli.twin import DEFAULT_URL, LcmUrl, Scenario, read_robot_scenario
+from gridpush_drake.cli.open_link import DEFAULT_URL, ByRos2, LcmUrl, OpenedLink, open_link
+from gridpush_drake.cli.twin import Scenario, read_robot_scenario
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.objects.object_file import dump_object
-from gridpush_drake.station.lcm.hardware_link import open_lcm
 from gridpush_drake.station.lcm.picture_tracker import PictureTracker
 from gridpush_drake.station.lcm.robot_messages import OBJECT_STATUS
+from gridpush_drake.station.links.link_bus import LinkBus
+from gridpush_drake.station.links.ros2 import Ros2Role
 from gridpush_drake.station.resolve import resolve
 
 WAIT = 0.1
@@ -35,6 +37,7 @@ def tracker(
         ),
     ] = None,
     lcm: LcmUrl = DEFAULT_URL,
+    ros2: ByRos2 = False,
     out: Annotated[
         Path,
         typer.Option(
@@ -46,9 +49,9 @@ def tracker(
     ] = Path("object.yaml"),
     force: options.Force = False,
 ) -> None:
-    """Find an object in a camera's pictures, and tell `gridpush robot` over LCM where it is.
+    """Find an object in a camera's pictures, and tell `gridpush robot` where it is.
 
-    The pictures come as LCM messages from the camera's driver or from `gridpush twin`. The command
+    The pictures come over LCM or ROS 2 from the camera's driver or from `gridpush twin`. The command
     runs until Ctrl-C ends it.
 
     Example: gridpush tracker --scenario cell.yaml --out object.yaml
@@ -58,17 +61,23 @@ def tracker(
     if object_file is None:
         check_writable(out, force)
     given = None if object_file is None else resolved.obj
-    follower = PictureTracker(resolved, open_lcm(lcm), given)
-    print_notice(f"Looking for pictures on {lcm}; Ctrl-C ends it.")
+    network = open_link(Ros2Role.TRACKER, resolved, ros2, lcm)
+    follower = PictureTracker(resolved, network.bus, given)
+    if isinstance(network.bus, LinkBus):
+        network.bus.leave_out = follower.leave_out
+    print_notice(f"Looking for pictures on {network.where}; Ctrl-C ends it.")
     try:
-        _find(follower, out if given is None else None, force)
-        print_notice(f"Its pose is sent on the LCM channel {OBJECT_STATUS}.")
-        _follow(follower)
+        _find(follower, network, out if given is None else None, force)
+        kind = "LCM channel" if network.ros is None else "topic"
+        print_notice(f"Its pose is sent on the {kind} {network.rename(OBJECT_STATUS)}.")
+        _follow(follower, network)
     except KeyboardInterrupt:
-        print_notice(f"{follower.report.describe()}.")
+        print_notice(f"{network.rename(follower.report.describe())}.")
+    finally:
+        network.close()
 
 
-def _follow(follower: PictureTracker) -> None:
+def _follow(follower: PictureTracker, network: OpenedLink) -> None:
     """Follows the object until the command is ended.
 
     If no picture could be used for a while, it prints once why.
@@ -83,16 +92,17 @@ def _follow(follower: PictureTracker) -> None:
             told = False
         elif not told and monotonic() - last_pose > PATIENCE:
             new = follower.report.left_out - before
-            reasons = "; ".join(new) or "no picture and no status of the robot came"
+            reasons = network.rename("; ".join(new)) or "no picture and no status of the robot came"
             print_notice(f"No pose has been sent for {PATIENCE:g} s: {reasons}.")
             told = True
 
 
-def _find(follower: PictureTracker, out: Path | None, force: bool) -> None:
+def _find(follower: PictureTracker, network: OpenedLink, out: Path | None, force: bool) -> None:
     """Looks at pictures until the object is seen, and prints what is in the way.
 
     Args:
         follower: what looks.
+        network: what it looks at.
         out: the object file to write; None if the object is known beforehand.
         force: whether an existing file may be replaced.
     """
@@ -104,7 +114,7 @@ def _find(follower: PictureTracker, out: Path | None, force: bool) -> None:
             break
         why = follower.find_obstacle()
         if why and why != said and monotonic() - begin > PATIENCE:
-            print_notice(f"Not yet: {why}.")
+            print_notice(f"Not yet: {network.rename(why)}.")
             said = why
     obj = follower.obj
     x, y, theta = tracked.pose

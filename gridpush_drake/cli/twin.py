@@ -12,19 +12,25 @@ import typer
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.cli.console import print_notice
+from gridpush_drake.cli.open_link import (
+    DEFAULT_URL,
+    ByRos2,
+    LcmUrl,
+    OpenedLink,
+    make_camera_opener,
+    open_link,
+)
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.station.lcm.hardware_link import open_lcm
 from gridpush_drake.station.lcm.twin import MakeTwin, Twin
 from gridpush_drake.station.lcm.twin_camera import PictureProcess
 from gridpush_drake.station.lcm.twin_link import TwinLink
+from gridpush_drake.station.links.link_bus import LinkBus
+from gridpush_drake.station.links.ros2 import Ros2Role
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene import use_object
 from gridpush_drake.systems.arm_guard import GuardMode
-
-DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
-"""The LCM network that robot, twin and tracker use by default: multicast on this computer."""
 
 DEFAULT_SCENARIO = "grasp"
 """Name of the shipped scenario that robot, twin and tracker use by default."""
@@ -61,16 +67,6 @@ ObjectFile = Annotated[
     ),
 ]
 
-LcmUrl = Annotated[
-    str,
-    typer.Option(
-        "--lcm",
-        metavar="URL",
-        help="The LCM network over which robot, twin and tracker speak; the default stays on this "
-        "computer.",
-    ),
-]
-
 RealtimeRate = Annotated[
     float,
     typer.Option(
@@ -86,15 +82,16 @@ def twin(
     scenario_file: Scenario = None,
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,
+    ros2: ByRos2 = False,
     seed: Annotated[
         int | None,
         typer.Option(min=0, help="Seed of everything random.", show_default="the scenario's"),
     ] = None,
     realtime_rate: RealtimeRate = 1.0,
 ) -> None:
-    """Simulate a robot that `gridpush robot` can move over LCM as if it were a real one.
+    """Simulate a robot that `gridpush robot` can move as if it were a real one.
 
-    The twin sends and receives the LCM messages of the robot's driver, and tells where the object
+    The twin sends and receives the messages of the robot's driver, over LCM or ROS 2, and tells where the object
     is, or sends a camera's pictures if the scenario has camera.kind rgbd. It runs until Ctrl-C ends
     it.
 
@@ -102,34 +99,41 @@ def twin(
     """
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
     resolved = resolve(scenario, scenario_file, told=obj)
-    link = TwinLink(open_lcm(lcm), resolved.robot)
+    network = open_link(Ros2Role.ROBOT, resolved, ros2, lcm)
+    link = TwinLink(network.bus, resolved.robot)
+    if isinstance(network.bus, LinkBus):
+        network.bus.leave_out = link.leave_out
     diagram = MakeTwin(resolved, link.bus, listens=False)
     simulator = Simulator(diagram)
     diagram.SetStart(simulator.get_mutable_context())
     simulator.set_target_realtime_rate(realtime_rate)
     simulator.Initialize()
     print_notice(
-        f"The twin speaks on {lcm} as the arm {diagram.world.setting.robot.arm_model}; Ctrl-C ends "
-        "it."
+        f"The twin speaks on {network.where} as the arm {diagram.world.setting.robot.arm_model}; "
+        "Ctrl-C ends it."
     )
-    camera = PictureProcess(scenario, lcm) if scenario.camera.kind == "rgbd" else None
+    camera = None
+    if scenario.camera.kind == "rgbd":
+        camera = PictureProcess(scenario, make_camera_opener(scenario, ros2, lcm))
     picture_period = 1 / scenario.camera.rate
     try:
-        _run(diagram, simulator, link, camera, picture_period, realtime_rate)
+        _run(diagram, simulator, link, network, camera, picture_period, realtime_rate)
     except KeyboardInterrupt:
-        left_out = link.describe_left_out()
+        left_out = network.rename(link.describe_left_out())
         ending = f"; {left_out}" if left_out else ""
         time = simulator.get_context().get_time()
         print_notice(f"The twin ends after {time:.1f} s of its time{ending}.")
     finally:
         if camera is not None:
             camera.close()
+        network.close()
 
 
 def _run(
     diagram: Twin,
     simulator: Simulator,
     link: TwinLink,
+    network: OpenedLink,
     camera: PictureProcess | None,
     picture_period: float,
     realtime_rate: float,
@@ -139,7 +143,8 @@ def _run(
     Args:
         diagram: the twin.
         simulator: the simulator of `diagram`.
-        link: exchanges the LCM messages.
+        link: exchanges the messages.
+        network: over which they go.
         camera: renders and sends pictures; None if the scenario has no such camera.
         picture_period: time between two pictures, s.
         realtime_rate: how many seconds are simulated in one second.
@@ -169,7 +174,8 @@ def _run(
         last_reason = status.reason
         if len(link.left_out) != unusable:
             unusable = len(link.left_out)
-            print_notice(f"{time:.2f} s: a command was left out: {list(link.left_out)[-1]}.")
+            why = network.rename(list(link.left_out)[-1])
+            print_notice(f"{time:.2f} s: a command was left out: {why}.")
 
         # A twin that fell behind goes on from its present time. If it caught up instead, it would
         # run faster than the clock, and the robot that is tried with it would see it move too fast.

@@ -144,6 +144,31 @@ class ControlMeasures(_Measures):
     path_speed_share: Positive
 
 
+class Ros2Measures(_Measures):
+    """What an arm's ROS 2 driver speaks, see `station.links.ros2`.
+
+    Attributes:
+        joints: names of the joints in `JointState` and in commands, in the model's order; null for
+            the model's own names.
+        command: what the arm's controller takes. "trajectory": `JointTrajectory` of one point
+            (joint_trajectory_controller); "position": `Float64MultiArray`
+            (forward_position_controller).
+        load: what says how the world presses on the arm. "wrench": `WrenchStamped` on the flange,
+            where there is one; "effort": the efforts in `JointState`, where these are the torques
+            from outside and not the motors'; "none": nothing.
+    """
+
+    joints: Annotated[
+        tuple[str, ...] | None, Strict(False), Field(description="names of joints, or null")
+    ] = None
+    command: Annotated[
+        Literal["trajectory", "position"], Field(description="trajectory or position")
+    ] = "trajectory"
+    load: Annotated[
+        Literal["wrench", "effort", "none"], Field(description="wrench, effort or none")
+    ] = "wrench"
+
+
 class SceneFiles(_Measures):
     """Scenes with the robot at a table: files of Drake's model directives.
 
@@ -173,6 +198,7 @@ class ArmMeasures(_Measures):
         control: how the arm is moved.
         messages: LCM messages that its driver speaks, see `station.lcm.robot_messages`; null if
             there are none.
+        ros2: what its driver speaks over ROS 2.
         scenes: scenes that have this robot. A command or a scenario may then name the robot
             instead of a scene. null for none.
     """
@@ -188,6 +214,7 @@ class ArmMeasures(_Measures):
     messages: Annotated[
         Literal["iiwa", "panda"] | None, Field(description="iiwa, panda or null")
     ] = None
+    ros2: Ros2Measures = Ros2Measures()
     scenes: SceneFiles | None = None
 
 
@@ -218,6 +245,8 @@ class GripperMeasures(_Measures):
         max_force: with which both fingers press together, N.
         closing_speed: greatest, of the opening, m/s.
         coupling: how stiffly the simulated fingers keep their middle where it is, N/m.
+        ros2_joints: the joints of its ROS 2 driver by name, each with its positions when the
+            gripper is closed and when it is open by `opening`; null for the model's own.
     """
 
     mount_frame: Name
@@ -228,6 +257,11 @@ class GripperMeasures(_Measures):
     max_force: Positive = 80.0
     closing_speed: Positive = 0.15
     coupling: Positive = COUPLING
+    ros2_joints: Annotated[
+        dict[str, tuple[float, float]] | None,
+        Strict(False),
+        Field(description="joints by name, each with its positions [closed, open], or null"),
+    ] = None
     opening: Length
     pad_length: Length
     pad_width: Length

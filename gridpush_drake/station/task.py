@@ -272,7 +272,7 @@ class StationTask(Generic[R]):
         if meshcat is not None:
             AddEstimateVisualizer(builder, station, controller, meshcat)
         self.station = station
-        self._controller = controller
+        self.controller = controller
         self.diagram = builder.Build()
         self.diagram.set_name(type(self).__name__)
         self.simulator = Simulator(self.diagram)
@@ -435,7 +435,7 @@ class StationTask(Generic[R]):
         while time < within:
             time += ADVANCE
             drive.advance(self.simulator, time)
-            command = PushCommand.from_vector(self.read("push_command", self._controller))
+            command = PushCommand.from_vector(self.read("push_command", self.controller))
             if command.command_id:
                 return command
         return None
@@ -459,13 +459,13 @@ class StationTask(Generic[R]):
             record: the record of the run.
             time: time now, s.
         """
-        status = self.read("status", self._controller)
+        status = self.read("status", self.controller)
         if status is record.last:
             return False
-        push = PushCommand.from_vector(self.read("push_command", self._controller))
+        push = PushCommand.from_vector(self.read("push_command", self.controller))
         grasp = GraspCommand()
-        if self._controller.HasOutputPort("grasp_command"):
-            grasp = GraspCommand.from_vector(self.read("grasp_command", self._controller))
+        if self.controller.HasOutputPort("grasp_command"):
+            grasp = GraspCommand.from_vector(self.read("grasp_command", self.controller))
         # A command stays on its port until the next one. Number 0 is no command.
         known_pushes = {0, *(step.push.command_id for step in record.steps if step.push)}
         known_grasps = {0, *(step.grasp.command_id for step in record.steps if step.grasp)}

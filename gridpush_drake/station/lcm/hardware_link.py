@@ -19,18 +19,19 @@ itself from the last commands. Until `armed`, no command goes out.
 import re
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
 
 import numpy as np
 from drake import lcmt_planar_manipuland_status, lcmt_schunk_wsg_status
-from pydrake.lcm import DrakeLcm, DrakeLcmInterface
+from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from gridpush_drake.errors import StationError
+from gridpush_drake.station.lcm.bus import Bus
 from gridpush_drake.station.lcm.channel import ArrivalClock, Channel, count_reason
 from gridpush_drake.station.lcm.hardware_station import HardwareStation
 from gridpush_drake.station.lcm.message_forms import FindFault, find_form_fault
@@ -178,13 +179,14 @@ class HardwareLink:
 
     def __init__(
         self,
-        lcm: DrakeLcmInterface,
+        lcm: Bus,
         arm: Robot,
         *,
         realtime_rate: float = 1.0,
         clock_jump: float = SafetyConfig().clock_jump,
         robot: Callable[[], object] | None = None,
         clock: Callable[[], float] | None = None,
+        names: Mapping[str, str] | None = None,
     ) -> None:
         """Listens from now on.
 
@@ -201,9 +203,11 @@ class HardwareLink:
             clock: by which messages arrive, in the robot's seconds; the computer's, times
                 `realtime_rate`, where None. A twin in the same process needs a clock that goes on by
                 `ARM_PERIOD` whenever it is moved.
+            names: of the channels in messages to the user, where the network calls them otherwise.
         """
         self.bus, self.report, self.armed = DrakeLcm("memq://"), LinkReport(), False
         self._lcm, self._rate, self._robot = lcm, realtime_rate, robot
+        self._names = names or {}
         self._clock = clock or self._read_clock
         self._joints = len(arm.arm.posture)
         self._messages = find_arm_messages(arm)
@@ -248,7 +252,7 @@ class HardwareLink:
             self._listen()
             now = monotonic()
             if self._another_robot:
-                raise StationError(self._another_robot)
+                raise StationError(self._rename(self._another_robot))
             silent = [channel for channel in self._channels.values() if channel.data is None]
             if silent or self._count_clock_changes() != changes:
                 first, changes = now, self._count_clock_changes()
@@ -269,9 +273,12 @@ class HardwareLink:
         elif silent[0] is self._object:
             who = "nobody says where the object is"
         unusable = silent[0].describe_unusable()
+        where = "in this ROS domain" if self._names else "on this --lcm"
         raise StationError(
-            f"{who} on {silent[0].name} within {patience:g} s{unusable and f' ({unusable})'}; "
-            "expected a driver, or gridpush twin, on this --lcm"
+            self._rename(
+                f"{who} on {silent[0].name} within {patience:g} s{unusable and f' ({unusable})'}; "
+                f"expected a driver, or gridpush twin, {where}"
+            )
         )
 
     @property
@@ -334,7 +341,13 @@ class HardwareLink:
 
     def note(self, text: str) -> None:
         """Adds to the log, at the station's time."""
-        self.report.events.append((self._told, text))
+        self.report.events.append((self._told, self._rename(text)))
+
+    def leave_out(self, why: str) -> None:
+        """Counts what came and cannot be used, by why."""
+        why = self._rename(why)
+        if count_reason(self.report.left_out, why):
+            self.note(f"left out: {why}")
 
     def _finish_by_guard(self, simulator: Simulator) -> None:
         """Goes on until the guard holds the arm, for as long as the arm may go back from a collision."""
@@ -486,6 +499,7 @@ class HardwareLink:
         self._give_up(context, jumped=True)
 
     def _note_cause(self, cause: str) -> None:
+        cause = self._rename(cause)
         self.report.causes.append(cause)
         self.note(cause)
 
@@ -560,7 +574,7 @@ class HardwareLink:
             now=self._clock,
             clock_jump=clock_jump,
             find_fault=find_fault or (lambda message: find_form_fault(message, name)),
-            leave_out=self._leave_out,
+            leave_out=self.leave_out,
             reference=reference,
         )
 
@@ -579,6 +593,8 @@ class HardwareLink:
 
         return collect
 
-    def _leave_out(self, why: str) -> None:
-        if count_reason(self.report.left_out, why):
-            self.note(f"left out: {why}")
+    def _rename(self, text: str) -> str:
+        """A text with the channels called as the network calls them."""
+        for channel, name in self._names.items():
+            text = text.replace(channel, name)
+        return text

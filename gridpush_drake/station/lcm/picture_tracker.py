@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from drake import lcmt_image_array, lcmt_schunk_wsg_status
 from numpy.typing import NDArray
-from pydrake.lcm import DrakeLcmInterface
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
@@ -28,6 +27,7 @@ from gridpush_drake.perception.detection import DetectedObject, find_off_table
 from gridpush_drake.perception.frames import MILLIMETERS, Frame
 from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.station.camera import LIVE, AddRgbdCamera
+from gridpush_drake.station.lcm.bus import Bus
 from gridpush_drake.station.lcm.channel import Channel, count_reason
 from gridpush_drake.station.lcm.message_forms import decode_message, find_form_fault
 from gridpush_drake.station.lcm.picture_messages import decode_frame
@@ -125,7 +125,7 @@ class PictureTracker:
     def __init__(
         self,
         scenario: PushScenario | ResolvedScenario,
-        lcm: DrakeLcmInterface,
+        lcm: Bus,
         obj: GridObject | None = None,
         clock: Callable[[], float] = monotonic,
     ) -> None:
@@ -166,7 +166,7 @@ class PictureTracker:
             now=clock,
             clock_jump=self._clock_jump,
             find_fault=self._find_arm_fault,
-            leave_out=self._leave_out,
+            leave_out=self.leave_out,
         )
         self._gripper = Channel(
             GRIPPER_STATUS,
@@ -174,7 +174,7 @@ class PictureTracker:
             now=clock,
             clock_jump=self._clock_jump,
             find_fault=lambda message: find_form_fault(message, GRIPPER_STATUS),
-            leave_out=self._leave_out,
+            leave_out=self.leave_out,
         )
         lcm.Subscribe(PICTURES, self._take_picture)
         lcm.Subscribe(self._messages.status, self._take_status)
@@ -251,7 +251,7 @@ class PictureTracker:
             message = decode_message(lcmt_image_array, PICTURES, data)
             frame = decode_frame(message, self._silhouette.camera)
         except GridPushError as error:
-            self._leave_out(str(error))
+            self.leave_out(str(error))
             return None
         utime = round(MICROSECONDS * frame.t)
         why, (nearest, _) = "", self._find_nearest(utime)
@@ -265,7 +265,7 @@ class PictureTracker:
                 "expected one clock for both"
             )
         if why:
-            self._leave_out(why)
+            self.leave_out(why)
         return None if why else frame
 
     def _find_nearest(self, utime: int) -> tuple[int, Sequence[float]]:
@@ -296,5 +296,6 @@ class PictureTracker:
         if self._gripper.take(data):
             self._opening = self._gripper.message.actual_position_mm / MILLIMETERS
 
-    def _leave_out(self, why: str) -> None:
+    def leave_out(self, why: str) -> None:
+        """Counts what came and cannot be used, by why."""
         count_reason(self.report.left_out, why)

@@ -1,4 +1,4 @@
-"""`TwinCamera`: the pictures of a twin's color and depth camera, and the process that says them over LCM.
+"""`TwinCamera`: the pictures of a twin's color and depth camera, and the process that says them on a network.
 
 A pair of pictures takes longer to render than the arm's period of 5 ms. So it is rendered
 elsewhere: the twin hands on where all joints and the object are, and goes on.
@@ -6,6 +6,7 @@ elsewhere: the twin hands on where all joints and the object are, and goes on.
 
 import multiprocessing
 import signal
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.station.camera import AddRgbdCamera
-from gridpush_drake.station.lcm.hardware_link import open_lcm
+from gridpush_drake.station.lcm.bus import Bus
 from gridpush_drake.station.lcm.picture_messages import encode_frame
 from gridpush_drake.station.lcm.robot_messages import PICTURES
 from gridpush_drake.station.push_station import AddWorld
@@ -80,20 +81,20 @@ class TwinCamera:
 
 
 class PictureProcess:
-    """A process that renders what a twin's camera sees, and says it over LCM."""
+    """A process that renders what a twin's camera sees, and says it."""
 
-    def __init__(self, scenario: PushScenario, url: str) -> None:
+    def __init__(self, scenario: PushScenario, open_bus: Callable[[], Bus]) -> None:
         """Starts the process.
 
         Args:
             scenario: of the twin.
-            url: of LCM.
+            open_bus: opens, in that process, what the pictures are said on; it can be pickled.
         """
         context = multiprocessing.get_context(
             "spawn"
         )  # pydrake has threads, which a fork would not survive
         listener, self._asks = context.Pipe(duplex=False)
-        work = (format_scenario(scenario), url, listener)
+        work = (format_scenario(scenario), open_bus, listener)
         self._process = context.Process(target=_take_pictures, args=work, daemon=True)
         self._process.start()
         listener.close()
@@ -117,17 +118,17 @@ class PictureProcess:
             self._process.kill()
 
 
-def _take_pictures(scenario: str, url: str, asks: Connection) -> None:
+def _take_pictures(scenario: str, open_bus: Callable[[], Bus], asks: Connection) -> None:
     """Answers the newest of what is asked, until nobody can ask any more; the scenario is YAML."""
     for name in TWINS_SIGNALS:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    lcm, camera = open_lcm(url), TwinCamera(parse_scenario(Path("scenario.yaml"), scenario))
+    bus, camera = open_bus(), TwinCamera(parse_scenario(Path("scenario.yaml"), scenario))
     try:
         while True:
             t, q = asks.recv()
             while asks.poll():
                 t, q = asks.recv()
-            lcm.Publish(PICTURES, camera.make_message(t, q).encode())
+            bus.Publish(PICTURES, camera.make_message(t, q).encode())
     except EOFError:
         return

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from typing import Any
 
 from drake import lcmt_schunk_wsg_command
-from pydrake.lcm import DrakeLcm, DrakeLcmInterface
+from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.errors import StationError
+from gridpush_drake.station.lcm.bus import Bus
 from gridpush_drake.station.lcm.channel import count_reason
 from gridpush_drake.station.lcm.message_forms import decode_message, find_form_fault
 from gridpush_drake.station.lcm.robot_messages import (
@@ -32,7 +33,7 @@ class TwinLink:
         left_out: number of commands that could not be used, by why.
     """
 
-    def __init__(self, lcm: DrakeLcmInterface, robot: Robot) -> None:
+    def __init__(self, lcm: Bus, robot: Robot) -> None:
         """Listens from now on.
 
         Args:
@@ -61,6 +62,10 @@ class TwinLink:
         """What could not be used, in words; empty for nothing."""
         return "; ".join(f"{count} left out: {why}" for why, count in self.left_out.items())
 
+    def leave_out(self, why: str) -> None:
+        """Counts a command that cannot be used, by why."""
+        count_reason(self.left_out, why)
+
     def _make_sender(self, name: str) -> Callable[[bytes], None]:
         return lambda data: self._lcm.Publish(name, data)
 
@@ -71,7 +76,7 @@ class TwinLink:
             except StationError as error:  # the caller is C and takes no exceptions
                 why = str(error)
             if why:
-                count_reason(self.left_out, why)
+                self.leave_out(why)
             else:
                 self.bus.Publish(name, data)
 

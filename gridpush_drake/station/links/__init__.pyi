@@ -1,0 +1,15 @@
+from .in_process import InProcessLink as InProcessLink
+from .link import ArmCommand as ArmCommand
+from .link import ArmStatus as ArmStatus
+from .link import GripperCommand as GripperCommand
+from .link import GripperStatus as GripperStatus
+from .link import Link as Link
+from .link import LinkMessage as LinkMessage
+from .link import ObjectSight as ObjectSight
+from .link import Picture as Picture
+from .link import Unusable as Unusable
+from .link_bus import LinkBus as LinkBus
+from .ros2 import Ros2Link as Ros2Link
+from .ros2 import Ros2Role as Ros2Role
+from .ros2 import open_ros2 as open_ros2
+from .tip_load import TipLoad as TipLoad
