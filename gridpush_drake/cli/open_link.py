@@ -52,8 +52,8 @@ ByRos2 = Annotated[
     bool,
     typer.Option(
         "--ros2",
-        help="Speak over ROS 2 instead of LCM, by the rclpy of the ROS 2 that is sourced in this shell. What "
-        "follows --ros-args is for ROS: namespaces, remapping, use_sim_time.",
+        help="Speak over ROS 2 instead of LCM, by the rclpy of the ROS 2 that is sourced in this "
+        "shell. What follows --ros-args is for ROS: namespaces, remapping, use_sim_time.",
     ),
 ]
 

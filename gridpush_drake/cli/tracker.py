@@ -1,4 +1,4 @@
-"""`gridpush tracker`: finds an object in a camera's pictures, and tells where it is, over LCM or ROS 2."""
+"""`gridpush tracker`: finds an object in a camera's pictures, and tells where it is."""
 
 from pathlib import Path
 from time import monotonic
@@ -51,8 +51,8 @@ def tracker(
 ) -> None:
     """Find an object in a camera's pictures, and tell `gridpush robot` where it is.
 
-    The pictures come over LCM or ROS 2 from the camera's driver or from `gridpush twin`. The command
-    runs until Ctrl-C ends it.
+    The pictures come from the camera's driver or from `gridpush twin`, over LCM or ROS 2. The
+    command runs until Ctrl-C ends it.
 
     Example: gridpush tracker --scenario cell.yaml --out object.yaml
     """

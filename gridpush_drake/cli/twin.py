@@ -91,8 +91,8 @@ def twin(
 ) -> None:
     """Simulate a robot that `gridpush robot` can move as if it were a real one.
 
-    The twin sends and receives the messages of the robot's driver, over LCM or ROS 2, and tells where the object
-    is, or sends a camera's pictures if the scenario has camera.kind rgbd. It runs until Ctrl-C ends
+    The twin sends and receives the messages of the robot's driver, over LCM or ROS 2. It tells where
+    the object is, or sends a camera's pictures if the scenario has camera.kind rgbd. It runs until Ctrl-C ends
     it.
 
     Example: gridpush twin --scenario grasp

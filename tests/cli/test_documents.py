@@ -18,6 +18,7 @@ import yaml
 from pydantic import BaseModel
 
 from gridpush_drake.cli.main import app
+from gridpush_drake.cli.ros_args import split_ros_arguments
 from gridpush_drake.dynamics.kernels.friction import LAWS
 from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import PushLogError
@@ -247,7 +248,8 @@ def test_every_column_and_object_is_named():
 )
 def test_the_commands_are_the_commands(name):
     for line in find_commands(TEXTS[name]):
-        command, words = typer.main.get_command(app), line.split()[1:]
+        command = typer.main.get_command(app)
+        words, _ = split_ros_arguments(line.split()[1:])
         while words and hasattr(command, "commands") and not words[0].startswith("-"):
             found = command.get_command(None, words[0])
             assert found is not None or words[0] in STAND_INS or words[0].isupper(), line

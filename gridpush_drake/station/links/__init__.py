@@ -1,4 +1,4 @@
-"""Links between control and the world: a small protocol, and what carries it: ROS 2, a process, or an SDK of yours."""
+"""Links between control and the world: a small protocol, and ROS 2 or a process that carry it."""
 
 import lazy_loader
 

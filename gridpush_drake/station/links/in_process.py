@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from gridpush_drake.station.links.link import LinkMessage
 
 QUEUED = 1000
-"""Number of records that wait at most for one end to receive them; beyond it the oldest is dropped, as by a network
-whose buffers are full."""
+"""Largest number of records that wait for one end to receive them. Beyond it the oldest one is
+dropped, as by a network whose buffers are full."""
 
 
 class InProcessLink:
@@ -30,7 +30,7 @@ class InProcessLink:
         return cls(there, back), cls(back, there)
 
     def receive(self, timeout: float) -> Sequence[LinkMessage]:
-        """All that the other end has sent since the last call; it waits for nothing, whatever the `timeout`."""
+        """All that the other end has sent since the last call; it never waits, whatever `timeout`."""
         messages = list(self._incoming)
         self._incoming.clear()
         return messages

@@ -1,4 +1,4 @@
-"""`LinkBus`: a link in the place of an LCM network, for `HardwareLink`, `TwinLink` and `PictureTracker`.
+"""`LinkBus`: a link in the place of LCM, for `HardwareLink`, `TwinLink` and `PictureTracker`.
 
 Inside, station, twin and tracker speak LCM messages, whatever is outside. The bus makes a message
 of each record that comes in, and a record of each message that goes out. So whatever comes over any
@@ -201,7 +201,15 @@ def calc_utime(time: float) -> int:
 
 
 def encode_arm_status(status: ArmStatus, kind: Any) -> bytes:
-    """The `lcmt_iiwa_status` or `lcmt_panda_status`, as `kind` says, of a status; what it does not say is 0."""
+    """The message of an arm's status; what the status does not say is 0.
+
+    Args:
+        status: the status.
+        kind: `lcmt_iiwa_status` or `lcmt_panda_status`.
+
+    Raises:
+        ValueError: there are not as many velocities or torques as positions.
+    """
     position = _list(status.position)
     n = len(position)
     zeros = [0.0] * n

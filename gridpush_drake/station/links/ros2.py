@@ -70,12 +70,12 @@ NANOSECONDS = 1e9
 """Nanoseconds in a second."""
 
 MAX_WRENCH_AGE = 0.1
-"""If the last wrench was measured longer than this before the joints, s, the load is not known any more: the status
-cannot be used, and the arm is stopped where none better comes."""
+"""If the last wrench was measured longer than this before the joints, s, the load is not known any
+more. The status then cannot be used, and the arm is stopped if no better one comes."""
 
 MAX_DEVIATION = 0.02
-"""If the covariance of an object's pose says that its standard deviation is larger than this, m (or rad, times
-`TURN_SHARE`), the pose cannot be used."""
+"""Largest standard deviation, m, with which a pose of the object can be used, by its covariance. That
+of the turn counts with `TURN_SHARE`."""
 
 TURN_SHARE = 0.1
 """m for each rad: a turn's standard deviation counts as so much of a shift's."""
@@ -84,7 +84,7 @@ COVARIANCE_PLACES = (0, 7, 35)
 """Where the variances of x, y and the turn about z are in a pose's covariance of 36 numbers."""
 
 FOCAL_TOLERANCE = 0.01
-"""Greatest difference of a camera's K in its `CameraInfo` from the scenario's, as a share of the focal length."""
+"""How far K in a camera's `CameraInfo` may differ from the scenario's, as a share of the focal length."""
 
 KEPT_IMAGES = 10
 """Number of color or depth images that wait at most for the other one of the same moment."""
@@ -151,8 +151,8 @@ def import_ros() -> SimpleNamespace:
             found[name] = getattr(import_module(f"{package}.msg"), name)
     except ImportError as error:
         raise StationError(
-            f"--ros2: {error.name or 'rclpy'} cannot be imported ({error}); expected ROS 2 in this shell "
-            "(source /opt/ros/DISTRO/setup.bash) and gridpush installed for the Python that this ROS 2 is for"
+            f"--ros2: {error.name or 'rclpy'} cannot be imported ({error}); expected ROS 2 in this "
+            "shell (source /opt/ros/DISTRO/setup.bash) and gridpush installed for its Python"
         ) from error
     return SimpleNamespace(**found)
 
@@ -225,7 +225,8 @@ def MakeRosRobot(resolved: ResolvedScenario, camera: Camera | None = None) -> Ro
     joints = tuple(spoken.joints or own)
     if len(joints) != len(own):
         raise StationError(
-            f"robot.yaml of {robot.arm_model}: ros2.joints has {len(joints)} names; expected {len(own)}"
+            f"robot.yaml of {robot.arm_model}: ros2.joints has {len(joints)} names; "
+            f"expected {len(own)}"
         )
     gripper, max_force = None, 0.0
     if robot.gripper is not None and instances.gripper is not None:
@@ -405,8 +406,8 @@ class Ros2Link:
         kind = self.node.declare_parameter("command", self._robot.command).value
         if kind not in ("trajectory", "position"):
             raise StationError(
-                f"ROS parameter command is {kind!r}; expected trajectory (for joint_trajectory_controller) or "
-                "position (for forward_position_controller)"
+                f"ROS parameter command is {kind!r}; expected trajectory (for "
+                "joint_trajectory_controller) or position (for forward_position_controller)"
             )
         return str(kind)
 
@@ -426,7 +427,7 @@ class Ros2Link:
     # What comes in
 
     def _take_joints(self, message: Any) -> None:
-        """Takes a `JointState` of the arm, of the gripper, or of both; one of other joints says nothing here."""
+        """Takes a `JointState` of the arm, the gripper, or both; other joints say nothing here."""
         time = _read_time(message.header.stamp)
         order = self._find_order(tuple(message.name), self._robot.joints)
         if order is not None:
@@ -482,7 +483,7 @@ class Ros2Link:
     def _calc_torque(
         self, message: Any, order: NDArray[np.intp], time: float, position: Array
     ) -> Array | None:
-        """The torques on the joints from outside, N m; None, and counted, where they should be known and are not."""
+        """The torques on the joints from outside, N m; None, and counted, if they have become unknown."""
         if self._robot.load == "effort":
             effort = _pick(message.effort, order)
             if effort is None:
@@ -527,7 +528,8 @@ class Ros2Link:
         known = ("", WORLD, self._robot.base_frame)
         if header.frame_id not in known:
             self._leave_out(
-                f"{topic} is in frame {header.frame_id}; expected {WORLD} or {self._robot.base_frame}"
+                f"{topic} is in frame {header.frame_id}; expected {WORLD} or "
+                f"{self._robot.base_frame}"
             )
             return
         q = pose.orientation
@@ -577,7 +579,7 @@ class Ros2Link:
     def _find_point(
         self, topic: str, message: Any, joints: tuple[str, ...]
     ) -> tuple[Array, Array | None] | None:
-        """Positions, and efforts if there are some, of a trajectory's only point; None where it will not do."""
+        """Positions and, if there are some, efforts of a trajectory's only point; None if it will not do."""
         order = self._find_order(tuple(message.joint_names), joints)
         if order is None:
             self._leave_out(f"{topic} names not all joints; expected {', '.join(joints)}")
@@ -646,7 +648,7 @@ class Ros2Link:
             self.publish(GRIPPER_POSITIONS, self._ros.Float64MultiArray(data=data))
 
     def _make_trajectory(self, joints: Sequence[str], position: list[float]) -> Any:
-        """A trajectory of one point, an arm's period from now: its header's time of 0 means at once."""
+        """A trajectory of one point, to be reached a period from now; a header's time of 0 means now."""
         message = self._ros.JointTrajectory()
         message.joint_names = list(joints)
         point = self._ros.JointTrajectoryPoint()
@@ -744,7 +746,11 @@ def write_pose(message: Any, pose: Sequence[float] | Array, height: float = 0.0)
 
 
 def read_color(message: Any) -> NDArray[np.uint8]:
-    """The pixels (height, width, 3) of a `sensor_msgs/Image`. Raises StationError where its form will not do."""
+    """The pixels (height, width, 3) of a `sensor_msgs/Image`.
+
+    Raises:
+        StationError: its form will not do.
+    """
     if message.encoding not in COLOR_FORMS:
         raise StationError(
             f"{COLOR}: encoding is {message.encoding}; expected one of {', '.join(COLOR_FORMS)}"
@@ -774,8 +780,8 @@ def _read_rows(topic: str, message: Any, kind: np.dtype[Any], channels: int) -> 
     used = message.width * channels * kind.itemsize
     if message.step < used or len(data) != message.height * message.step or not len(data):
         raise StationError(
-            f"{topic} has {len(data)} bytes in rows of {message.step}; expected {message.height} rows of at "
-            f"least {used}"
+            f"{topic} has {len(data)} bytes in rows of {message.step}; expected {message.height} "
+            f"rows of at least {used}"
         )
     rows = np.ascontiguousarray(data.reshape(message.height, message.step)[:, :used])
     sent = kind.newbyteorder(">" if message.is_bigendian else "<")
@@ -783,7 +789,7 @@ def _read_rows(topic: str, message: Any, kind: np.dtype[Any], channels: int) -> 
 
 
 def find_camera_fault(message: Any, camera: Camera | None) -> str:
-    """Says how a `sensor_msgs/CameraInfo` differs from the scenario's camera; empty where it does not."""
+    """Says how a `CameraInfo` differs from the scenario's camera; empty where it does not."""
     if camera is None:
         return ""
     if (message.width, message.height) != (camera.width, camera.height):
@@ -797,8 +803,8 @@ def find_camera_fault(message: Any, camera: Camera | None) -> str:
     if np.abs(K - camera.K).max() > FOCAL_TOLERANCE * camera.K[0, 0]:
         fx, cx = float(K[0, 0]), float(K[0, 2])
         return (
-            f"{CAMERA_INFO}: fx is {fx:.1f} and cx {cx:.1f}; expected {camera.K[0, 0]:.1f} and {camera.K[0, 2]:.1f}, "
-            "as the scenario's camera.rgbd"
+            f"{CAMERA_INFO}: fx is {fx:.1f} and cx {cx:.1f}; expected {camera.K[0, 0]:.1f} and "
+            f"{camera.K[0, 2]:.1f}, as the scenario's camera.rgbd"
         )
     return ""
 

@@ -1,9 +1,9 @@
-"""`Ros2Estimate`: what is known and planned, as topics with standard messages, for RViz and Foxglove.
+"""`Ros2Estimate`: what is known and planned, on topics with standard messages, for RViz.
 
 Below the node's own name, `~`:
 
     ~/object_pose       geometry_msgs/PoseStamped: where the object is held to be
-    ~/center_of_mass    geometry_msgs/PoseWithCovarianceStamped: its center of mass, with the ellipse
+    ~/center_of_mass    geometry_msgs/PoseWithCovarianceStamped: its center, with the ellipse
     ~/push              nav_msgs/Path: the push that is under way, from its start to its end
     ~/cells             visualization_msgs/MarkerArray: the cells, colored by their masses
     /diagnostics        diagnostic_msgs/DiagnosticArray: the guard, the executor and the loop

@@ -1,7 +1,7 @@
 """`TipLoad`: a force on an arm's tool as torques on its joints, and the other way round.
 
 Some arms say which torques act on their joints from outside (iiwa, Panda). Others have a sensor of
-force and torque at the flange, or estimate the force on it (UR, xArm). The guard reads torques; with
+force and torque at the flange, or estimate the force on it (UR, xArm). The guard reads torques. With
 the Jacobian J of the flange, force f and torque t on it are torques
 
     tau = J_angular^T t + J_linear^T f
@@ -47,7 +47,7 @@ class TipLoad:
         return np.asarray(J.T @ wrench)
 
     def calc_wrench(self, q: ArrayLike, torque: ArrayLike) -> tuple[Array, Array]:
-        """The wrench on the flange that a force on the finger's tip makes, as a sensor there would feel it.
+        """What a sensor at the flange feels of the force on the finger's tip.
 
         Args:
             q: (n,) positions of the joints, rad.
