@@ -141,7 +141,10 @@ class MitImporter:
     )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a file of MIT pushes, straight and at constant speed, each observed at its end only; and the object.
+        """Reads a file's pushes, and the object that was pushed.
+
+        All pushes are straight and at constant speed. Of each, the file holds the object's pose at
+        the beginning and at the end, and none in between.
 
         Raises:
             PushLogError: the file cannot be read, lacks a field or holds something else in it, a

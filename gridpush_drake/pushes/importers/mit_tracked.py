@@ -74,26 +74,34 @@ MIN_ROWS = 2
 
 @dataclass(frozen=True)
 class MitTrackedImporter:
-    """Tracked pushes of the MIT push data set, HDF5 or JSON, one file or a folder of them.
+    """Convert tracked pushes of the MIT push data set (HDF5 or JSON, a file or a folder of them).
 
     Without `shape` and `obj` the object is the one that the file's name says, `shape=NAME`.
     """
 
     file: ClassVar[str] = "FILE.h5|FILE.json|DIR"
-    source: ClassVar[str] = "the MIT push data set with its tracks; or a folder of such files"
+    source: ClassVar[str] = "a file of the MIT push data set with tracks, or a folder of such files"
 
     shape: str | None = field(
         default=None,
-        metadata={"help": "The shape's name, such as rect1; by default as the files' names say."},
+        metadata={
+            "help": "The name of the shape that was pushed, such as rect1. If it is not given, the "
+            "names of the files tell."
+        },
     )
     obj: GridObject | None = field(
         default=None,
-        metadata={"help": "The object, where its shape is not known.", "name": "--object"},
+        metadata={
+            "help": "The object that was pushed, if it is none of the data set's shapes: an object "
+            "file or a shipped object's name.",
+            "name": "--object",
+        },
     )
     object_delay: float | None = field(
         default=None,
         metadata={
-            "help": "How much later the object's times are than the tip's, s; by default, what the pushes say."
+            "help": "How much later the times of the object's poses are than those of the tip's, s. If "
+            "it is not given, it is found from the pushes."
         },
     )
 

@@ -72,29 +72,40 @@ class BodyTrack(NamedTuple):
 
 @dataclass(frozen=True)
 class QualisysImporter:
-    """Pushes from a motion capture table of Qualisys Track Manager (NAME_6D.tsv)."""
+    """Convert the pushes in a motion capture table of Qualisys Track Manager (NAME_6D.tsv)."""
 
     file: ClassVar[str] = "NAME_6D.tsv"
-    source: ClassVar[str] = "Qualisys Track Manager, rigid bodies"
+    source: ClassVar[str] = "a table of rigid bodies that Qualisys Track Manager exported"
+    example: ClassVar[str] = "--object plate.yaml --object-body plate --tip-body finger"
 
     obj: GridObject | None = field(
         default=None,
         metadata={
-            "help": "The object that was pushed, in the frame of its rigid body; required.",
+            "help": "The object that was pushed: an object file whose frame is that of the object's "
+            "rigid body, or a shipped object's name. It has to be given.",
             "name": "--object",
         },
     )
     object_body: str = field(
         default="",
-        metadata={"help": "The object's rigid body: its name in the header, or 1 for the first."},
+        metadata={
+            "help": "The rigid body of the object: its name in the header of the table, or its number "
+            "there, from 1. It has to be given."
+        },
     )
     tip_body: str = field(
         default="",
-        metadata={"help": "The rigid body that carries the tip: its name, or its number."},
+        metadata={
+            "help": "The rigid body that carries the pusher's tip: its name or its number, from 1. It "
+            "has to be given."
+        },
     )
     tip_at: str = field(
         default="0,0,0",
-        metadata={"help": "Where the tip's center is in the frame of its body: x,y,z (m)."},
+        metadata={
+            "help": "Where the center of the tip is in the frame of the rigid body that carries it: "
+            "x,y,z, m."
+        },
     )
     table_height: float = field(
         default=0.0,
