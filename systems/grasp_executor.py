@@ -12,6 +12,7 @@ is W's -x at yaw 0:
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import pi
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -28,6 +29,7 @@ from gridpush_drake.multibody.tool_motion import (
     make_transform,
 )
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.systems.messages import (
     GRASP_COMMAND_SIZE,
     GraspCommand,
@@ -73,16 +75,16 @@ class GraspTrajectoryOptions:
 
     p_PG: tuple[float, float, float] = (0.169383, 0.0, -0.235)
     travel_height: float = 0.12
-    standoff: float = 0.1
+    standoff: float = Gripper.standoff
     travel_speed: float = 0.3
     vertical_speed: float = 0.15
     entering_speed: float = 0.05
     lifting_speed: float = 0.05
     travel_acceleration: float = 1.0
     careful_acceleration: float = 0.1
-    force: float = 80.0
-    opening: float = 0.1
-    closing_speed: float = 0.15
+    force: float = Gripper.max_force
+    opening: float = Gripper.opening
+    closing_speed: float = Gripper.closing_speed
     squeeze_time: float = 0.5
     settle_time: float = 0.3
     opening_time: float = 0.6
@@ -91,6 +93,23 @@ class GraspTrajectoryOptions:
     max_slip: float = 0.006
     max_lift: float = 0.2
     period: float = 0.005
+
+    @classmethod
+    def of_gripper(cls, gripper: Gripper, force: float, **others: Any) -> "GraspTrajectoryOptions":
+        """How a gripper grasps that is asked to press with a force, N.
+
+        Args:
+            gripper: says opening, closing speed, standoff and the greatest force.
+            force: asked for, N; no more than the gripper's greatest is used.
+            **others: fields that the gripper does not say.
+        """
+        return cls(
+            standoff=gripper.standoff,
+            force=gripper.limit_force(force),
+            opening=gripper.opening,
+            closing_speed=gripper.closing_speed,
+            **others,
+        )
 
     @property
     def squeeze(self) -> float:

@@ -15,12 +15,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, GoalOptions, PreGraspGoal
-from gridpush_drake.planning.pregrasp.grasp_parts import (
-    FlatPart,
-    Gripper,
-    PadLimit,
-    find_held_grasps,
-)
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, find_held_grasps
+from gridpush_drake.planning.pregrasp.gripper import Gripper, PadLimit
 from gridpush_drake.planning.pregrasp.planner import (
     ACCEPTED_SHARE,
     PreGraspOptions,
@@ -29,7 +25,6 @@ from gridpush_drake.planning.pregrasp.planner import (
     PreGraspPlanStatus,
     plan_pregrasp,
 )
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, check_thickness
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -55,7 +50,7 @@ def slide(
             metavar="M",
             help="How far the gripper opens, m. What it takes has to be narrower than that.",
         ),
-    ] = 0.11,
+    ] = Gripper.level_opening,
     depth: Annotated[
         float,
         typer.Option(
@@ -63,7 +58,7 @@ def slide(
             help="Depth of the gripper's fingers, m. So much of the object has to hang over the "
             "edge where it is grasped.",
         ),
-    ] = 0.03,
+    ] = Gripper.finger_depth,
     pad_force: Annotated[
         float | None,
         typer.Option(
@@ -144,19 +139,19 @@ def slide(
         bounds = (low, high)
     if radius is None:
         radius = target.obj.prior.pusher_radius or DEFAULT_RADIUS
-    pads = None
+    gripper = Gripper(opening=opening, level_opening=opening, finger_depth=depth)
     limits = ANY_ARM
     if pad_force is not None:
-        pads = PadLimit.of_object(target.obj, SideGripper(opening=opening), pad_force)
+        pads = gripper.limit_pads(target.obj, pad_force)
         limits = _limit_to_held(target.obj, surface, pads)
     chosen = PreGraspOptions(
-        gripper=Gripper(opening=opening, depth=depth),
+        gripper=gripper,
+        pad_force=pad_force,
         goal=GoalOptions(margin=margin),
         slide=SlideOptions(
             margin=ACCEPTED_SHARE * margin, contact=replace(SlideOptions().contact, radius=radius)
         ),
         poke=PokeOptions(radius=radius),
-        pads=pads,
     )
     planner = PreGraspPlanner(target.obj, surface, chosen, limits=limits)
     if not surface.contains(target.obj.cells_at(pose)).any():
@@ -186,7 +181,7 @@ def _limit_to_held(obj: GridObject, surface: SupportSurface, pads: PadLimit) -> 
     The gripper also has to get there without touching the table. Other grasps are not limited.
     """
     height = obj.height or options.DEFAULT_HEIGHT
-    check_thickness(obj, height, pads.gripper)
+    pads.gripper.check_thickness(obj, height)
 
     def can_grasp(goal: PreGraspGoal, masses: PlausibleMassSet) -> bool:
         if not isinstance(goal.part, FlatPart):

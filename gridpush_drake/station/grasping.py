@@ -16,7 +16,7 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import DiagramBuilder, OutputPort, System
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
+from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.station.arm import ArmReach
 from gridpush_drake.station.robot import COUPLING, GripperMeasures
 from gridpush_drake.station.scenario import PushScenario
@@ -40,30 +40,24 @@ class GraspClearance:
 
     Attributes:
         table_top: the table's top, a polygon in W, m.
-        style: options of the executor, with the distance from which the gripper comes in.
-        gripper: lengths of the gripper.
+        gripper: the gripper.
         clearance: least distance between table and gripper, m. It is a little less than the
             clearance with which grasps are planned, so that no planned grasp is refused.
     """
 
     table_top: BaseGeometry
-    style: GraspTrajectoryOptions
-    gripper: SideGripper
+    gripper: Gripper
     clearance: float = 0.001
 
     def __call__(self, command: GraspCommand) -> str | None:
         """Says in a sentence that the gripper would hit the table on its way in; None if not."""
         gripper = self.gripper
-        # Jaws and body, seen from above, are rectangles: back and front by their distance behind
-        # the grasp's point G, and width, m.
-        jaws = (gripper.body_front, -gripper.jaw_reach, gripper.jaw_width)
-        body = (gripper.body_back, gripper.body_front, gripper.body_width)
         forward = command.heading
         left = np.array([-forward[1], forward[0]])
-        for back, front, width in (jaws, body):
+        for back, front, width in (gripper.swept_jaw, gripper.swept_body):
             # What the rectangle sweeps on its straight way in, which is `standoff` long.
-            p_WStart = command.p_WG[:2] - (back + self.style.standoff) * forward
-            p_WEnd = command.p_WG[:2] - front * forward
+            p_WStart = command.p_WG[:2] + back * forward
+            p_WEnd = command.p_WG[:2] + front * forward
             swept = shapely.Polygon(
                 [
                     p_WStart - width / 2 * left,
@@ -89,26 +83,26 @@ def ExportOutputs(
 
 
 def make_grasp_trajectory_options(
-    scenario: PushScenario, control_plant: MultibodyPlant, gripper: GripperMeasures, tip_frame: str
+    scenario: PushScenario, control_plant: MultibodyPlant, measures: GripperMeasures, tip_frame: str
 ) -> GraspTrajectoryOptions:
     """Makes the options of grasps from scenario and gripper.
 
     Args:
         scenario: the scenario, with force, lift and time to hold.
         control_plant: the robot, as `MakeControlPlant` makes it; it says where the gripper is.
-        gripper: measures of the gripper.
+        measures: of the gripper.
         tip_frame: name of the frame at the finger's tip, by which the arm is led.
     """
-    grasp = control_plant.GetFrameByName(gripper.grasp_frame)
+    gripper = measures.make_gripper()
+    grasp = control_plant.GetFrameByName(measures.grasp_frame)
     tip = control_plant.GetFrameByName(tip_frame)
     x, y, z = grasp.CalcPose(control_plant.CreateDefaultContext(), tip).translation().tolist()
     pregrasp = scenario.pregrasp
-    return GraspTrajectoryOptions(
+    return GraspTrajectoryOptions.of_gripper(
+        gripper,
+        pregrasp.force,
         p_PG=(x, y, z),
         travel_height=scenario.finger.travel_height,
-        force=gripper.limit_force(pregrasp.force),
-        opening=gripper.opening,
-        closing_speed=gripper.closing_speed,
         hold_time=pregrasp.hold,
     )
 
@@ -137,7 +131,7 @@ def AddGraspExecutor(
     """
     grasping: GraspExecutor = builder.AddNamedSystem(
         "grasp_executor",
-        GraspExecutor(reach, style, GraspClearance(table_top, style, measures.make_side_gripper())),
+        GraspExecutor(reach, style, GraspClearance(table_top, measures.make_gripper())),
     )
     builder.Connect(executor.GetOutputPort("tip_pose"), grasping.GetInputPort("push_tip_pose"))
     builder.Connect(executor.GetOutputPort("status"), grasping.GetInputPort("push_status"))

@@ -19,13 +19,14 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
-from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, PadLimit, find_held_grasps
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, find_held_grasps
+from gridpush_drake.planning.pregrasp.gripper import Gripper, PadLimit
 from gridpush_drake.planning.pregrasp.planner import (
     ACCEPTED_SHARE,
     PreGraspOptions,
     PreGraspPlanner,
 )
-from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickness, choose_varied
+from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, choose_varied
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
@@ -70,7 +71,7 @@ class GraspFinder:
         station: a station with a gripper.
         obj: the object.
         surface: the table, as planners know it.
-        pads: lengths of the gripper, and what its pads can hold.
+        pads: what the pads of the gripper can hold.
     """
 
     station: Station
@@ -213,16 +214,15 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             )
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
-        measures = station.robot.gripper
-        gripper = measures.make_side_gripper()
-        force = measures.limit_force(scenario.pregrasp.force)
-        check_thickness(self.obj, scenario.object_height, gripper)
-        pads = PadLimit.of_object(self.obj, gripper, force)
+        gripper = station.robot.gripper.make_gripper()
+        force = gripper.limit_force(scenario.pregrasp.force)
+        gripper.check_thickness(self.obj, scenario.object_height)
+        pads = gripper.limit_pads(self.obj, force)
         self._finder = GraspFinder(station, self.obj, self.surface, pads)
         self.planner = PreGraspPlanner(
             self.obj,
             self.surface,
-            make_options(station, pads),
+            make_options(station, gripper, force),
             limits=self._make_limits(),
             obstacles=place_others(station.others),
         )
@@ -319,8 +319,8 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         )
 
 
-def make_options(station: Station, pads: PadLimit) -> PreGraspOptions:
-    """Makes the planner's options from a station and what its gripper's pads can hold."""
+def make_options(station: Station, gripper: Gripper, force: float) -> PreGraspOptions:
+    """Makes the planner's options from a station, its gripper and the force of that, N."""
     pregrasp = station.scenario.pregrasp
     speed = station.scenario.pokes.speed
     radius = station.robot.finger.tip_radius
@@ -329,6 +329,8 @@ def make_options(station: Station, pads: PadLimit) -> PreGraspOptions:
         slide.contact, radius=radius, speed=speed, clearance=CLEARANCE
     )
     return PreGraspOptions(
+        gripper=gripper,
+        pad_force=force,
         goal=GoalOptions(margin=pregrasp.margin),
         slide=replace(slide, margin=ACCEPTED_SHARE * pregrasp.margin, contact=contact),
         poke=PokeOptions(radius=radius, speed=speed, clearance=CLEARANCE),
@@ -336,5 +338,4 @@ def make_options(station: Station, pads: PadLimit) -> PreGraspOptions:
         max_pokes=pregrasp.max_pokes,
         max_slides=pregrasp.max_slides,
         max_arm=pregrasp.max_arm,
-        pads=pads,
     )

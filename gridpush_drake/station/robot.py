@@ -46,7 +46,7 @@ from gridpush_drake.multibody.parser import (
     check_directives,
     find_models,
 )
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
+from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping, suggest
 
 Length = Annotated[float, Field(gt=0, description="a positive number, in m")]
@@ -236,17 +236,27 @@ COUPLING = 2000.0
 
 
 class GripperMeasures(_Measures):
-    """A gripper's `gripper.yaml`; see `SideGripper` for the lengths.
+    """A gripper's `gripper.yaml`: the names in its model, and what it measures.
+
+    The lengths are those of `Gripper` (`planning.pregrasp.gripper`), which explains them.
 
     Attributes:
-        mount_frame: by which it is carried.
-        grasp_frame: in the middle between the pads.
+        mount_frame: frame by which the gripper is carried.
+        grasp_frame: frame in the middle between the pads.
         fingers: the bodies that may touch what is grasped.
-        max_force: with which both fingers press together, N.
-        closing_speed: greatest, of the opening, m/s.
+        max_force: greatest force with which both fingers press together, N.
+        closing_speed: greatest change of the opening, m/s.
         coupling: how stiffly the simulated fingers keep their middle where it is, N/m.
         ros2_joints: the joints of its ROS 2 driver by name, each with its positions when the
             gripper is closed and when it is open by `opening`; null for the model's own.
+        opening: how far the jaws open, m.
+        pad_length: of the pads' contact area along the fingers, m.
+        pad_width: of the pads' contact area across the fingers, m.
+        jaw_reach: how far the jaws reach beyond the grasp point, m.
+        jaw_width: of a jaw, across the fingers, m.
+        body_front: from the grasp point back to the front of the gripper's body, m.
+        body_width: of body, bracket or pushing finger, the widest, m.
+        body_back: from the grasp point back to the end of body, bracket and finger, m.
     """
 
     mount_frame: Name
@@ -254,8 +264,8 @@ class GripperMeasures(_Measures):
     fingers: Annotated[
         tuple[str, ...], Strict(False), Field(min_length=2, description="names of bodies")
     ]
-    max_force: Positive = 80.0
-    closing_speed: Positive = 0.15
+    max_force: Positive = Gripper.max_force
+    closing_speed: Positive = Gripper.closing_speed
     coupling: Positive = COUPLING
     ros2_joints: Annotated[
         dict[str, tuple[float, float]] | None,
@@ -271,14 +281,10 @@ class GripperMeasures(_Measures):
     body_width: Length
     body_back: Length
 
-    def make_side_gripper(self) -> SideGripper:
-        """The gripper as grasps from the side are planned with it."""
-        lengths = {field.name for field in fields(SideGripper)} & set(GripperMeasures.model_fields)
-        return SideGripper(**self.model_dump(include=lengths))
-
-    def limit_force(self, force: float) -> float:
-        """With how much it presses where so much is asked for, N."""
-        return min(force, self.max_force)
+    def make_gripper(self) -> Gripper:
+        """The gripper as everything is planned and carried out with it."""
+        measures = {field.name for field in fields(Gripper)} & set(GripperMeasures.model_fields)
+        return Gripper(**self.model_dump(include=measures))
 
 
 M = TypeVar("M", bound=_Measures)

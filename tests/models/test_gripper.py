@@ -16,7 +16,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.multibody.parser import MakeParser, find_models
-from gridpush_drake.planning.pregrasp.grasp_parts import PadLimit
+from gridpush_drake.planning.pregrasp.gripper import PadLimit
 from gridpush_drake.station.grasping import AddGripperController
 from gridpush_drake.station.robot import GripperMeasures, read_measures
 from gridpush_drake.systems.grasp_executor import CONTROLLER_STIFFNESS
@@ -213,7 +213,7 @@ def calc_tilt(name, mass, d_x, d_y):
 )
 def test_a_plate_is_held_as_far_as_the_pads_limit_says_and_no_further(name, d_x, d_y):
     measures = read_gripper(name)
-    pads = PadLimit(measures.make_side_gripper(), measures.max_force, weight=1.0)
+    pads = PadLimit(measures.make_gripper(), measures.max_force, weight=1.0)
     (share,) = pads.calc_shares(
         np.zeros((1, 2)), np.zeros(1), np.array([[d_x, d_y]])
     )  # of each newton

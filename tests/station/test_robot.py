@@ -11,7 +11,7 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.multibody.parser import find_models
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
+from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.station import IdentifyTask, TaskStatus
 from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
 from gridpush_drake.station.limit_monitor import LimitMonitor
@@ -181,7 +181,7 @@ def test_reach_is_measured_from_the_base_wherever_it_stands(second_arm):
 
 def test_the_grippers_measures_are_those_that_grasps_are_planned_with():
     robot = find_robot(read_scenario(find_models() / "scenarios/grasp.yaml").directives)
-    measured, default = robot.gripper.make_side_gripper(), SideGripper()
+    measured, default = robot.gripper.make_gripper(), Gripper()
     assert {f.name: getattr(measured, f.name) for f in fields(default)} == {
         f.name: getattr(default, f.name) for f in fields(default)
     }

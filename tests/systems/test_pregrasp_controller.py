@@ -12,9 +12,10 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, find_side_grasps
+from gridpush_drake.planning.pregrasp.side_grasp import find_side_grasps
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.systems.messages import (
@@ -61,7 +62,7 @@ class Robot:
     @staticmethod
     def find_grasp(pose, aim, masses, at_worst):
         assert not at_worst  # a bar is taken by a narrow part
-        return next(iter(find_side_grasps(BAR, pose, TABLE, SideGripper(), aim)), None)
+        return next(iter(find_side_grasps(BAR, pose, TABLE, Gripper(), aim)), None)
 
     def see(self, pose):
         self.controller.GetInputPort("object_pose").FixValue(self.context, pose)

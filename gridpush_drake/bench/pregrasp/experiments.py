@@ -74,7 +74,8 @@ from gridpush_drake.planning.pregrasp.exploration import (
     make_center_functional,
     make_pokes,
 )
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, find_grasp_parts
+from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -567,7 +568,7 @@ def _load(
     name: str, depth: float, friction_range: tuple[float, float], mask: Path | None
 ) -> tuple[GridObject, tuple[GraspPart, ...]]:
     obj = load_bench_object(name, friction_range, mask)
-    return obj, tuple(find_grasp_parts(obj, Gripper(depth=depth)))
+    return obj, tuple(find_grasp_parts(obj, Gripper(finger_depth=depth)))
 
 
 def explore(

@@ -5,8 +5,9 @@ from .goals import GoalOptions as GoalOptions
 from .goals import PreGraspGoal as PreGraspGoal
 from .goals import find_pregrasp_goals as find_pregrasp_goals
 from .grasp_parts import GraspPart as GraspPart
-from .grasp_parts import Gripper as Gripper
 from .grasp_parts import find_grasp_parts as find_grasp_parts
+from .gripper import Gripper as Gripper
+from .gripper import PadLimit as PadLimit
 from .planner import PreGraspDecision as PreGraspDecision
 from .planner import PreGraspOptions as PreGraspOptions
 from .planner import PreGraspPlan as PreGraspPlan
@@ -17,7 +18,6 @@ from .pregrasp_loop import PreGraspLoopOptions as PreGraspLoopOptions
 from .pregrasp_loop import PreGraspMode as PreGraspMode
 from .pregrasp_loop import PreGraspStatus as PreGraspStatus
 from .side_grasp import SideGrasp as SideGrasp
-from .side_grasp import SideGripper as SideGripper
 from .side_grasp import find_side_grasps as find_side_grasps
 from .slides import PushMonitor as PushMonitor
 from .slides import SlideOptions as SlideOptions

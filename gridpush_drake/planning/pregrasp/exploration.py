@@ -6,10 +6,13 @@ as the residual r = J z + noise, with J exact from its simulation and noise ~ N(
 
     S' = S - S J^T (J S J^T + R)^-1 J S
 
-whatever will be seen. What matters is linear in z near the mean, f = F z: the center of friction,
-which is the center of mass where all cells rub alike; how far the center of mass can be in one
-direction, by the friction's bounds; or the poses that other pushes are predicted to end in. The
-poke is chosen that makes the largest eigenvalue of F S' F^T least, the variance of what is then
+whatever will be seen. What matters is linear in z near the mean, f = F z. It may be
+
+    the center of friction, which is the center of mass where all cells rub alike,
+    how far the center of mass can be in one direction, by the friction's bounds,
+    the poses that other pushes are predicted to end in.
+
+The poke is chosen that makes the largest eigenvalue of F S' F^T least: the variance of what is then
 known least (Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2;
 `docs/theory/identification.md`, section 7).
 """
@@ -45,10 +48,13 @@ class PokeOptions:
         speed: of the finger, m/s.
         distance: of a poke, the clearance included, m.
         clearance: gap between finger and object at the beginning, m.
-        places: along the outline.
+        places: number of places along the outline.
         angles: of the motion from the inward normal, rad.
-        min_separation: share of the outline's length that a poke begins away from every poke made
-            before: what the model gets wrong it would get wrong again.
+        min_separation: share of the outline's length by which a poke begins away from every poke
+            made before: what the model gets wrong at one place it would get wrong there again.
+
+    Raises:
+        PlanningError: a value is out of range.
     """
 
     radius: float = DEFAULT_RADIUS
@@ -69,15 +75,23 @@ class PokeOptions:
 
 @dataclass(frozen=True, eq=False)
 class PokeChoice:
-    """The poke to make next."""
+    """The poke to make next, among N that were offered.
 
-    push: Push  # the poke
-    index: int  # among those offered
-    std: float  # of what matters, in the direction least known, now
-    expected_std: float  # the same after the poke
-    expected_stds: (
-        Array  # (N,) the same for every poke offered; infinite where it would not touch the object
-    )
+    Attributes:
+        push: the poke.
+        index: its index among those offered.
+        std: present standard deviation of what matters, in the direction in which it is known
+            least.
+        expected_std: standard deviation expected after the poke, in the direction then known least.
+        expected_stds: (N,) standard deviation expected after each poke offered; infinite for one
+            that would not touch the object.
+    """
+
+    push: Push
+    index: int
+    std: float
+    expected_std: float
+    expected_stds: Array
 
 
 def make_pokes(
@@ -86,13 +100,19 @@ def make_pokes(
     options: PokeOptions | None = None,
     constraints: PushConstraints | None = None,
 ) -> list[Push]:
-    """Makes pokes to choose from: all places, with all angles, that are new, touch the object and break no rule.
+    """Makes the pokes to choose from.
 
-    The object lies at `pose` (3,); the predicted motion keeps `constraints` to the end. There may
-    be none.
+    They begin at all places, with all angles, as far as they are new, touch the object and break no
+    rule. There may be none.
+
+    Args:
+        model: of the object; it says how the object would move, and where pokes were made.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        options: what pokes may be chosen from.
+        constraints: rules that the predicted motion keeps to its end; none by default.
     """
     options = options or PokeOptions()
-    obj, params = model.obj, model.params
+    obj = model.obj
     q = np.asarray(pose, dtype=np.float64)
     reach = find_reachable_outline(obj, options.radius, options.clearance)
     checker = (constraints or PushConstraints()).start_at(obj, q, options.radius)
@@ -100,19 +120,25 @@ def make_pokes(
     for s in reach.spread(reach.length / options.places)[0]:
         for angle in options.angles:
             push = Push.on_outline(
-                obj, float(s), angle, options.distance, radius=options.radius, speed=options.speed, pose=q,
+                obj,
+                float(s),
+                angle,
+                options.distance,
+                radius=options.radius,
+                speed=options.speed,
+                pose=q,
                 clearance=options.clearance,
-            )  # fmt: skip
-            begins = transform_back(q, push.start[None])
-            if (
-                np.linalg.norm(model.poke_starts - begins, axis=1)
-                < options.min_separation * reach.perimeter
-            ).any():
+            )
+            # Not where a poke was made before.
+            p_BP = transform_back(q, push.start[None])
+            distances = np.linalg.norm(model.poke_starts - p_BP, axis=1)
+            if (distances < options.min_separation * reach.perimeter).any():
                 continue
-            motion = simulate(obj, params, push, q, physics=model.physics)
-            if motion.status == MotionStatus.OK and checker.count_allowed(
-                motion.tip, motion.poses
-            ) == len(motion.tip):
+            # Not one that is predicted to miss, or to break a rule.
+            motion = simulate(obj, model.params, push, q, physics=model.physics)
+            if motion.status != MotionStatus.OK:
+                continue
+            if checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):
                 pokes.append(push)
     return pokes
 
@@ -126,7 +152,8 @@ def choose_poke(
     Args:
         model: of the object, with its posterior.
         pose: (3,) where the object lies, X_WB, m and rad.
-        F: (m, n+1) what matters, as derivatives by z.
+        pokes: to choose from.
+        F: (m, n+1) derivatives by z of what matters.
 
     Raises:
         PlanningError: there is no poke to choose from, or none touches the object.
@@ -136,25 +163,40 @@ def choose_poke(
     S = model.require_posterior().covariance
     stds = np.full(len(pokes), np.inf)
     for i, push in enumerate(pokes):
-        seen = calc_observation(model, push, pose)
-        if seen is not None:
-            stds[i] = calc_worst_std(calc_remaining(S, F, *seen))
+        observation = calc_observation(model, push, pose)
+        if observation is not None:
+            J, R = observation
+            stds[i] = calc_worst_std(calc_remaining(S, F, J, R))
     best = int(np.argmin(stds))
     if not np.isfinite(stds[best]):
         raise PlanningError("pokes: none of them touches the object")
-    return PokeChoice(pokes[best], best, calc_worst_std(F @ S @ F.T), float(stds[best]), stds)
+    return PokeChoice(
+        push=pokes[best],
+        index=best,
+        std=calc_worst_std(F @ S @ F.T),
+        expected_std=float(stds[best]),
+        expected_stds=stds,
+    )
 
 
 def calc_observation(
     model: UncertainModel, push: Push, pose: ArrayLike
 ) -> tuple[Array, Array] | None:
-    """What the end of a push from `pose` (3,) would show; None where it does not touch the object.
+    """Calculates what the end of a push would show of z.
 
-    Returns J (3, n+1) of the residual by z, and R (3, 3) its noise, m².
+    Args:
+        model: of the object, with its posterior.
+        push: the push.
+        pose: (3,) where the object lies, X_WB, m and rad.
+
+    Returns:
+        J (3, n+1), derivatives of the residual by z, and R (3, 3), covariance of its noise, m². None
+        where the push does not touch the object.
     """
-    obj, q = model.obj, np.asarray(pose, dtype=np.float64)
+    q = np.asarray(pose, dtype=np.float64)
+    # The observation is made up: what would be seen does not matter, only its derivatives do.
     seen = ObservedPush("poke", push, q, np.array([push.duration]), q[None])
-    problem = PushProblem(obj, PushLog((seen,)), model.params, model.physics)
+    problem = PushProblem(model.obj, PushLog((seen,)), model.params, model.physics)
     linear = problem.linearize(model.require_posterior().mean)
     J = linear.by_z[0]
     if not J.any():
@@ -163,32 +205,61 @@ def calc_observation(
 
 
 def calc_remaining(S: Array, F: Array, J: Array, R: Array) -> Array:
-    """Covariance (m, m) of what matters, F (m, n+1), after J (r, n+1) was observed with noise R (r, r): F S' F^T."""
+    """Calculates F S' F^T, the covariance of what matters after an observation.
+
+    Args:
+        S: (n+1, n+1) covariance of z before it.
+        F: (m, n+1) derivatives by z of what matters.
+        J: (r, n+1) derivatives by z of what is observed.
+        R: (r, r) covariance of its noise.
+
+    Returns:
+        (m, m).
+    """
     SJ = S @ J.T
-    G = F @ SJ
-    return np.asarray(F @ S @ F.T - G @ np.linalg.solve(J @ SJ + R, G.T))
+    FSJ = F @ SJ
+    return np.asarray(F @ S @ F.T - FSJ @ np.linalg.solve(J @ SJ + R, FSJ.T))
 
 
 def calc_worst_std(covariance: Array) -> float:
-    """Standard deviation in the direction least known, of a covariance (m, m)."""
+    """Standard deviation in the direction that is known least, by a covariance (m, m)."""
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
 def make_center_functional(model: UncertainModel, direction: ArrayLike | None = None) -> Array:
-    """The center of friction, m: its derivatives by z, (2, n+1), or (1, n+1) along `direction` (2,), body frame."""
+    """Derivatives by z of the center of friction, m.
+
+    Args:
+        model: of the object, with its posterior.
+        direction: (2,) unit vector, body frame; None for both coordinates.
+
+    Returns:
+        F, (2, n+1), or (1, n+1) along `direction`.
+    """
     F = calc_center_jacobian(model.require_posterior().calc_share(), model.obj.p_BC)
     return F if direction is None else np.asarray(direction, dtype=np.float64)[None] @ F
 
 
 def make_farthest_functional(model: UncertainModel, direction: ArrayLike) -> Array:
-    """How far the center of mass can be along `direction` (2,), body frame, m, by the friction's bounds: as above.
+    """Derivatives by z of how far the center of mass can be along a direction, by the friction's bounds, m.
 
-    The bounds take it the farther, the more of the friction is far out on either side; the center
-    of friction alone may be known well long before that is.
+    The more of the friction is far out on either side, the farther the bounds let the center of
+    mass be. That may be known badly long after the center of friction is known well.
+
+    Args:
+        model: of the object, with its posterior.
+        direction: (2,) unit vector, body frame.
+
+    Returns:
+        F, (1, n+1).
     """
     d = np.asarray(direction, dtype=np.float64)
-    along, share = model.obj.p_BC @ d, model.require_posterior().calc_share()
+    along = model.obj.p_BC @ d
+    share = model.require_posterior().calc_share()
     low, high = model.friction_range or (model.obj.prior.friction_min, model.obj.prior.friction_max)
+    # The farthest center of mass is that of the masses in which all cells beyond it are as heavy,
+    # and all others as light, as the bounds allow. Which cells those are changes only at ties, so
+    # that its derivatives are those of the center of these masses.
     farthest = calc_farthest_center(along, share[None] / high, share[None] / low)[0]
     mass = share / np.where(along > farthest, low, high)
     return np.asarray(d[None] @ calc_center_jacobian(mass / mass.sum(), model.obj.p_BC))

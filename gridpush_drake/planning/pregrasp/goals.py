@@ -1,15 +1,19 @@
 """Where to slide an object so that the gripper can take it at the table's edge (the goals of the paper's Algorithm 3).
 
 A goal pose lets the footprint of a graspable part hang beyond the edge while the center of mass, at
-its worst, stays inside what holds the object. Seen from the object, a edge is a line w.p = b with w
-the direction that points off the table: beyond it hangs what is farther along w. For every
-direction w the part that sticks out most, whose footprint's least w.p is greatest, asks for the
-least overhang; it is tried along the whole edge.
+its worst, stays inside what holds the object.
+
+Seen from the object, an edge of the table is a line w.p = b, where w is the unit vector that points
+off the table; what is farther along w hangs over. For every direction w the part that sticks out
+most needs the least overhang: the one whose footprint's least w.p is greatest. With b a little less
+than that, the part hangs over, and the margin on a straight edge follows without a table: how far
+the center of mass stays inside the hull of the cells with w.p <= b. Then each such pose of object
+and edge is tried at many places along the table's edge.
 
 Goals are ranked by how far the object has to be slid (mean distance of its cells), with a charge
 for a thin margin.
 
-`ArmLimits`: what a robot's arm can do, as far as pre-grasp decisions need to know it.
+`ArmLimits` is what a robot's arm can do, as far as pre-grasp decisions need to know it.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +40,7 @@ from gridpush_drake.planning.support_surface import SupportSurface
 
 @dataclass(frozen=True, eq=False)
 class ArmLimits:
-    """What the arm can do; None everywhere stands for an arm that can do anything.
+    """What the arm can do. A field that is None sets no limit.
 
     Attributes:
         finger_region: where the finger's center may be, W.
@@ -52,21 +56,32 @@ class ArmLimits:
     can_grasp: Callable[["PreGraspGoal", PlausibleMassSet], bool] | None = None
 
 
-ANY_ARM = ArmLimits()  # an arm that can do anything
-
+ANY_ARM = ArmLimits()
+"""Limits of an arm that can do anything."""
 
 GOAL_ROOM = 0.03
 """Least distance of an object at a goal from anything else on the table, m; a little more than
 pushes towards the goal must keep."""
 
-TOUCH = 1e-9  # m, for round-off
-SHALLOWER = (0.5, 0.25)  # of the overhang, where with more of it nothing is safe
-DEEPER = (
-    3.0,
-    5.0,
-)  # of it, where with less the gripper gets hold of nothing: its pads may need what lies farther in
-GOALS_FOR_AN_ARM = 6  # goals looked for that the arm can grasp at; to ask the arm takes time
-PARTS_FOR_AN_ARM = 12  # parts that hang over which the arm is asked about
+TOUCH = 1e-9
+"""Least depth by which a footprint that touches the table counts as over it, m."""
+
+SMALLER_OVERHANGS = (0.5, 0.25)
+"""If nothing is safe with the overhang wanted, these shares of it are tried."""
+
+LARGER_OVERHANGS = (3.0, 5.0)
+"""If no smaller overhang gives a goal either, these multiples of it are tried: the gripper's pads
+may need something that lies farther in."""
+
+MAX_GOALS_ASKED = 6
+"""Number of goals after which no more are looked for that the arm can grasp at. It takes time to
+ask the arm."""
+
+MAX_PARTS_ASKED = 12
+"""Number of overhanging parts that the arm is asked about at most."""
+
+MARGIN_DIGITS = 4
+"""Where no margin is safe, margins that agree in so many decimals, of m, count as the same."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +94,16 @@ class GoalOptions:
             pushes end only nearly where they should.
         min_overhang: how far beyond the edge the footprint must be for the gripper to take the
             part, m.
-        directions: of the object that are pointed off the table, over a full turn.
-        places: along the edge.
-        tried: most poses whose margin is calculated.
-        comfort: margin from which on more of it is worth nothing, m.
+        directions: number of directions of the object that are pointed off the table, over a full
+            turn.
+        places: number of places along the table's edge.
+        tried: number of poses whose margin is calculated, at most.
+        comfort: a margin larger than this is worth nothing more, m.
         charge: how much farther to slide a meter of missing comfort is worth, m/m.
         inset: m inside the edge that a cell's center must be to hold.
+
+    Raises:
+        PlanningError: a value is out of range.
     """
 
     margin: float = 0.003
@@ -104,6 +123,10 @@ class GoalOptions:
         for name in ("directions", "places", "tried"):
             if getattr(self, name) < 4:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 4")
+
+    def calc_charge(self, margin: float) -> float:
+        """What a margin, m, that is thinner than comfortable adds to the way that a goal costs, m."""
+        return self.charge * max(self.comfort - margin, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,20 +161,45 @@ class PreGraspGoal:
         return rotate(self.pose[2], self.part.closing)
 
 
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A pose that may be a goal, judged as if the table's edge were straight.
+
+    Attributes:
+        pose: (3,) X_WB, m and rad.
+        part: that hangs over.
+        margin: stability margin on a straight edge, m.
+        cost: mean distance of the cells from where they are, and the charge for the margin, m.
+    """
+
+    pose: Array
+    part: GraspPart
+    margin: float
+    cost: float
+
+
 def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: SupportSurface) -> Array:
-    """How far the parts' footprints are beyond the edge, (P,) m; negative where some of one is over the table.
+    """Calculates how far the parts' footprints are beyond the edge.
 
     On a convex table it is measured from the line of one edge, and so a little too small beyond a
     corner.
+
+    Args:
+        parts: the P parts.
+        pose: (3,) of the object, X_WB, m and rad.
+        surface: the table.
+
+    Returns:
+        (P,) m; negative where some of a footprint is over the table.
     """
     q = np.asarray(pose, dtype=np.float64)
     corners = transform(q, np.array([part.footprint for part in parts]).reshape(-1, 4, 2))
     if surface.is_convex:
-        return np.asarray(
-            (corners @ surface.edge_normals.T - surface.edge_offsets).min(axis=1).max(axis=1)
-        )
-    prints = shapely.polygons(corners)
-    clear = shapely.distance(prints, surface.polygon)
+        # Beyond one edge are all four corners: the least of them counts, at the best edge.
+        beyond = corners @ surface.edge_normals.T - surface.edge_offsets
+        return np.asarray(beyond.min(axis=1).max(axis=1))
+    footprints = shapely.polygons(corners)
+    clear = shapely.distance(footprints, surface.polygon)
     inside = surface.signed_distances(corners).max(axis=1)
     return np.where(clear > 0, clear, -np.maximum(inside, TOUCH))
 
@@ -164,7 +212,16 @@ def find_grasp_at(
     options: GoalOptions | None = None,
     limits: ArmLimits = ANY_ARM,
 ) -> PreGraspGoal | None:
-    """The part that can be taken where the object lies now, the nearest to the middle of its possible centers of mass.
+    """Finds the part that can be taken where the object lies now.
+
+    Args:
+        masses: that the object may have; of several parts the one nearest to the middle of its
+            possible centers of mass is taken.
+        parts: the parts to choose from.
+        pose: (3,) of the object, X_WB, m and rad.
+        surface: the table.
+        options: how far a footprint must hang over.
+        limits: of the arm.
 
     Returns:
         The present pose as a goal, whatever its margin; None where no part that the arm can take
@@ -180,11 +237,19 @@ def find_grasp_at(
     nearest = sorted(free.tolist(), key=lambda i: float(np.linalg.norm(parts[i].p_BG - middle)))
     margin, weakest = _judge(masses, q, surface, options.inset)
     goals = [
-        PreGraspGoal(q.copy(), parts[i], float(overhangs[i]), margin, 0.0, weakest) for i in nearest
+        PreGraspGoal(
+            pose=q.copy(),
+            part=parts[i],
+            overhang=float(overhangs[i]),
+            margin=margin,
+            travel=0.0,
+            weakest=weakest,
+        )
+        for i in nearest
     ]
     if limits.can_grasp is None:
         return goals[0]
-    return next((goal for goal in goals[:PARTS_FOR_AN_ARM] if limits.can_grasp(goal, masses)), None)
+    return next((goal for goal in goals[:MAX_PARTS_ASKED] if limits.can_grasp(goal, masses)), None)
 
 
 def find_pregrasp_goals(
@@ -196,9 +261,15 @@ def find_pregrasp_goals(
     limits: ArmLimits = ANY_ARM,
     obstacles: Sequence[Polygon] = (),
 ) -> list[PreGraspGoal]:
-    """Seeks goal poses for an object at `pose` (3,), X_WB, m and rad.
+    """Seeks goal poses for an object.
 
     Args:
+        masses: that the object may have.
+        parts: one of which is to hang over.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        surface: the table.
+        options: how goals are sought, and what counts as safe.
+        limits: of the arm.
         obstacles: what else lies on the table, polygons in W, m; no goal is nearer than
             GOAL_ROOM to it.
 
@@ -212,50 +283,77 @@ def find_pregrasp_goals(
     options = options or GoalOptions()
     q = np.asarray(pose, dtype=np.float64)
     check_room(masses.obj, parts, surface)
-    goals: list[PreGraspGoal] = []
-    for share in (1.0, *SHALLOWER, *DEEPER):
-        if goals and share > 1.0:
+    unsafe: list[PreGraspGoal] = []
+    for share in (1.0, *SMALLER_OVERHANGS, *LARGER_OVERHANGS):
+        # A larger overhang makes margins thinner: it is for where there is no goal at all.
+        if unsafe and share > 1.0:
             break
         wanted = replace(options, overhang=share * options.overhang)
-        found: list[PreGraspGoal] = []
-        for candidate, part in _propose(masses, parts, q, surface, wanted, limits, obstacles):
-            reached = float(calc_overhangs([part], candidate, surface)[0])
-            if reached >= options.min_overhang:
-                margin, weakest = _judge(masses, candidate, surface, options.inset)
-                travel = float(calc_goal_error(masses.obj, q, candidate))
-                found.append(PreGraspGoal(candidate, part, reached, margin, travel, weakest))
+        candidates = _propose(masses, parts, q, surface, wanted, limits, obstacles)
+        found = _judge_candidates(candidates, masses, q, surface, options)
         safe = [goal for goal in found if goal.margin >= options.margin]
         if safe:
-            rank = sorted(
-                safe,
-                key=lambda at: at.travel + options.charge * max(options.comfort - at.margin, 0.0),
-            )
-            if kept := _keep(rank, masses, limits):
+            safe.sort(key=lambda goal: goal.travel + options.calc_charge(goal.margin))
+            kept = _keep_graspable(safe, masses, limits)
+            if kept:
                 return kept
         else:
-            goals = _keep(sorted(found, key=lambda at: -at.margin), masses, limits)[:1] or goals
-    return goals
+            found.sort(key=lambda goal: -goal.margin)
+            unsafe = _keep_graspable(found, masses, limits)[:1] or unsafe
+    return unsafe
 
 
-def _keep(
+def _judge_candidates(
+    candidates: Sequence[_Candidate],
+    masses: PlausibleMassSet,
+    pose: Array,
+    surface: SupportSurface,
+    options: GoalOptions,
+) -> list[PreGraspGoal]:
+    """Goals of those candidates whose part hangs over far enough, with their margins on the real table."""
+    found = []
+    for candidate in candidates:
+        overhang = float(calc_overhangs([candidate.part], candidate.pose, surface)[0])
+        if overhang < options.min_overhang:
+            continue
+        margin, weakest = _judge(masses, candidate.pose, surface, options.inset)
+        goal = PreGraspGoal(
+            pose=candidate.pose,
+            part=candidate.part,
+            overhang=overhang,
+            margin=margin,
+            travel=float(calc_goal_error(masses.obj, pose, candidate.pose)),
+            weakest=weakest,
+        )
+        found.append(goal)
+    return found
+
+
+def _keep_graspable(
     goals: list[PreGraspGoal], masses: PlausibleMassSet, limits: ArmLimits
 ) -> list[PreGraspGoal]:
-    """The goals, in their order, that the arm can grasp at: the first few."""
+    """The first few goals, in their order, that the arm can grasp at; all where it has no limits."""
     if limits.can_grasp is None:
         return goals
     can_grasp = limits.can_grasp
-    return list(islice((goal for goal in goals if can_grasp(goal, masses)), GOALS_FOR_AN_ARM))
+    return list(islice((goal for goal in goals if can_grasp(goal, masses)), MAX_GOALS_ASKED))
 
 
 def check_room(obj: GridObject, parts: Sequence[GraspPart], surface: SupportSurface) -> None:
-    """Raises PlanningError where the object has no graspable part, or the table is smaller than the object."""
+    """Checks that an object has graspable parts, and fits on the table.
+
+    Raises:
+        PlanningError: it has no graspable part, or the table is smaller than the object.
+    """
     if not parts:
         raise PlanningError(
-            f"{obj.name}: no graspable part: nowhere narrower than the gripper opens, with room for it"
+            f"{obj.name}: no graspable part: nowhere narrower than the gripper opens, with room "
+            "for it"
         )
     if not surface.fits(hull_of(obj.outline.exterior.coords[:-1])):
         raise PlanningError(
-            f"table: smaller than {obj.name}, which fits on it in no direction; expected a larger table"
+            f"table: smaller than {obj.name}, which fits on it in no direction; expected a larger "
+            "table"
         )
 
 
@@ -267,56 +365,100 @@ def _propose(
     options: GoalOptions,
     limits: ArmLimits,
     obstacles: Sequence[Polygon],
-) -> list[tuple[Array, GraspPart]]:
-    """Poses (3,) that are promising by what a straight edge would say, and the part that hangs over in each."""
-    obj = masses.obj
-    feet = np.array([part.footprint for part in parts])
-    angles = 2 * np.pi * np.arange(options.directions) / options.directions
-    places = surface.perimeter * (np.arange(options.places) + 0.5) / options.places
-    edge = [surface.edge_at(s) for s in places]
-    if limits.edge_region is not None:
-        edge = [
-            (point, normal)
-            for point, normal in edge
-            if shapely.contains_xy(limits.edge_region, *point)
-        ]
-    found: list[tuple[float, float, Array, GraspPart]] = []
-    for angle in angles:
-        w = make_direction(angle)
-        reach = (feet @ w).min(axis=1)
-        best = int(np.argmax(reach))
-        b = float(reach[best]) - options.overhang
-        margin = calc_margin_inside(
-            masses.center_of_mass_polygon, hull_of(obj.p_BC[obj.p_BC @ w <= b - options.inset])
+) -> list[_Candidate]:
+    """Proposes poses that are promising by what a straight edge would say, the best first.
+
+    Arguments as of `find_pregrasp_goals`.
+    """
+    found = _list_candidates(masses, parts, pose, surface, options, limits)
+    if obstacles and found:
+        found = _keep_clear(found, masses.obj, obstacles)
+    promising = [each for each in found if each.margin >= options.margin]
+    promising.sort(key=lambda each: each.cost)
+    if not promising:
+        # Nothing is safe: the thickest margins first, and those of nothing held (-inf) last.
+        promising = sorted(
+            found,
+            key=lambda each: (
+                -round(each.margin, MARGIN_DIGITS) if np.isfinite(each.margin) else np.inf,
+                each.cost,
+            ),
         )
-        p_BR = parts[best].p_BG + (b - parts[best].p_BG @ w) * w
-        for point, normal in edge:
+    return promising[: options.tried]
+
+
+def _list_candidates(
+    masses: PlausibleMassSet,
+    parts: Sequence[GraspPart],
+    pose: Array,
+    surface: SupportSurface,
+    options: GoalOptions,
+    limits: ArmLimits,
+) -> list[_Candidate]:
+    """Lists the poses with every direction of the object off the table, at every place of its edge."""
+    obj = masses.obj
+    footprints = np.array([part.footprint for part in parts])
+    angles = 2 * np.pi * np.arange(options.directions) / options.directions
+    edge_places = _list_edge_places(surface, options.places, limits)
+    found: list[_Candidate] = []
+    for angle in angles:
+        # The part that sticks out most along w, and the line w.p = b at which it hangs over.
+        w = make_direction(angle)
+        reach = (footprints @ w).min(axis=1)
+        best = int(np.argmax(reach))
+        part = parts[best]
+        b = float(reach[best]) - options.overhang
+        # The margin, if the table's edge were that line.
+        holding = obj.p_BC[obj.p_BC @ w <= b - options.inset]
+        margin = calc_margin_inside(masses.center_of_mass_polygon, hull_of(holding))
+        charge = options.calc_charge(margin)
+        # The point R of that line beside the part comes to each place of the edge, with w along
+        # the edge's outward normal. Of the headings theta, full turns apart, the nearest is taken.
+        p_BR = part.p_BG + (b - part.p_BG @ w) * w
+        for p_WR, normal in edge_places:
             theta = float(np.arctan2(normal[1], normal[0])) - angle
             theta += 2 * np.pi * np.round((pose[2] - theta) / (2 * np.pi))
-            goal = np.append(point - rotate(theta, p_BR), theta)
-            cost = float(calc_goal_error(obj, pose, goal)) + options.charge * max(
-                options.comfort - margin, 0.0
-            )
-            found.append((margin, cost, goal, parts[best]))
-    if obstacles and found:
-        # A goal must leave room to everything else on the table.
-        poses = np.array([goal for _, _, goal, _ in found])
-        bodies = shapely.polygons(transform(poses, np.array(make_body(obj).exterior.coords)[:-1]))
-        free = shapely.distance(shapely.union_all(list(obstacles)), bodies) >= GOAL_ROOM
-        found = [each for each, is_free in zip(found, free.tolist(), strict=True) if is_free]
-    promising = sorted((f for f in found if f[0] >= options.margin), key=lambda f: f[1])
-    if not promising:
-        promising = sorted(
-            found, key=lambda f: (-round(f[0], 4) if np.isfinite(f[0]) else np.inf, f[1])
-        )
-    return [(goal, part) for _, _, goal, part in promising[: options.tried]]
+            goal = np.append(p_WR - rotate(theta, p_BR), theta)
+            cost = float(calc_goal_error(obj, pose, goal)) + charge
+            found.append(_Candidate(pose=goal, part=part, margin=margin, cost=cost))
+    return found
+
+
+def _list_edge_places(
+    surface: SupportSurface, count: int, limits: ArmLimits
+) -> list[tuple[Array, Array]]:
+    """Lists evenly spaced points of the table's edge, with the normals there, that the gripper reaches.
+
+    Args:
+        surface: the table.
+        count: number of places along the whole edge.
+        limits: of the arm.
+
+    Returns:
+        Points (2,), m, and outward unit normals (2,), in W.
+    """
+    arc_lengths = surface.perimeter * (np.arange(count) + 0.5) / count
+    places = [surface.edge_at(s) for s in arc_lengths]
+    region = limits.edge_region
+    if region is None:
+        return places
+    return [(point, normal) for point, normal in places if shapely.contains_xy(region, *point)]
+
+
+def _keep_clear(
+    candidates: list[_Candidate], obj: GridObject, obstacles: Sequence[Polygon]
+) -> list[_Candidate]:
+    """The candidates that leave GOAL_ROOM to everything else on the table."""
+    poses = np.array([each.pose for each in candidates])
+    bodies = shapely.polygons(transform(poses, np.array(make_body(obj).exterior.coords)[:-1]))
+    free = shapely.distance(shapely.union_all(list(obstacles)), bodies) >= GOAL_ROOM
+    return [each for each, is_free in zip(candidates, free.tolist(), strict=True) if is_free]
 
 
 def _judge(
     masses: PlausibleMassSet, pose: Array, surface: SupportSurface, inset: float
 ) -> tuple[float, Array]:
-    centers, hull = (
-        masses.center_of_mass_polygon,
-        calc_support_polygon(masses.obj, pose, surface, inset),
-    )
+    """The stability margin at a pose (3,), m, and the direction (2,), body frame, in which it is least."""
+    centers = masses.center_of_mass_polygon
+    hull = calc_support_polygon(masses.obj, pose, surface, inset)
     return calc_margin_inside(centers, hull), find_weakest_direction(centers, hull)

@@ -2,15 +2,16 @@
 
     explore   poke until the set of possible masses leaves a goal that is safe
     slide     push towards the goals, stable at the worst all the way; learn from every push that
-    stayed on the table grasp     a graspable part hangs over far enough, and the object stays put
-    at the worst
+              stayed on the table
+    grasp     a graspable part hangs over far enough, and the object stays put at the worst
 
 Each decision depends on what is seen and known now and on how many pushes were made, on nothing
-else: an object that slipped, or was moved by somebody, is simply decided on anew. Whatever cannot
-be done safely is not done, and the decision says why.
+else: if an object slipped, or was moved by somebody, the next decision simply takes it from where
+it lies. What cannot be done safely is not done, and the decision says why.
 
-`plan_pregrasp`: a whole pre-grasp slide as one model predicts it, the same decisions made on
-predicted poses.
+`PreGraspPlanner.decide` makes one decision. `plan_pregrasp` makes the same decisions on predicted
+poses, and so plans a whole slide as one model predicts it. How a robot carries decisions out is in
+`pregrasp_loop`; the theory is in `docs/theory/planning.md`, section 4.
 """
 
 from collections.abc import Sequence
@@ -49,12 +50,12 @@ from gridpush_drake.planning.pregrasp.goals import (
 from gridpush_drake.planning.pregrasp.grasp_parts import (
     FlatPart,
     GraspPart,
-    Gripper,
-    PadLimit,
     find_flat_parts,
     find_grasp_parts,
     find_held_parts,
+    stack_flat_parts,
 )
+from gridpush_drake.planning.pregrasp.gripper import Gripper, PadLimit
 from gridpush_drake.planning.pregrasp.slides import (
     OBSTACLE_MARGIN,
     SlideOptions,
@@ -68,17 +69,17 @@ from gridpush_drake.planning.support_surface import SupportSurface
 
 Action = Literal["poke", "slide", "grasp", "fail"]
 
-MM = 1e3  # millimeters in a meter
-
+MM = 1e3
+"""Millimeters in a meter."""
 
 ACCEPTED_SHARE = 2 / 3
-"""Of the margin asked of a goal, that it must still have once the object is on its way, and where
-it ends up: pushes end only nearly there, and each of them changes a little what is known."""
-
+"""Share of the margin asked of a goal that is enough once the object is on its way, and where it
+ends up. Pushes end only nearly where they should, and each of them changes a little what is known,
+so that with the whole margin a plan would often be given up halfway."""
 
 REACHABLE_SIGMAS = 4.0
-"""How many standard deviations, of how far the center can be across the edge, further pokes may add
-to a margin."""
+"""Further pokes may add at most this many standard deviations, of how far the center can be across
+the edge, to a margin. What would need more is given up."""
 
 
 @dataclass(frozen=True)
@@ -86,22 +87,25 @@ class PreGraspOptions:
     """How far to go, and how carefully.
 
     Attributes:
-        gripper: its measures.
+        gripper: the gripper.
+        pad_force: force with which both its jaws press on an object that they take from the side,
+            N. With it, what is narrow nowhere is taken by its rim, as far as the pads hold it, and
+            a heavy object by a narrow part near its center of mass only. None if only narrow parts
+            are to be taken, however heavy the object is.
         goal: how goals are sought, and what counts as safe.
         slide: how pushes of the slide are chosen.
         poke: what pokes may be chosen from.
-        min_pokes: made in any case, unless the object can be grasped where it lies.
-        max_pokes: made before giving up.
-        max_slides: made before giving up.
+        min_pokes: number of pokes made in any case, unless the object can be grasped where it lies.
+        max_pokes: number of pokes made before giving up.
+        max_slides: number of slides made before giving up.
         poke_margin: how far inside the edge pokes keep every cell, m.
         max_arm: farthest that a narrow part may be from where the center of mass is estimated, m:
             held farther off, the object would turn in the gripper. It is less where the pads would
             not hold the object's weight so far off.
-        pads: of the gripper that takes it from beyond the edge, which can so hold what is narrow
-            nowhere; None where only narrow parts are taken, however heavy the object is.
     """
 
     gripper: Gripper = field(default_factory=Gripper)
+    pad_force: float | None = None
     goal: GoalOptions = field(default_factory=GoalOptions)
     slide: SlideOptions = field(default_factory=SlideOptions)
     poke: PokeOptions = field(default_factory=PokeOptions)
@@ -110,18 +114,19 @@ class PreGraspOptions:
     max_slides: int = 30
     poke_margin: float = 0.02
     max_arm: float = np.inf
-    pads: PadLimit | None = None
 
 
 @dataclass(frozen=True)
 class PokeForecast:
-    """What a poke is expected to bring, told before it is made.
+    """What a poke is expected to bring, said before it is made.
 
     Attributes:
-        across_edge: whether it is about how far the center of mass can be across the table's edge;
-            else about the center of mass in the direction in which it is known least.
-        std: standard deviation of that before the poke, m.
-        expected_std: the same after it, to first order about the present estimate, m.
+        across_edge: True if the poke is about how far the center of mass can be across the table's
+            edge; False if it is about the center of mass in the direction in which it is known
+            least.
+        std: standard deviation of that quantity before the poke, m.
+        expected_std: standard deviation expected after the poke, m, to first order about the
+            present estimate.
     """
 
     across_edge: bool
@@ -137,10 +142,18 @@ class PokeForecast:
         )
 
     def describe_outcome(self, after: "PokeForecast") -> str:
-        """What came of it, by the next poke's forecast; empty where that is about something else, or as expected."""
+        """What came of the poke, in a sentence.
+
+        Args:
+            after: the forecast of the next poke.
+
+        Returns:
+            The sentence; empty if `after` is about another quantity, or all came as expected.
+        """
         if after.across_edge != self.across_edge:
             return ""
-        expected, came = (f"{std * MM:.1f} mm" for std in (self.expected_std, after.std))
+        expected = f"{self.expected_std * MM:.1f} mm"
+        came = f"{after.std * MM:.1f} mm"
         if came == expected:
             return ""
         return (
@@ -183,8 +196,9 @@ class PreGraspPlanner:
         obj: the object.
         surface: the table.
         options: how far to go, and how carefully.
+        pads: what the gripper's pads can hold of the object; None where that is not asked.
         parts: the narrow parts, which are taken where they can be.
-        flat_parts: places at the rim that the options' pads can take, where no narrow part will do.
+        flat_parts: places at the rim that the gripper reaches, for where no narrow part will do.
         limits: of the arm.
         obstacles: what else lies on the table, polygons in W, m; the object keeps clear of it.
     """
@@ -203,31 +217,40 @@ class PreGraspPlanner:
         Raises:
             PlanningError: there is no graspable part, or the table is smaller than the object.
         """
-        self.obj, self.surface, self.limits = obj, surface, limits
+        self.obj = obj
+        self.surface = surface
+        self.limits = limits
         self.obstacles = tuple(obstacles)
         self.options = options or PreGraspOptions()
-        self.parts = tuple(find_grasp_parts(obj, self.options.gripper) if parts is None else parts)
-        pads = self.options.pads
-        self.flat_parts = () if pads is None else tuple(find_flat_parts(obj, pads.gripper))
+        gripper = self.options.gripper
+        force = self.options.pad_force
+        self.parts = tuple(find_grasp_parts(obj, gripper) if parts is None else parts)
+        self.pads: PadLimit | None = None
+        self.flat_parts: tuple[FlatPart, ...] = ()
+        if force is not None:
+            self.pads = gripper.limit_pads(obj, force)
+            self.flat_parts = tuple(find_flat_parts(obj, gripper))
         check_room(obj, [*self.parts, *self.flat_parts], surface)
 
     @threadpool_limits.wrap(limits=1, user_api="blas")
     def decide(
         self, pose: ArrayLike, model: UncertainModel | None, pokes: int = 0, slides: int = 0
     ) -> PreGraspDecision:
-        """Decides what to do next, with the object seen at `pose` (3,), m and rad; without a model before any push."""
+        """Decides what to do next.
+
+        Args:
+            pose: (3,) where the object is seen, X_WB, m and rad.
+            model: what is known of it; None before any push.
+            pokes: number of pokes made so far.
+            slides: number of slides made so far.
+        """
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
-            return self._poke(
-                q,
-                UncertainModel.of_prior(self.obj),
-                None,
-                pokes,
-                "nothing is known of the object yet",
-            )
-        decision = self._decide_with(
-            self._find_parts_near(model, self._calc_max_arm(model)), q, model, pokes, slides
-        )
+            prior = UncertainModel.of_prior(self.obj)
+            return self._poke(q, prior, None, pokes, "nothing is known of the object yet")
+        # Narrow parts go first. The rim is for what can be taken by none of them.
+        near = self._find_parts_near(model, self._calc_max_arm(model))
+        decision = self._decide_with(near, q, model, pokes, slides)
         if decision.action != "fail" or not self.flat_parts:
             return decision
         flat = self._decide_by_rim(q, model, pokes, slides)
@@ -238,103 +261,115 @@ class PreGraspPlanner:
     def _decide_by_rim(
         self, q: Array, model: UncertainModel, pokes: int, slides: int
     ) -> PreGraspDecision:
-        """Decides what to do next to take one of the flat parts by which the pads hold the object at the worst."""
-        pads = self.options.pads
-        assert pads is not None  # or there would be no flat parts
-        pads = pads.weigh(model.masses)
+        """Decides what to do next to take a flat part by which the pads hold the object at the worst."""
+        assert self.pads is not None  # or there would be no flat parts
+        pads = self.pads.weigh(model.masses)
         centers = model.masses.center_of_mass_polygon
         held = find_held_parts(self.flat_parts, pads, centers)
         if held:
             return self._decide_with(held, q, model, pokes, slides)
-        why = pads.describe_best(self.flat_parts, centers)
-        if model.posterior is not None and find_held_parts(
-            self.flat_parts, pads, model.masses.middle[None]
-        ):
+        why = pads.describe_best(*stack_flat_parts(self.flat_parts), centers)
+        # If the pads would hold it with its center of mass where it is estimated, a poke may help.
+        middle = model.masses.middle[None]
+        if model.posterior is not None and find_held_parts(self.flat_parts, pads, middle):
             return self._poke(q, model, None, pokes, why)
         return PreGraspDecision("fail", why)
 
     def _decide_with(
         self, parts: Sequence[GraspPart], q: Array, model: UncertainModel, pokes: int, slides: int
     ) -> PreGraspDecision:
-        """Decides what to do next to take one of some parts, all narrow or all flat."""
-        here = find_grasp_at(model.masses, parts, q, self.surface, self.options.goal, self.limits)
-        if here is not None and here.margin >= ACCEPTED_SHARE * self.options.goal.margin:
-            reason = f"a part hangs over, and the object stays put with {here.margin * MM:.0f} mm to spare"
+        """Decides what to do next to take one of some parts, all of them narrow or all flat."""
+        options = self.options
+        # Grasp, where a part hangs over already.
+        here = find_grasp_at(model.masses, parts, q, self.surface, options.goal, self.limits)
+        if here is not None and here.margin >= ACCEPTED_SHARE * options.goal.margin:
+            reason = (
+                "a part hangs over, and the object stays put with "
+                f"{here.margin * MM:.0f} mm to spare"
+            )
             return PreGraspDecision("grasp", reason, here)
-        if model.posterior is not None and pokes < self.options.min_pokes:
+        # Poke, while too little is known, or no goal is safe enough.
+        if model.posterior is not None and pokes < options.min_pokes:
             return self._poke(q, model, None, pokes, "too little is known of the object yet")
         goals = self._find_goals(q, model, parts)
         if not goals:
             return self._poke_or_give_up(q, model, parts, pokes)
-        asked = self.options.goal.margin * (ACCEPTED_SHARE if slides else 1.0)
+        asked = options.goal.margin * (ACCEPTED_SHARE if slides else 1.0)
         if goals[0].margin < asked:
-            safest = goals[0].margin
             why = (
-                f"the safest goal has a stability margin of {safest * MM:.0f} mm at the worst; {asked * MM:.0f} mm "
-                "are asked for"
+                f"the safest goal has a stability margin of {goals[0].margin * MM:.0f} mm at the "
+                f"worst; {asked * MM:.0f} mm are asked for"
             )
             return self._poke(q, model, goals[0], pokes, why)
-        if slides >= self.options.max_slides:
+        # Slide towards the goals.
+        if slides >= options.max_slides:
             return PreGraspDecision("fail", f"not at the edge after {slides} slides", goals[0])
         slide = plan_slide(
-            model.masses,
-            model.params,
-            model.samples,
-            q,
-            goals,
-            self.surface,
-            self.options.slide,
-            self.limits,
-            self.obstacles,
-            model.physics,
+            masses=model.masses,
+            params=model.params,
+            draws=model.samples,
+            pose=q,
+            goals=goals,
+            surface=self.surface,
+            options=options.slide,
+            limits=self.limits,
+            obstacles=self.obstacles,
+            physics=model.physics,
         )
         if slide is None:
-            return self._poke(
-                q, model, goals[0], pokes, "no push towards a goal is safe all the way"
-            )
-        planned = slide.planned
+            why = "no push towards a goal is safe all the way"
+            return self._poke(q, model, goals[0], pokes, why)
         reason = (
-            f"{planned.cost * MM:.0f} mm from a goal after this push; stability margin {slide.margin * MM:.0f} mm "
-            "or more on the way"
+            f"{slide.planned.cost * MM:.0f} mm from a goal after this push; stability margin "
+            f"{slide.margin * MM:.0f} mm or more on the way"
         )
-        return PreGraspDecision("slide", reason, slide.goal, planned.push, planned.pose)
+        return PreGraspDecision(
+            "slide",
+            reason,
+            goal=slide.goal,
+            push=slide.planned.push,
+            expected_pose=slide.planned.pose,
+        )
 
     def _describe_room(self) -> str:
+        """Where pokes must keep the object, in words."""
         clear = ", clear of what else lies there" if self.obstacles else ""
         return f"on the table{clear}"
 
     def _calc_max_arm(self, model: UncertainModel) -> float:
-        """How far a narrow part may be from where the center of mass is estimated, m: less of a heavy object."""
-        pads = self.options.pads
-        return min(
-            self.options.max_arm, np.inf if pads is None else pads.weigh(model.masses).max_arm
-        )
+        """How far a narrow part may be from the estimated center of mass, m: less for a heavy object."""
+        if self.pads is None:
+            return self.options.max_arm
+        return min(self.options.max_arm, self.pads.weigh(model.masses).max_arm)
 
     def _find_parts_near(self, model: UncertainModel, arm: float) -> tuple[GraspPart, ...]:
-        """The parts no farther than `arm` (m) from where the center of mass is estimated."""
-        return tuple(
-            part for part in self.parts if np.linalg.norm(part.p_BG - model.masses.middle) <= arm
-        )
+        """The narrow parts no farther than `arm`, m, from where the center of mass is estimated."""
+        middle = model.masses.middle
+        return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - middle) <= arm)
 
     def _find_goals(
         self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart]
     ) -> list[PreGraspGoal]:
+        """The goals with one of the parts beyond the edge; none without parts."""
         if not parts:
             return []
         return find_pregrasp_goals(
-            model.masses,
-            parts,
-            pose,
-            self.surface,
-            self.options.goal,
-            self.limits,
-            self.obstacles,
+            masses=model.masses,
+            parts=parts,
+            pose=pose,
+            surface=self.surface,
+            options=self.options.goal,
+            limits=self.limits,
+            obstacles=self.obstacles,
         )
 
     def _poke_or_give_up(
         self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart], pokes: int
     ) -> PreGraspDecision:
-        """No goal with `parts`: a poke where the center of mass may still turn out to be near others that allow one."""
+        """Decides where there is no goal with `parts`.
+
+        It pokes if the center of mass may turn out to be near narrow parts that allow a goal.
+        """
         if any(isinstance(part, FlatPart) for part in parts):
             why = "no pose lets a part that the pads hold hang over the edge where the arm can take it"
             return PreGraspDecision("fail", why)
@@ -349,31 +384,43 @@ class PreGraspPlanner:
     def _poke(
         self, pose: Array, model: UncertainModel, best: PreGraspGoal | None, pokes: int, why: str
     ) -> PreGraspDecision:
-        """The poke that tells most about the center of mass, across the edge of the best goal; or failure."""
+        """Chooses the poke that tells most about the center of mass, or gives up.
+
+        Args:
+            pose: (3,) where the object lies.
+            model: what is known of it.
+            best: the best goal, across whose edge the center of mass matters; None if it matters in
+                every direction.
+            pokes: number of pokes made so far.
+            why: a poke is needed, in half a sentence.
+        """
         if model.posterior is None:
             return PreGraspDecision("fail", f"{why}, and pokes would not tell more", best)
         if pokes >= self.options.max_pokes:
             return PreGraspDecision("fail", f"{why}, after {pokes} pokes", best)
-        direction = None if best is None else best.weakest
         choice = suggest_poke(
-            model, pose, self.surface, direction, self.options, self.limits, self.obstacles
+            model=model,
+            pose=pose,
+            surface=self.surface,
+            direction=None if best is None else best.weakest,
+            options=self.options,
+            limits=self.limits,
+            obstacles=self.obstacles,
         )
         if choice is None:
-            return PreGraspDecision(
-                "fail", f"{why}, and no poke keeps the object {self._describe_room()}", best
+            reason = f"{why}, and no poke keeps the object {self._describe_room()}"
+            return PreGraspDecision("fail", reason, best)
+        # The margin cannot grow by more than what is not known yet.
+        asked = self.options.goal.margin
+        if best is not None and best.margin + REACHABLE_SIGMAS * choice.std < asked:
+            reason = (
+                f"{why}; pokes cannot tell mass from friction, only closer friction bounds would "
+                "help"
             )
-        if (
-            best is not None
-            and best.margin + REACHABLE_SIGMAS * choice.std < self.options.goal.margin
-        ):
-            return PreGraspDecision(
-                "fail",
-                f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help",
-                best,
-            )
-        forecast = PokeForecast(direction is not None, choice.std, choice.expected_std)
+            return PreGraspDecision("fail", reason, best)
+        forecast = PokeForecast(best is not None, choice.std, choice.expected_std)
         reason = f"{why}; {forecast.describe()}"
-        return PreGraspDecision("poke", reason, best, choice.push, forecast=forecast)
+        return PreGraspDecision("poke", reason, goal=best, push=choice.push, forecast=forecast)
 
 
 def suggest_poke(
@@ -385,7 +432,7 @@ def suggest_poke(
     limits: ArmLimits = ANY_ARM,
     obstacles: tuple[Polygon, ...] = (),
 ) -> PokeChoice | None:
-    """The poke that is expected to tell most of the center of mass; None where none keeps the object on the table.
+    """Chooses the poke that is expected to tell most of the center of mass.
 
     Args:
         model: of the object; its `posterior` must not be None.
@@ -394,8 +441,13 @@ def suggest_poke(
             as it is.
         direction: (2,) unit vector in the body frame along which it matters how far the center can
             be; where None, the center matters.
+        options: how pokes are made, and what they keep to.
+        limits: of the arm.
         obstacles: what else lies on the table, polygons in W, m, which object and finger keep clear
             of.
+
+    Returns:
+        The poke; None where none keeps the object on the table.
 
     Raises:
         PlanningError: the model leaves nothing to learn.
@@ -416,12 +468,11 @@ def suggest_poke(
     pokes = make_pokes(model, pose, options.poke, constraints)
     if not pokes:
         return None
-    F = (
-        make_center_functional(model)
-        if direction is None
-        else make_farthest_functional(model, direction)
-    )
+    F = make_center_functional(model)
+    if direction is not None:
+        F = make_farthest_functional(model, direction)
     choice = choose_poke(model, pose, pokes, F)
+    # The arm is asked last, for that takes longest: the best poke first, until it can make one.
     for index in np.argsort(choice.expected_stds, kind="stable").tolist():
         expected = float(choice.expected_stds[index])
         if np.isfinite(expected) and constraints.allows_push(pokes[index]):
@@ -430,7 +481,7 @@ def suggest_poke(
 
 
 def calc_center_std(model: UncertainModel) -> float:
-    """Of the center of mass in the direction least known, m."""
+    """Standard deviation of the center of mass in the direction in which it is known least, m."""
     if model.posterior is None:
         return 0.0
     F = make_center_functional(model)
@@ -473,7 +524,7 @@ class PreGraspPlan:
         return f"PreGraspPlan, {self.status}: {count(len(self.pushes), 'push')}\n{self.message}"
 
     def _repr_html_(self) -> str:
-        """A row a push, and the path that the object is predicted to take."""
+        """A table with a row for each push, and a drawing of the path that the object is predicted to take."""
         rows = [
             (number, f"{push.length * MM:.0f}", describe_pose(pose))
             for number, (push, pose) in enumerate(
@@ -486,29 +537,40 @@ class PreGraspPlan:
 
 
 def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLike) -> PreGraspPlan:
-    """Plans a slide from `pose` (3,), X_WB, m and rad, to the end; motions are predicted with the model's `params`.
+    """Plans a whole slide, predicting motions with the model's `params`.
 
-    Raises PlanningError: the pose is not three finite numbers.
+    Args:
+        planner: decides, as it would with the object at each predicted pose.
+        model: what is known of the object; it stays the same, for a plan learns nothing.
+        pose: (3,) where the slide begins, X_WB, m and rad.
+
+    Raises:
+        PlanningError: the pose is not three finite numbers.
     """
-    poses, pushes = [check_vector(PlanningError, "pose", pose, 3)], list[Push]()
+    poses = [check_vector(PlanningError, "pose", pose, 3)]
+    pushes: list[Push] = []
+    # The pokes that are made in any case count as made: what they would tell is not known here.
+    pokes = planner.options.min_pokes
     while True:
-        decision = planner.decide(poses[-1], model, planner.options.min_pokes, len(pushes))
+        decision = planner.decide(poses[-1], model, pokes, len(pushes))
         if decision.action != "slide" or decision.push is None:
             break
-        pushes.append(decision.push)
-        poses.append(
-            simulate_near_edge(
-                planner.obj,
-                model.params,
-                decision.push,
-                poses[-1],
-                planner.surface,
-                model.physics,
-            ).final_pose
+        motion = simulate_near_edge(
+            obj=planner.obj,
+            params=model.params,
+            push=decision.push,
+            pose=poses[-1],
+            surface=planner.surface,
+            physics=model.physics,
         )
+        pushes.append(decision.push)
+        poses.append(motion.final_pose)
     ends = {"grasp": PreGraspPlanStatus.READY, "poke": PreGraspPlanStatus.POKE_FIRST}
-    status = ends.get(decision.action, PreGraspPlanStatus.FAILED)
-    poke = decision.push if decision.action == "poke" else None
     return PreGraspPlan(
-        status, decision.reason, tuple(pushes), np.array(poses), decision.goal, poke
+        status=ends.get(decision.action, PreGraspPlanStatus.FAILED),
+        message=decision.reason,
+        pushes=tuple(pushes),
+        poses=np.array(poses),
+        goal=decision.goal,
+        poke=decision.push if decision.action == "poke" else None,
     )

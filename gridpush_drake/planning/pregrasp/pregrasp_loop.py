@@ -1,18 +1,17 @@
-"""Getting an object to the table's edge and grasping it there: one closed loop, the paper's Algorithm 3, made safe.
+"""The loop that gets an object to the table's edge and grasps it there: the paper's Algorithm 3, made safe.
 
     waiting ----> exploring, sliding ----> waiting        a push, then a new observation
        |                  |                   ^
-       |                  +--> stopping ------+           broken off: the object might fall, or hit something
-       |                                      ^
-       +--> verifying --> grasping -----------+           what was missed or slipped is observed
-       anew
-                             |
+       |                  +--> stopping ------+           a push is broken off in which the object
+       |                                      ^           might fall, or hit something
+       +--> verifying --> grasping -----------+           an object that was missed, or slipped, is
+                             |                            observed anew
                              +--> holding
 
 Whenever robot and object are at rest the object is observed for a while, and the planner decides
-what to do next; nothing is done on an old observation. What is decided depends on that, on what was
-learned and on how often something was tried: an object that slipped or was moved by somebody is
-simply dealt with where it lies.
+what to do next; nothing is done on an old observation. A decision depends on that, on what was
+learned, and on how often something was tried. So an object that slipped, or was moved by somebody,
+is simply taken from where it lies.
 """
 
 from collections.abc import Callable
@@ -49,13 +48,15 @@ from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, Push
 from gridpush_drake.pushes.push_log import PushLog
 
 FindGrasp = Callable[[Array, Array, PlausibleMassSet, bool], SideGrasp | None]
-"""From the object's pose (3,) in W, the point (2,) in B near which to take it, the masses that it
-may have, and whether the pads must hold it whichever of them it has or as they are estimated, to
-the grasp; None for none."""
+"""Finds a grasp; returns None where there is none.
+
+Its arguments are the object's pose (3,) in W, the point (2,) in B near which to take it, the masses
+that it may have, and True if the pads must hold it whichever of these it has (False: with its
+center of mass where it is estimated)."""
 
 Infer = Callable[[Identification | None, PushLog], UncertainModel | None]
-"""From what was learned, and the pushes so far, to what is held possible; None where more must be
-seen first."""
+"""Says what is possible, given what was learned and the pushes so far; returns None where more must
+be seen first."""
 
 
 class PreGraspMode(StrEnum):
@@ -81,9 +82,9 @@ class PreGraspStatus:
             is broken off), "verifying" (that it can be grasped where it lies), "grasping" (until it
             is lifted), "holding", "lost" (from sight) or "failed".
         reason: for the mode, in a sentence.
-        pokes: asked for so far, those refused aside.
-        slides: likewise.
-        grasps: asked for so far.
+        pokes: number of pokes asked for so far and not refused.
+        slides: number of slides asked for so far and not refused.
+        grasps: number of grasps asked for so far.
         goal: that it slides to or grasps at; None where there is none.
         expected_pose: (x, y, theta) where the push under way is expected to leave the object, m and
             rad; None without.
@@ -109,10 +110,10 @@ class PreGraspStatus:
 
 @dataclass(frozen=True)
 class PreGraspLoopOptions(LoopOptions):
-    """How the loop goes about it.
+    """How the loop observes, and when it gives up; see `LoopOptions` for the other fields.
 
     Attributes:
-        max_grasps: grasps before it is given up.
+        max_grasps: number of grasps after which the loop gives up.
     """
 
     observations: int = 8
@@ -132,12 +133,19 @@ NO_PUSH = (
 
 @dataclass(frozen=True, eq=False)
 class PreGraspState(LoopState):
-    """All that the loop remembers; never changed, only replaced."""
+    """All that the loop remembers; never changed, only replaced.
 
-    status: PreGraspStatus = field(default_factory=PreGraspStatus)  # a `PreGraspStatus`
-    monitor: PushMonitor | None = None  # of the push under way, or the last one
-    grasp: SideGrasp | None = None  # the last one asked for; None before the first
-    grasp_id: int = 0  # of that grasp, counted from 1
+    Attributes:
+        status: where the loop stands.
+        monitor: of the push under way, or of the last one; None before the first.
+        grasp: the last grasp asked for; None before the first.
+        grasp_id: number of that grasp, counted from 1; 0 before the first.
+    """
+
+    status: PreGraspStatus = field(default_factory=PreGraspStatus)
+    monitor: PushMonitor | None = None
+    grasp: SideGrasp | None = None
+    grasp_id: int = 0
 
     @property
     def shown_push(self) -> Push | None:
@@ -145,10 +153,10 @@ class PreGraspState(LoopState):
         return None if self.status.mode in NO_PUSH else self.push
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "PreGraspState":
-        """In another mode, as `LoopState` does; lost, without a goal."""
-        return super().turn_to(
-            mode, reason, **{**({"goal": None} if mode == LOST else {}), **others}
-        )
+        """The state in another mode, see `LoopState.turn_to`. A lost object has no goal."""
+        if mode == LOST:
+            others = {"goal": None, **others}
+        return super().turn_to(mode, reason, **others)
 
 
 class PreGraspLoop(ClosedLoop[PreGraspState]):
@@ -170,8 +178,18 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         seed: int = 0,
         options: PreGraspLoopOptions | None = None,
     ) -> None:
-        """Takes what never changes; without `infer`, the identification's posterior says what is held possible."""
-        self.planner, self.seed, self._find_grasp = planner, seed, find_grasp
+        """Takes what never changes.
+
+        Args:
+            planner: decides what to do.
+            find_grasp: finds a grasp where the planner wants one.
+            infer: says what is possible; by default the identification's posterior does.
+            seed: of the draws from what is possible.
+            options: how the loop observes, and when it gives up.
+        """
+        self.planner = planner
+        self.seed = seed
+        self._find_grasp = find_grasp
         self.options: PreGraspLoopOptions = options or PreGraspLoopOptions()
         self._infer = infer or self.infer_from_identification
 
@@ -182,7 +200,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
     def infer_from_identification(
         self, found: Identification | None, log: PushLog
     ) -> UncertainModel | None:
-        """What the posterior says; None before anything was learned."""
+        """Says what is possible by the posterior; None before anything was learned."""
         if found is None:
             return None
         used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
@@ -193,7 +211,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return now.status.over
 
     def observe(self, now: PreGraspState, seen: Observation) -> tuple[PreGraspState, bool]:
-        """The state after an observation but for the decision, and whether that is due."""
+        """The state after an observation but for the decision, and whether a decision is due."""
         if now.status.over:
             return now, False
         if now.status.mode == PreGraspMode.GRASPING:
@@ -202,13 +220,14 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return super().observe(now, seen)
 
     def _wait(self, now: PreGraspState, seen: Observation) -> PreGraspState:
-        """While the robot is at work; breaks a push off in which the object might fall or hit another one."""
+        """The state while the robot is at work.
+
+        A push is broken off if the object might fall in it, or hit another one.
+        """
         now = super()._wait(now, seen)
-        if (
-            not (seen.robot.phase == PushPhase.PUSHING and seen.seen)
-            or now.monitor is None
-            or now.status.mode == PreGraspMode.STOPPING
-        ):
+        if seen.robot.phase != PushPhase.PUSHING or not seen.seen:
+            return now
+        if now.monitor is None or now.status.mode == PreGraspMode.STOPPING:
             return now
         fault = now.monitor.find_fault(seen.pose)
         if fault is None:
@@ -217,34 +236,36 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return now.turn_to(PreGraspMode.STOPPING, reason, expected_pose=now.status.expected_pose)
 
     def _count_made(self, now: PreGraspState, seen: Observation) -> dict[str, Any]:
-        return (
-            {"reason": "A push was broken off."} if now.status.mode == PreGraspMode.STOPPING else {}
-        )
+        if now.status.mode == PreGraspMode.STOPPING:
+            return {"reason": "A push was broken off."}
+        return {}
 
     def _count_refused(self, now: PreGraspState) -> dict[str, Any]:
-        poke = now.status.mode == PreGraspMode.EXPLORING
-        return {"pokes": now.status.pokes - poke, "slides": now.status.slides - (not poke)}
+        # A push that was refused was counted when it was asked for.
+        if now.status.mode == PreGraspMode.EXPLORING:
+            return {"pokes": now.status.pokes - 1, "slides": now.status.slides}
+        return {"pokes": now.status.pokes, "slides": now.status.slides - 1}
 
     def decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
-        """The next push, or the end."""
+        """The state with the next push or grasp asked for, or at the end."""
         pose = now.filter.calc_mean()
         try:
             uncertain = self._infer(seen.identification, seen.log)
             decision = self.planner.decide(pose, uncertain, now.status.pokes, now.status.slides)
         except GridPushError as error:
             return now.turn_to(FAILED, f"Nothing could be planned: {error}.", goal=None)
-        reason, said = (
-            _sentence(decision.reason),
-            {"goal": decision.goal, "margin": decision.margin},
-        )
+        reason = _make_sentence(decision.reason)
         if decision.action == "fail":
-            return now.turn_to(FAILED, reason, **said)
+            return now.turn_to(FAILED, reason, goal=decision.goal, margin=decision.margin)
         if decision.push is not None:
             return self._push(now, pose, uncertain, decision, decision.push)
+        # The object can be grasped. It is observed once more before that is done.
         if now.status.mode != PreGraspMode.VERIFYING:
-            return now.turn_to(PreGraspMode.VERIFYING, reason, **said)
+            return now.turn_to(
+                PreGraspMode.VERIFYING, reason, goal=decision.goal, margin=decision.margin
+            )
         assert uncertain is not None
-        return self._grasp(now, pose, uncertain, said)
+        return self._grasp(now, pose, uncertain, decision)
 
     def _push(
         self,
@@ -254,19 +275,26 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         decision: PreGraspDecision,
         push: Push,
     ) -> PreGraspState:
-        planner, known = self.planner, uncertain or UncertainModel.of_prior(self.planner.obj)
+        """The state with a push asked for, and watched."""
+        planner = self.planner
+        known = uncertain or UncertainModel.of_prior(planner.obj)
         monitor = PushMonitor.of_push(
-            known.masses,
-            planner.surface,
-            pose,
-            planner.options.slide,
-            self.options.rest,
-            planner.obstacles,
+            masses=known.masses,
+            surface=planner.surface,
+            pose=pose,
+            options=planner.options.slide,
+            error=self.options.rest,
+            obstacles=planner.obstacles,
         )
+        # The reason of a poke says also what came of the poke before.
+        reason = _make_sentence(decision.reason)
+        last = now.status.forecast
+        if last is not None and decision.forecast is not None:
+            reason += last.describe_outcome(decision.forecast)
+        expected_pose = None
+        if decision.expected_pose is not None:
+            expected_pose = tuple(decision.expected_pose.tolist())
         poke = decision.action == "poke"
-        reason, last, forecast = _sentence(decision.reason), now.status.forecast, decision.forecast
-        if last is not None and forecast is not None:
-            reason += last.describe_outcome(forecast)
         return replace(now, monitor=monitor).ask(
             push,
             PreGraspMode.EXPLORING if poke else PreGraspMode.SLIDING,
@@ -275,47 +303,49 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             slides=now.status.slides + (not poke),
             goal=decision.goal,
             margin=decision.margin,
-            forecast=forecast or last,
-            expected_pose=None
-            if decision.expected_pose is None
-            else tuple(decision.expected_pose.tolist()),
+            forecast=decision.forecast or last,
+            expected_pose=expected_pose,
         )
 
     def _grasp(
-        self, now: PreGraspState, pose: Array, uncertain: UncertainModel, said: dict[str, Any]
+        self, now: PreGraspState, pose: Array, uncertain: UncertainModel, decision: PreGraspDecision
     ) -> PreGraspState:
-        goal: PreGraspGoal | None = said["goal"]
-        masses, at_worst = uncertain.masses, goal is not None and isinstance(goal.part, FlatPart)
+        """The state with a grasp asked for; failed, where there is none."""
+        goal = decision.goal
+        masses = uncertain.masses
+        at_worst = goal is not None and isinstance(goal.part, FlatPart)
+        # As near the center of mass as the gripper gets; else at the part that the plan found, which
+        # is farther off, but within reach.
         grasp = self._find_grasp(pose, masses.middle, masses, at_worst)
         if grasp is None and goal is not None:
-            grasp = self._find_grasp(
-                pose, goal.part.p_BG, masses, at_worst
-            )  # what the plan found: farther off, but within reach
+            grasp = self._find_grasp(pose, goal.part.p_BG, masses, at_worst)
         if grasp is None:
             why = (
                 "The gripper reaches no part that hangs over and by which its pads hold the object."
             )
-            return now.turn_to(FAILED, why, **said)
+            return now.turn_to(FAILED, why, goal=goal, margin=decision.margin)
         return replace(now, grasp=grasp, grasp_id=now.grasp_id + 1).turn_to(
             PreGraspMode.GRASPING,
             "A part that hangs over is taken.",
             grasps=now.status.grasps + 1,
-            **said,
+            goal=goal,
+            margin=decision.margin,
         )
 
     def _follow_grasp(self, now: PreGraspState, gripper: GraspStatus) -> PreGraspState:
-        """While a grasp is under way, and after it."""
+        """The state while a grasp is under way, and after it."""
         if gripper.command_id != now.grasp_id or not gripper.outcome:
             return now
         if gripper.outcome == GraspOutcome.HELD:
             return now.turn_to(PreGraspMode.HOLDING, "The object is lifted and held.")
+        # After a grasp that failed, the gripper retreats before anything else is done.
         if not gripper.ready:
-            return now  # it retreats
+            return now
         what = f"The grasp was {gripper.outcome}: {gripper.reason}."
-        return now.turn_to(
-            FAILED if now.status.grasps >= self.options.max_grasps else WAITING, what, goal=None
-        )
+        give_up = now.status.grasps >= self.options.max_grasps
+        return now.turn_to(FAILED if give_up else WAITING, what, goal=None)
 
 
-def _sentence(words: str) -> str:
+def _make_sentence(words: str) -> str:
+    """Words with a capital at the beginning and a period at the end."""
     return words[:1].upper() + words[1:] + "."

@@ -1,27 +1,26 @@
 """Where a gripper can take an object from beyond the table's edge, one jaw under the overhang and one over it.
 
-Seen from above, with the grasp point G in the middle between the pads and the x axis along the
-heading in which the fingers point, the gripper is made of rectangles:
+What the gripper is made of, seen from above, and what it sweeps on its way in, is in `gripper`.
+Whether its pads can then hold the object is another question, see `gripper.PadLimit`.
 
-    pads       [-pad_length/2, pad_length/2] x pad_width   wholly on the object, a margin inside its
-    outline jaws       [-body_front, jaw_reach] x jaw_width        the lower one clear of the table
-    the rest   [-body_back, -body_front] x body_width      clear of the object, and of the table
-
-For each of many headings the places where the pads and the lower jaw may be are found exactly
-(`find_places`); what is left is looked at one by one. Seen along the heading, with x along it and y
-across, a rectangle [back, front] x [-w, w] about the point (x, y) crosses no edge of a polygon
-exactly if for every edge, cut to the strip y - w .. y + w and there reaching from xa to xb,
+A grasp is a point and a heading. For each of many headings, the points at which the pads lie on the
+object and the lower jaw is clear of the table are found exactly (`find_places`); those that are
+left are then checked one by one for the rest of the gripper. Seen along the heading, with x along
+it and y across, a rectangle [back, front] x [-w, w] about the point (x, y) crosses no edge of a
+polygon exactly if for every edge, cut to the strip y - w .. y + w and there reaching from xa to xb,
 
     x <= xa - front   or   x >= xb - back
 
-so that on a line of constant y what is free is what a union of intervals leaves. On wide objects
-evenly spaced lines and headings will do. A handle hardly wider than the pads asks for the very
-heading, the bisector of its two sides, and for the very lines: on which a side of the pads touches
-a corner of the handle, and between two such lines.
+Each edge so blocks an interval of a line of constant y, and what is free is what the union of these
+intervals leaves.
+
+On wide objects evenly spaced lines and headings will do. A handle hardly wider than the pads asks
+for the very heading, the bisector of its two sides, and for the very lines: those on which a side
+of the pads touches a corner of the handle, and those between two such lines.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -33,33 +32,302 @@ from gridpush_drake.geometry.se2 import (
     Array,
     check_vector,
     make_rotation,
-    transform,
     transform_shape,
     wrap_angle,
 )
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.pregrasp.gripper import Gripper, Rectangle
 from gridpush_drake.planning.support_surface import SupportSurface
 
-TOUCH = 1e-6  # m, for round-off: rectangles may cross an edge by as much
-NEARLY_PARALLEL = np.radians(12)  # between the two sides of a handle
+TOUCH = 1e-6
+"""Rectangles may cross an edge by this much, m, for round-off."""
 
-SAME = np.radians(0.2)
-"""Between headings of which only that of the longer sides is tried: across the pads' length it is a
-tenth of a millimeter."""
+NEARLY_PARALLEL = np.radians(12)
+"""Two edges whose directions differ by less than this can be the sides of a handle, rad."""
 
-ALONG = 4
-"""Times as far apart as the lines, places on a line are tried: its ends and what is nearest to the
-aim are exact."""
+SAME_HEADING = np.radians(0.2)
+"""Two handles whose headings differ by less than this, rad, are tried with one heading, that of the
+longer sides: across the length of the pads the difference is a tenth of a millimeter."""
+
+SPACING_ALONG_LINE = 4
+"""Grasp points on a line are spaced this many times as far apart as the lines. (A line's ends and
+the point nearest to the aim are tried in any case.)"""
+
+HEADINGS = 72
+"""Number of headings that are tried over a full turn, besides those of narrow handles."""
+
+MIN_SIDE_SHARE = 0.25
+"""The sides of a narrow handle are at least this long, as a share of the pads' length."""
+
+ARC_DETAIL = 4
+"""Pieces into which a quarter turn is cut where a grown or shrunk outline is round."""
+
+MAX_SLANT = np.radians(75)
+"""Greatest angle between a heading and the shortest way from the grasp point to the table, rad."""
+
+SLANT_SPARE = np.radians(5)
+"""Headings are kept up to this much beyond `MAX_SLANT`, rad, while the shortest ways to the table
+are known from points along the overhang's boundary only."""
+
+STEP = 0.005
+"""Greatest distance between lines of grasp points, m."""
+
+MIN_DISTANCE = 0.01
+"""Two grasps whose points are this far apart, m, count as different."""
+
+MIN_TURN = np.radians(12)
+"""Two grasps whose headings differ by this much, rad, count as different."""
+
+
+@dataclass(frozen=True, eq=False)
+class SideGrasp:
+    """A grasp from the side.
+
+    Attributes:
+        p_WG: (2,) grasp point, m.
+        approach: heading in which the fingers point, rad from W's x axis, in (-pi, pi].
+        p_BG: (2,) grasp point, body frame, m.
+        distance: from the grasp point to the point that was aimed at, m.
+        clearance: between the lower jaw and the table, m.
+    """
+
+    p_WG: Array
+    approach: float
+    p_BG: Array
+    distance: float
+    clearance: float
+
+
+def find_side_grasps(
+    obj: GridObject,
+    pose: ArrayLike,
+    surface: SupportSurface,
+    gripper: Gripper | None = None,
+    aim: ArrayLike | None = None,
+    *,
+    height: float = 0.03,
+    step: float = STEP,
+    headings: int = HEADINGS,
+) -> list[SideGrasp]:
+    """Finds where the gripper can take an object that overhangs the edge.
+
+    Args:
+        obj: the object.
+        pose: (3,) where it lies, X_WB, m and rad.
+        surface: the table.
+        gripper: the gripper; the default one where None.
+        aim: (2,) point near which to grasp, body frame, m: the estimated center of mass; by default
+            the mean of the cells.
+        height: of the object, m.
+        step: greatest distance across the heading between grasp points, m. Along the heading it is
+            `SPACING_ALONG_LINE` times as much.
+        headings: number of headings over a full turn, besides those of narrow handles.
+
+    Returns:
+        The grasps, by distance from `aim`, at equal distance by clearance from the table; none
+        where there is no place.
+
+    Raises:
+        PlanningError: a number is not finite or not positive, or the object is too thick for the
+            gripper.
+    """
+    gripper = gripper or Gripper()
+    q = check_vector(PlanningError, "pose", pose, 3)
+    target = obj.p_BC.mean(axis=0) if aim is None else check_vector(PlanningError, "aim", aim, 2)
+    if not (
+        np.isfinite(height) and height > 0 and np.isfinite(step) and step > 0 and headings >= 1
+    ):
+        raise PlanningError(
+            f"height is {height!r}, step {step!r} and headings {headings!r}; "
+            "expected positive lengths (m) and a number"
+        )
+    gripper.check_thickness(obj, height)
+    outline = transform_shape(q, obj.outline)
+    R = make_rotation(q[2])
+    # Grasps by which pads and lower jaw fit, then those of them by which all of the gripper does.
+    points, angles = _propose(outline, surface, gripper, R @ target + q[:2], step, headings)
+    kept = _filter(outline, points, angles, surface, gripper)
+    points = points[kept]
+    angles = angles[kept]
+    if not len(points):
+        return []
+    p_BG = (points - q[:2]) @ R
+    distance = np.linalg.norm(p_BG - target, axis=1)
+    clearance = shapely.distance(gripper.swept_jaw.place(points, angles), surface.polygon)
+    # Distances are rounded, so that round-off does not decide between grasps that are as near.
+    order = np.lexsort((-clearance, np.round(distance, 6)))
+    return [
+        SideGrasp(
+            p_WG=points[i].copy(),
+            approach=float(angles[i]),
+            p_BG=p_BG[i].copy(),
+            distance=float(distance[i]),
+            clearance=float(clearance[i]),
+        )
+        for i in order.tolist()
+    ]
+
+
+def choose_varied(
+    grasps: Sequence[SideGrasp],
+    count: int,
+    *,
+    min_distance: float = MIN_DISTANCE,
+    min_turn: float = MIN_TURN,
+) -> list[SideGrasp]:
+    """Chooses a few grasps of a list that differ from one another, the best first.
+
+    It takes time to ask an arm whether it can carry out a grasp, so that not all are asked about.
+
+    Args:
+        grasps: the list, best first.
+        count: how many to choose at most.
+        min_distance: two grasps differ if their points are this far apart, m.
+        min_turn: two grasps differ if their headings do by this much, rad.
+    """
+    p_WG = np.array([grasp.p_WG for grasp in grasps]).reshape(-1, 2)
+    approach = np.array([grasp.approach for grasp in grasps])
+    left = np.arange(len(grasps))
+    chosen: list[SideGrasp] = []
+    while len(left) and len(chosen) < count:
+        best = left[0]
+        left = left[1:]
+        chosen.append(grasps[best])
+        # Drop what is like the grasp just chosen, in place and in heading.
+        distance = np.linalg.norm(p_WG[left] - p_WG[best], axis=1)
+        turn = np.abs(wrap_angle(approach[left] - approach[best]))
+        left = left[(distance >= min_distance) | (turn >= min_turn)]
+    return chosen
+
+
+def _propose(
+    outline: shapely.Polygon,
+    surface: SupportSurface,
+    gripper: Gripper,
+    aim: Array,
+    step: float,
+    headings: int,
+) -> tuple[Array, Array]:
+    """Finds grasps with the pads on the overhang and the lower jaw clear of the table.
+
+    Returns:
+        Points (k, 2), m, and headings (k,), rad, in W.
+    """
+    # Whatever the heading, a grasp point is at least half the jaw's width and the clearance beyond
+    # the edge, and the pads reach no farther from it than half their diagonal. So the pads lie on
+    # `overhang`, and the grasp points in `beyond`.
+    inner = outline.buffer(-gripper.pad_margin, quad_segs=ARC_DETAIL)
+    least = gripper.table_clearance + gripper.jaw_width / 2
+    half_diagonal = np.hypot(gripper.pad_length, gripper.pad_width) / 2
+    beyond = inner - surface.polygon.buffer(least, join_style="mitre")
+    overhang = inner - surface.polygon.buffer(least - half_diagonal, join_style="mitre")
+    if beyond.is_empty:
+        return np.empty((0, 2)), np.empty(0)
+    # What must not be crossed: the overhang's edges by the pads, the table's by the lower jaw, and
+    # the object's by the body.
+    table = surface.polygon.buffer(gripper.table_clearance)
+    grown = _grow(outline, gripper.object_clearance + 4 * TOUCH)
+    pads = Walls(get_edges(overhang), gripper.pads)
+    jaw = Walls(get_edges(table), gripper.swept_jaw)
+    body = Walls(get_edges(grown), gripper.swept_body)
+    shapely.prepare(overhang)
+    handles, even = _choose_headings(beyond, pads, surface, step, headings)
+    tries: list[tuple[float, Array | None]] = [
+        *((handle.heading, handle.corners) for handle in handles),
+        *((angle, None) for angle in even),
+    ]
+    points, angles = find_places(overhang, pads, (jaw, body), tries, aim, step)
+    # Keep the grasps whose heading is within MAX_SLANT of the way in to the table.
+    inwards = _find_ways_in(points, surface)
+    ahead = inwards[:, 0] * np.cos(angles) + inwards[:, 1] * np.sin(angles) >= np.cos(MAX_SLANT)
+    return points[ahead], angles[ahead]
+
+
+def _choose_headings(
+    beyond: BaseGeometry, pads: "Walls", surface: SupportSurface, step: float, count: int
+) -> tuple[list["Handle"], list[float]]:
+    """Chooses headings that point in to the table from somewhere in the region `beyond` its edge.
+
+    Returns:
+        Narrow handles, each with its heading; and those of `count` evenly spaced headings, rad.
+    """
+    even = np.pi * (2 * np.arange(1, count + 1) / count - 1)
+    # A handle counts as narrow if the pads, at the nearest of the even headings, have less than a
+    # step's play in it.
+    length = pads.rectangle.front - pads.rectangle.back
+    off = min(np.pi / count, np.pi / 4)
+    widest = length * np.sin(off) + pads.rectangle.width * np.cos(off) + step
+    handles = find_handles(pads.edges, MIN_SIDE_SHARE * length, widest)
+    both_ways = [
+        Handle(handle.heading + turn, handle.corners)
+        for turn in (0.0, -np.pi)
+        for handle in handles
+    ]
+    # The way in from any point leads over the region's boundary, and from there on in the same
+    # direction, so that it is enough to look at points along the boundary.
+    inwards = _find_ways_in(shapely.get_coordinates(shapely.segmentize(beyond, STEP)), surface)
+
+    def points_in(headings: Array) -> NDArray[np.bool_]:
+        ahead = inwards @ np.array([np.cos(headings), np.sin(headings)])
+        return np.asarray((ahead >= np.cos(MAX_SLANT + SLANT_SPARE)).any(axis=0))
+
+    kept = points_in(np.array([handle.heading for handle in both_ways]))
+    return [both_ways[k] for k in np.flatnonzero(kept)], even[points_in(even)].tolist()
+
+
+def _find_ways_in(points: Array, surface: SupportSurface) -> Array:
+    """Unit vectors (k, 2) from points (k, 2) beyond the edge to the nearest place of the table."""
+    lines = shapely.shortest_line(shapely.points(points), surface.polygon)
+    ends = shapely.get_coordinates(lines).reshape(-1, 2, 2)
+    inwards = ends[:, 1] - ends[:, 0]
+    return np.asarray(inwards / np.linalg.norm(inwards, axis=1, keepdims=True))
+
+
+def _filter(
+    outline: shapely.Polygon,
+    points: Array,
+    angles: Array,
+    surface: SupportSurface,
+    gripper: Gripper,
+) -> NDArray[np.int64]:
+    """Indices of the grasps by which the gripper is clear of the table and of the object.
+
+    The lower jaw is not checked again. The pads are on the object by then.
+    """
+    table = surface.polygon.buffer(gripper.table_clearance)
+    grown = _grow(outline, gripper.object_clearance)
+    shapely.prepare(table)
+    shapely.prepare(grown)
+    kept = np.arange(len(points))
+    for shape, rectangle in (
+        (table, gripper.swept_body),
+        (grown, gripper.swept_body),
+        (grown, gripper.jaws_coming_down),
+    ):
+        kept = kept[~shapely.intersects(shape, rectangle.place(points[kept], angles[kept]))]
+    return kept
+
+
+def _grow(outline: shapely.Polygon, clearance: float) -> BaseGeometry:
+    """The outline grown by at least `clearance`, m, everywhere, with few edges.
+
+    A circle of radius r is replaced by a polygon whose edges come as near as r cos(half an edge's
+    angle), so that r is made larger by that factor.
+    """
+    return outline.buffer(clearance / np.cos(np.pi / (4 * ARC_DETAIL)), quad_segs=ARC_DETAIL)
 
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Edges that a rectangle must not cross."""
+    """Edges that a rectangle must not cross.
 
-    edges: Array  # (e, 2, 2) their ends, m
-    back: float  # of the rectangle along the heading, from the grasp point, m
-    front: float  # likewise
-    width: float  # of the rectangle, m
+    Attributes:
+        edges: (e, 2, 2) both ends of each edge, m.
+        rectangle: what must not cross them; it moves with the grasp point.
+    """
+
+    edges: Array
+    rectangle: Rectangle
 
 
 def get_edges(shape: BaseGeometry) -> Array:
@@ -72,44 +340,54 @@ def get_edges(shape: BaseGeometry) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """A narrow stretch of an object."""
+    """A narrow stretch of an object, between two sides that face each other.
 
-    heading: float  # along it, rad
-    corners: Array  # (k, 2) ends of its sides, m
+    Attributes:
+        heading: along it, the bisector of its sides, rad.
+        corners: (k, 2) ends of its sides, m.
+    """
+
+    heading: float
+    corners: Array
 
 
 def find_handles(edges: Array, shortest: float, widest: float) -> list[Handle]:
-    """Narrow handles: pairs of edges that face each other, those of longer edges first, one of each heading.
+    """Finds narrow handles: pairs of edges that face each other.
 
     Args:
         edges: (e, 2, 2) of polygons, counterclockwise, m.
-        shortest: edge that counts, m.
-        widest: handle that counts, m.
+        shortest: edges that are shorter do not count, m.
+        widest: handles that are wider do not count, m.
 
     Returns:
-        Handles whose heading, the sides' bisector, is in [0, pi).
+        Handles whose heading is in [0, pi), one of each heading, those of longer edges first.
     """
     along = edges[:, 1] - edges[:, 0]
     length = np.linalg.norm(along, axis=1)
-    edges, along, length = (array[length >= shortest] for array in (edges, along, length))
+    long_enough = length >= shortest
+    edges = edges[long_enough]
+    along = along[long_enough]
+    length = length[long_enough]
+    # All pairs (i, j) of edges that run in opposite directions, but for a slant.
     angle = np.arctan2(along[:, 1], along[:, 0])
     i, j = np.triu_indices(len(angle), 1)
     slant = np.remainder(angle[j] - angle[i], 2 * np.pi) - np.pi
     near = np.abs(slant) <= NEARLY_PARALLEL
-    i, j, slant = i[near], j[near], slant[near]
-    # what lies to the left of an edge is inside
+    i = i[near]
+    j = j[near]
+    slant = slant[near]
+    # The inside of a polygon is to the left of its edges: they face each other if j is left of i.
     across = along[i, 0] * (edges[j] - edges[i, :1])[..., 1].mean(axis=1)
     across -= along[i, 1] * (edges[j] - edges[i, :1])[..., 0].mean(axis=1)
     gap = shapely.distance(shapely.linestrings(edges[i]), shapely.linestrings(edges[j]))
     rank = np.where((gap <= widest) & (across > 0), np.minimum(length[i], length[j]), 0.0)
+    # Pairs of nearly the same heading make one handle, with the corners of all.
     found: list[Handle] = []
     for k in np.argsort(-rank, kind="stable")[: np.count_nonzero(rank)]:
-        heading, corners = (
-            float((angle[i[k]] + slant[k] / 2) % np.pi),
-            edges[[i[k], j[k]]].reshape(4, 2),
-        )
+        heading = float((angle[i[k]] + slant[k] / 2) % np.pi)
+        corners = edges[[i[k], j[k]]].reshape(4, 2)
         for n, other in enumerate(found):
-            if abs((heading - other.heading + np.pi / 2) % np.pi - np.pi / 2) <= SAME:
+            if abs((heading - other.heading + np.pi / 2) % np.pi - np.pi / 2) <= SAME_HEADING:
                 found[n] = Handle(other.heading, np.concatenate([other.corners, corners]))
                 break
         else:
@@ -125,404 +403,146 @@ def find_places(
     aim: Array,
     step: float,
 ) -> tuple[Array, Array]:
-    """Points (k, 2), m, and headings (k,), rad, with which the pads lie on an object.
+    """Finds points and headings with which the pads lie on an object, and nothing crosses a wall.
 
     Args:
         shape: what the pads must lie on, m.
         pads: the pads, and the edges of `shape`; the grasp point lies in them.
         others: further rectangles and what they must not cross.
-        tries: headings, rad, with the corners (k, 2) of a narrow handle, to look there only, or
-            None for everywhere.
+        tries: headings, rad. With each goes None, to look everywhere, or the corners (k, 2) of a
+            narrow handle, to look there only.
         aim: (2,) point near which places are wanted, m.
-        step: between lines, at most, m.
+        step: greatest distance between lines, m.
+
+    Returns:
+        Points (k, 2), m, and headings (k,), rad.
     """
     headings = np.array([heading for heading, _ in tries])
     R = make_rotation(headings)
+    # Lines of constant y for every heading, where y is the coordinate across it.
     y_aim = aim @ R[:, :, 1].T
-    across = pads.edges.reshape(-1, 2) @ R[:, :, 1].T
-    half = pads.width / 2
+    y_corners = pads.edges.reshape(-1, 2) @ R[:, :, 1].T
+    half = pads.rectangle.width / 2
     chosen = [
-        _choose_lines(across[:, k], half, y_aim[k], step)
+        _choose_lines(y_corners[:, k], half, y_aim[k], step)
         if corners is None
         else _choose_lines_in_handle(corners @ R[k, :, 1], half, step)
         for k, (_, corners) in enumerate(tries)
     ]
     lines = np.concatenate([np.empty(0), *chosen])
     counts = np.array([len(ys) for ys in chosen], dtype=int)
-    R, headings = (np.repeat(array, counts, axis=0) for array in (R, headings))
-    blocked = [_block(lines, wall, R) for wall in (pads, *others)]
-    row, low, high = _find_gaps(
-        *(np.concatenate(ends, axis=1) for ends in zip(*blocked, strict=True))
-    )
+    R = np.repeat(R, counts, axis=0)
+    headings = np.repeat(headings, counts, axis=0)
+    # What all edges leave free of every line, as far as it is inside the shape.
+    begins = []
+    ends = []
+    for walls in (pads, *others):
+        begin, end = _block(lines, walls, R)
+        begins.append(begin)
+        ends.append(end)
+    row, low, high = _find_gaps(np.concatenate(begins, axis=1), np.concatenate(ends, axis=1))
     inside = shapely.contains_xy(shape, *_turn_back((low + high) / 2, lines[row], R[row]).T)
-    row, low, high = row[inside], low[inside], high[inside]
-    count = np.ceil((high - low) / (ALONG * step)).astype(int) + 1
-    which, share = _divide(count)
-    x = low[which] + (high - low)[which] * share / np.maximum(count - 1, 1)[which]
+    row = row[inside]
+    low = low[inside]
+    high = high[inside]
+    # In every gap evenly spaced points, its ends among them, and the one nearest to the aim.
+    count = np.ceil((high - low) / (SPACING_ALONG_LINE * step)).astype(int) + 1
+    gap, number = _divide(count)
+    x = low[gap] + (high - low)[gap] * number / np.maximum(count - 1, 1)[gap]
     x = np.append(x, np.clip(R[row, :, 0] @ aim, low, high))
-    row = np.append(row[which], row)
+    row = np.append(row[gap], row)
     return _turn_back(x, lines[row], R[row]), headings[row]
 
 
 def _turn_back(x: Array, y: Array, R: Array) -> Array:
-    """Points (k, 2) in W of those along and across headings, whose rotations are (k, 2, 2)."""
+    """Points (k, 2) in W of those at x (k,) along and y (k,) across headings with rotations R (k, 2, 2)."""
     return x[:, None] * R[:, :, 0] + y[:, None] * R[:, :, 1]
 
 
-def _choose_lines(corners: Array, half: float, aim: float, step: float) -> Array:
-    """The y on which to look in an outline whose corners are at y (k,)."""
-    low, high = corners.min() + half, corners.max() - half
+def _choose_lines(y_corners: Array, half: float, y_aim: float, step: float) -> Array:
+    """Chooses the y on which to look in an outline whose corners are at y (k,), m.
+
+    Args:
+        y_corners: (k,) of the outline, m.
+        half: half the width of the pads, m.
+        y_aim: of the point near which places are wanted, m.
+        step: greatest distance between lines, m.
+    """
+    low = y_corners.min() + half
+    high = y_corners.max() - half
     if high < low:
         return np.empty(0)
     even = np.linspace(low, high, int(np.ceil((high - low) / step)) + 1)
-    return np.append(even, np.clip(aim, low, high))
+    return np.append(even, np.clip(y_aim, low, high))
 
 
-def _choose_lines_in_handle(corners: Array, half: float, step: float) -> Array:
-    """The y on which to look in a handle whose corners are at y (k,): touching one, and between."""
-    touching = np.sort(np.concatenate([corners + half, corners - half]))
-    touching = touching[
-        (touching >= corners.min() + half - TOUCH) & (touching <= corners.max() - half + TOUCH)
-    ]
+def _choose_lines_in_handle(y_corners: Array, half: float, step: float) -> Array:
+    """Chooses the y on which to look in a handle whose corners are at y (k,), m.
+
+    They are those where a side of the pads touches a corner, and evenly spaced ones in between; the
+    arguments are those of `_choose_lines`.
+    """
+    touching = np.sort(np.concatenate([y_corners + half, y_corners - half]))
+    low = y_corners.min() + half - TOUCH
+    high = y_corners.max() - half + TOUCH
+    touching = touching[(touching >= low) & (touching <= high)]
     if not len(touching):
         return touching
     touching = touching[np.append(True, np.diff(touching) > TOUCH)]
     gaps = np.diff(touching)
     count = np.ceil(gaps / step).astype(int)
-    which, share = _divide(count)
-    return np.concatenate([touching, touching[which] + gaps[which] * (share + 0.5) / count[which]])
+    gap, number = _divide(count)
+    return np.concatenate([touching, touching[gap] + gaps[gap] * (number + 0.5) / count[gap]])
 
 
 def _divide(count: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of (k,) counts, each as often as it counts, and how often it was there before."""
+    """Numbers the pieces of things that are divided into count (k,) pieces each.
+
+    Returns:
+        For every piece, which thing it is of, and its number within that thing, from 0.
+    """
     which = np.repeat(np.arange(len(count)), count)
     return which, np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
 
 
-def _block(lines: Array, wall: Walls, R: Array) -> tuple[Array, Array]:
-    """Where on the lines (l,), whose rotations are (l, 2, 2), the edges begin and cease to block, two (l, e).
+def _block(lines: Array, walls: Walls, R: Array) -> tuple[Array, Array]:
+    """Where on the lines (l,), whose rotations are R (l, 2, 2), the edges begin and cease to block.
 
-    Infinite where they do not.
+    Returns:
+        Two arrays (l, e), m along the line; inf and -inf where an edge does not block a line.
     """
-    x0, x1, y0, y1 = (R[:, :, axis] @ wall.edges[:, end].T for axis in (0, 1) for end in (0, 1))
-    low, high = ((lines + side * (wall.width / 2 - TOUCH))[:, None] for side in (-1, 1))
+    # Ends of the edges along and across each line's heading.
+    x0 = R[:, :, 0] @ walls.edges[:, 0].T
+    x1 = R[:, :, 0] @ walls.edges[:, 1].T
+    y0 = R[:, :, 1] @ walls.edges[:, 0].T
+    y1 = R[:, :, 1] @ walls.edges[:, 1].T
+    # Each edge cut to the strip that the rectangle covers: it reaches from xa to xb there.
+    half = walls.rectangle.width / 2 - TOUCH
+    low = (lines - half)[:, None]
+    high = (lines + half)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.clip(((low - y0) / (y1 - y0), (high - y0) / (y1 - y0)), 0.0, 1.0)
     xa, xb = x0 + (x1 - x0) * share
+    # Blocked is min(xa, xb) - front < x < max(xa, xb) - back, where the strip meets the edge.
     met = (np.maximum(y0, y1) > low) & (np.minimum(y0, y1) < high)
-    begin = np.where(met, np.minimum(xa, xb) - wall.front + TOUCH, np.inf)
-    return begin, np.where(met, np.maximum(xa, xb) - wall.back - TOUCH, -np.inf)
+    begin = np.minimum(xa, xb) - walls.rectangle.front + TOUCH
+    end = np.maximum(xa, xb) - walls.rectangle.back - TOUCH
+    return np.where(met, begin, np.inf), np.where(met, end, -np.inf)
 
 
 def _find_gaps(begin: Array, end: Array) -> tuple[NDArray[np.int64], Array, Array]:
-    """Bounded gaps between intervals (l, e) on every line: their line's index, and where they begin and end."""
+    """Finds the bounded gaps between intervals on every line.
+
+    Args:
+        begin: (l, e) where the intervals begin, one row for every line.
+        end: (l, e) where they end.
+
+    Returns:
+        For every gap the index of its line, where it begins and where it ends.
+    """
     order = np.argsort(begin, axis=1)
     begin = np.take_along_axis(begin, order, axis=1)
+    # How far all intervals up to each one reach: a gap is where the next begins beyond that.
     end = np.maximum.accumulate(np.take_along_axis(end, order, axis=1), axis=1)
     row, k = np.nonzero((begin[:, 1:] >= end[:, :-1]) & np.isfinite(begin[:, 1:]))
     return row, end[row, k], begin[row, k + 1]
-
-
-HEADINGS = 72  # tried over a full turn, beside those of narrow handles
-MIN_EDGE = 0.25  # of the pads' length, that the sides of a narrow handle are long
-ARC_DETAIL = 4  # pieces of a quarter turn, where what is within or about the outline is round
-MAX_SLANT = np.radians(75)  # between a heading and the shortest way in to the table
-
-SLANT_SPARE = np.radians(5)
-"""For the directions between those in which the table is seen from corners of the overhang."""
-
-STEP = 0.005  # m, between grasp points tried
-
-
-@dataclass(frozen=True)
-class SideGripper:
-    """A parallel gripper seen from above while it reaches in from the side, m; as `models/grippers/wsg_50` has it.
-
-    Attributes:
-        opening: of the jaws, over and under the object.
-        pad_length: of the pads' contact along the heading.
-        pad_width: across it.
-        jaw_reach: of the jaws beyond the grasp point.
-        jaw_width: across the heading.
-        body_front: from the grasp point back to the gripper's body.
-        body_width: of body, bracket and finger, whichever is widest, across the heading.
-        body_back: from the grasp point back to the farthest of them.
-        standoff: from where the gripper comes down to the grasp point.
-        table_clearance: of the lower jaw.
-        object_clearance: of body, bracket and finger; of everything while it comes down.
-        height_clearance: of each open jaw, over and under the object.
-        margin: of the pads inside the outline.
-
-    Raises:
-        PlanningError: a measure is not a positive number; a clearance or margin is negative.
-    """
-
-    opening: float = 0.1
-    pad_length: float = 0.024
-    pad_width: float = 0.012
-    jaw_reach: float = 0.015
-    jaw_width: float = 0.02
-    body_front: float = 0.0669
-    body_width: float = 0.064
-    body_back: float = 0.202
-    standoff: float = 0.1
-    table_clearance: float = 0.004
-    object_clearance: float = 0.008
-    height_clearance: float = 0.01
-    margin: float = 0.0005
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value, may_be_zero = (
-                getattr(self, field.name),
-                field.name.endswith("clearance") or field.name == "margin",
-            )
-            if not (np.isfinite(value) and (value > 0 or (may_be_zero and value == 0))):
-                kind = "a number >= 0" if may_be_zero else "a positive number"
-                raise PlanningError(f"side gripper: {field.name} is {value!r}; expected {kind} (m)")
-        if not self.jaw_reach < self.standoff or not self.body_front < self.body_back:
-            raise PlanningError(
-                "side gripper: expected jaw_reach less than standoff, and body_front less than body_back (m)"
-            )
-
-
-@dataclass(frozen=True, eq=False)
-class SideGrasp:
-    """A grasp from the side.
-
-    Attributes:
-        p_WG: (2,) grasp point, m.
-        approach: heading in which the fingers point, rad from W's x axis, in (-pi, pi].
-        p_BG: (2,) grasp point, body frame, m.
-        distance: from the grasp point to what was aimed at, m.
-        clearance: between the lower jaw and the table, m.
-    """
-
-    p_WG: Array
-    approach: float
-    p_BG: Array
-    distance: float
-    clearance: float
-
-
-def find_side_grasps(
-    obj: GridObject,
-    pose: ArrayLike,
-    surface: SupportSurface,
-    gripper: SideGripper | None = None,
-    aim: ArrayLike | None = None,
-    *,
-    height: float = 0.03,
-    step: float = STEP,
-    headings: int = HEADINGS,
-) -> list[SideGrasp]:
-    """Finds where the gripper can take an object of a height (m), at a pose (3,), that overhangs the edge.
-
-    Args:
-        aim: (2,) point near which to grasp, body frame, m: the estimated center of mass; by default
-            the mean of the cells.
-        step: between grasp points tried, m: at most so much across the heading, four times as much
-            along it.
-        headings: tried over a full turn, beside those of narrow handles.
-
-    Returns:
-        The grasps, by distance from `aim`, at equal distance by clearance from the table; none
-        where there is no place.
-
-    Raises:
-        PlanningError: a number is not finite or not positive, or the object is too thick for the
-            gripper.
-    """
-    gripper = gripper or SideGripper()
-    q = check_vector(PlanningError, "pose", pose, 3)
-    target = obj.p_BC.mean(axis=0) if aim is None else check_vector(PlanningError, "aim", aim, 2)
-    if not (
-        np.isfinite(height) and height > 0 and np.isfinite(step) and step > 0 and headings >= 1
-    ):
-        raise PlanningError(
-            f"height is {height!r}, step {step!r} and headings {headings!r}; expected positive lengths (m) and a number"
-        )
-    check_thickness(obj, height, gripper)
-    outline = transform_shape(q, obj.outline)
-    R = make_rotation(q[2])
-    points, angles = _propose(outline, surface, gripper, R @ target + q[:2], step, headings)
-    kept = _filter(outline, points, angles, surface, gripper)
-    points, angles = points[kept], angles[kept]
-    if not len(points):
-        return []
-    p_BG = (points - q[:2]) @ R
-    distance = np.linalg.norm(p_BG - target, axis=1)
-    clear = shapely.distance(make_rectangles(points, angles, *_lower_jaw(gripper)), surface.polygon)
-    order = np.lexsort((-clear, np.round(distance, 6)))
-    return [
-        SideGrasp(
-            points[i].copy(), float(angles[i]), p_BG[i].copy(), float(distance[i]), float(clear[i])
-        )
-        for i in order.tolist()
-    ]
-
-
-def check_thickness(obj: GridObject, height: float, gripper: SideGripper) -> None:
-    """Raises PlanningError where an object of a height, m, is too thick for the gripper."""
-    if height > gripper.opening - 2 * gripper.height_clearance:
-        raise PlanningError(
-            f"{obj.name}: {height:g} m thick; expected at most the gripper's opening less its clearances, "
-            f"{gripper.opening - 2 * gripper.height_clearance:g} m"
-        )
-
-
-def _propose(
-    outline: shapely.Polygon,
-    surface: SupportSurface,
-    gripper: SideGripper,
-    aim: Array,
-    step: float,
-    headings: int,
-) -> tuple[Array, Array]:
-    """Points (k, 2) and headings (k,) with which the pads are on the overhang and the lower jaw clear of the table."""
-    inner = outline.buffer(-gripper.margin, quad_segs=ARC_DETAIL)
-    # no farther in than half the jaw's width, whatever the heading; the pads reach no farther from
-    # there than this
-    least, half = (
-        gripper.table_clearance + gripper.jaw_width / 2,
-        np.hypot(gripper.pad_length, gripper.pad_width) / 2,
-    )
-    beyond = inner - surface.polygon.buffer(least, join_style="mitre")
-    overhang = inner - surface.polygon.buffer(least - half, join_style="mitre")
-    if beyond.is_empty:
-        return np.empty((0, 2)), np.empty(0)
-    table = surface.polygon.buffer(gripper.table_clearance)
-    pads = Walls(
-        get_edges(overhang), -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width
-    )
-    grown = _grow(outline, gripper.object_clearance + 4 * TOUCH)
-    jaw = Walls(get_edges(table), *_lower_jaw(gripper))
-    rest = Walls(
-        get_edges(grown),
-        -gripper.body_back - gripper.standoff,
-        -gripper.body_front,
-        gripper.body_width,
-    )
-    shapely.prepare(overhang)
-    handles, even = _choose_headings(beyond, pads, surface, step, headings)
-    tries = [
-        *((handle.heading, handle.corners) for handle in handles),
-        *((angle, None) for angle in even),
-    ]
-    points, angles = find_places(overhang, pads, (jaw, rest), tries, aim, step)
-    inwards = _find_ways_in(points, surface)
-    ahead = inwards[:, 0] * np.cos(angles) + inwards[:, 1] * np.sin(angles) >= np.cos(MAX_SLANT)
-    return points[ahead], angles[ahead]
-
-
-def _choose_headings(
-    beyond: BaseGeometry, pads: Walls, surface: SupportSurface, step: float, count: int
-) -> tuple[list[Handle], list[float]]:
-    """Headings that point inwards from somewhere `beyond` the edge: along narrow handles, and of `count` even ones."""
-    even = np.pi * (2 * np.arange(1, count + 1) / count - 1)
-    # in anything wider the pads have a step's play at the nearest of the even headings
-    length, off = pads.front - pads.back, min(np.pi / count, np.pi / 4)
-    widest = length * np.sin(off) + pads.width * np.cos(off) + step
-    handles = find_handles(pads.edges, MIN_EDGE * length, widest)
-    both = [
-        Handle(handle.heading + turn, handle.corners)
-        for turn in (0.0, -np.pi)
-        for handle in handles
-    ]
-    # the way in from any point leads over the region's boundary, and from there on in the same
-    # direction
-    inwards = _find_ways_in(shapely.get_coordinates(shapely.segmentize(beyond, STEP)), surface)
-
-    def points_in(headings: Array) -> NDArray[np.bool_]:
-        ahead = inwards @ np.array([np.cos(headings), np.sin(headings)])
-        return np.asarray((ahead >= np.cos(MAX_SLANT + SLANT_SPARE)).any(axis=0))
-
-    kept = points_in(np.array([handle.heading for handle in both]))
-    return [both[k] for k in np.flatnonzero(kept)], even[points_in(even)].tolist()
-
-
-def _find_ways_in(points: Array, surface: SupportSurface) -> Array:
-    """Unit vectors (k, 2) from points (k, 2) beyond the edge to the nearest place of the table."""
-    lines = shapely.shortest_line(shapely.points(points), surface.polygon)
-    inwards = shapely.get_coordinates(lines).reshape(-1, 2, 2)
-    inwards = inwards[:, 1] - inwards[:, 0]
-    return np.asarray(inwards / np.linalg.norm(inwards, axis=1, keepdims=True))
-
-
-def _filter(
-    outline: shapely.Polygon,
-    points: Array,
-    angles: Array,
-    surface: SupportSurface,
-    gripper: SideGripper,
-) -> NDArray[np.int64]:
-    """Indices of those whose gripper, but for the lower jaw, is clear of the table and of the object."""
-    kept = np.arange(len(points))
-    table, grown = (
-        surface.polygon.buffer(gripper.table_clearance),
-        _grow(outline, gripper.object_clearance),
-    )
-    for shape in (table, grown):
-        shapely.prepare(shape)
-    body = (-gripper.body_back - gripper.standoff, -gripper.body_front, gripper.body_width)
-    jaws_before = (
-        -gripper.body_front - gripper.standoff,
-        gripper.jaw_reach - gripper.standoff,
-        gripper.jaw_width,
-    )
-    tests = (
-        (table, body),
-        (grown, body),
-        (grown, jaws_before),
-    )
-    for shape, (back, front, width) in tests:
-        kept = kept[
-            ~shapely.intersects(
-                shape, make_rectangles(points[kept], angles[kept], back, front, width)
-            )
-        ]
-    return kept
-
-
-def _grow(outline: shapely.Polygon, clearance: float) -> BaseGeometry:
-    """What is nowhere nearer to the outline than the clearance, of few edges."""
-    return outline.buffer(clearance / np.cos(np.pi / (4 * ARC_DETAIL)), quad_segs=ARC_DETAIL)
-
-
-def _lower_jaw(gripper: SideGripper) -> tuple[float, float, float]:
-    """The lane that the lower jaw sweeps: its back and front along the heading, and its width, m."""
-    return -gripper.body_front - gripper.standoff, gripper.jaw_reach, gripper.jaw_width
-
-
-def make_rectangles(
-    points: Array, angles: Array, back: float, front: float, width: float
-) -> NDArray[np.object_]:
-    """Rectangles from `back` to `front` along the headings, seen from the points, m."""
-    corners = np.array(
-        [(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)]
-    )
-    return shapely.polygons(transform(np.column_stack([points, angles]), corners))
-
-
-APART = 0.01  # m between grasp points, from which on two grasps differ
-TURNED = np.radians(12)  # likewise between headings
-
-
-def choose_varied(
-    grasps: Sequence[SideGrasp], count: int, *, apart: float = APART, turned: float = TURNED
-) -> list[SideGrasp]:
-    """Chooses at most `count` grasps of a list, the best first: a few that differ, as to ask an arm takes time.
-
-    One is unlike those chosen before it from `apart` (m) between the points or `turned` (rad)
-    between the headings on.
-    """
-    p_WG = np.array([grasp.p_WG for grasp in grasps]).reshape(-1, 2)
-    approach = np.array([grasp.approach for grasp in grasps])
-    left, chosen = np.arange(len(grasps)), list[SideGrasp]()
-    while len(left) and len(chosen) < count:
-        best, left = left[0], left[1:]
-        chosen.append(grasps[best])
-        off = np.linalg.norm(p_WG[left] - p_WG[best], axis=1)
-        angle = np.abs(wrap_angle(approach[left] - approach[best]))
-        left = left[(off >= apart) | (angle >= turned)]
-    return chosen

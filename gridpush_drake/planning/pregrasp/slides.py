@@ -1,22 +1,22 @@
 """The next push of a slide to the table's edge: towards one of several goals, safe all the way.
 
-Contact-point optimization proposes pushes towards each goal, forbidden to pass poses whose
-stability margin is too thin. The proposals are then tried on several samples of the model, with the
-loads that an overhanging object has (`dynamics.kernels.support_loads`), and cut short before the
-first pose in which any draw's margin is too thin. Taken is the proposal that, so cut, ends nearest
-to its goal on the average of the draws.
+`plan_slide` chooses it. Contact-point optimization proposes pushes towards each goal, forbidden to
+pass poses whose stability margin is too thin. Each proposal is then simulated with several samples
+of the model, with the loads that an overhanging object has (`dynamics.kernels.support_loads`), and
+cut short before the first pose in which the margin is too thin by any sample. The proposal is taken
+that, so cut, ends nearest to its goal on the average of the samples.
 
-`PushMonitor`: watches a push under way that the object stays as safe as it was planned to, and
-clear of other things on the table.
+`PushMonitor` watches a push under way: whether the object stays as safe as was planned, and clear
+of other things on the table.
 
 A push is planned so that the worst-case stability margin m(q) stays at m0 or above, where m0 is
-what was asked for, or less where the margin was thinner at the beginning. A look errs by up to e,
-so that nothing is known to be amiss until
+what was asked for, or less where the margin was thinner at the beginning. An observed pose is wrong
+by up to e, so that nothing is known to be amiss until
 
     m_e(q) < m0 - e,
 
 where m_e also counts as held those cells that only just seem to be beyond the edge, by e or less.
-Then something else happened than was planned: the object slipped, or somebody moved it.
+If that happens, something else happened than was planned: the object slipped, or somebody moved it.
 """
 
 from collections.abc import Sequence
@@ -61,17 +61,30 @@ BREAK_OFF_DISTANCE = 0.015
 pictures may pass before the finger stops, in which it moves by less."""
 
 FREE_OVERHANG = 1.0
-"""m that cells may hang over the edge as far as the push search is concerned; stability is the
-limit."""
+"""How far cells may hang over the edge as far as the push search is concerned, m. What limits the
+overhang is the stability margin."""
+
+ROUND_OFF_MARGIN = 1e-4
+"""By how much a margin that is thin already may become thinner, m, for round-off."""
+
+MM = 1e3
+"""Millimeters in a meter."""
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeMotion:
-    """What became of an object pushed near the edge."""
+    """What became of an object pushed near the edge.
 
-    poses: Array  # (K, 3) along the push, the first before it, m and rad
-    traveled: Array  # (K,) m of the pusher's path at each
-    fell: bool  # whether the object fell off the table; the poses end where it did
+    Attributes:
+        poses: (K, 3) X_WB along the push, the first before it, m and rad; the last one is where the
+            object fell, if it did.
+        traveled: (K,) length of the pusher's path up to each pose, m.
+        fell: whether the object fell off the table.
+    """
+
+    poses: Array
+    traveled: Array
+    fell: bool
 
     @property
     def final_pose(self) -> Array:
@@ -91,7 +104,7 @@ def simulate_near_edge(
 
     Args:
         obj: the object.
-        params: what it weighs and rubs.
+        params: its masses and frictions.
         push: the push.
         pose: (3,) where it lies, X_WB, m and rad.
         surface: the table.
@@ -102,16 +115,18 @@ def simulate_near_edge(
     """
     q = np.asarray(pose, dtype=np.float64)
     gravity = physics.gravity
+    # Without loads that bear it, the object falls where it lies.
     if calc_loads(obj, params, q, surface.corners, gravity) is None:
-        return EdgeMotion(q[None].copy(), np.zeros(1), True)
+        return EdgeMotion(poses=q[None].copy(), traveled=np.zeros(1), fell=True)
     times = make_path_times(push, physics.regime)
     traveled = push.distance_at(times)
     motion = simulate(obj, params, push, q, times=times, physics=physics, table=surface.corners)
     fell = bool(motion.tips.any())
+    # The simulation says of every step whether the object tips in it, but not of the last pose.
     if not fell and calc_loads(obj, params, motion.final_pose, surface.corners, gravity) is None:
-        return EdgeMotion(motion.poses, traveled, True)
+        return EdgeMotion(poses=motion.poses, traveled=traveled, fell=True)
     count = int(np.argmax(motion.tips)) + 1 if fell else len(times)
-    return EdgeMotion(motion.poses[:count], traveled[:count], fell)
+    return EdgeMotion(poses=motion.poses[:count], traveled=traveled[:count], fell=fell)
 
 
 @dataclass(frozen=True)
@@ -120,10 +135,11 @@ class SlideOptions:
 
     Attributes:
         margin: least stability margin on the way, m.
-        inset: m inside the edge that a cell's center must be to hold.
-        goals: so many of the best goals are pushed towards.
-        proposals: tried on the draws, over all goals.
-        min_gain: by which a push must bring the object nearer to its goal, mean of the cells, m.
+        inset: how far inside the edge a cell's center must be to hold, m.
+        goals: number of goals, the best ones, that pushes are sought towards.
+        proposals: number of proposed pushes that are tried on the samples, over all goals.
+        min_gain: by how much a push must bring the object nearer to its goal to be worth making,
+            mean of the cells, m.
         finger_overhang: how far beyond the edge the finger's center may be, m.
         contact: what pushes may be chosen from.
     """
@@ -141,12 +157,19 @@ class SlideOptions:
 
 @dataclass(frozen=True, eq=False)
 class Slide:
-    """A push towards a goal."""
+    """A push towards a goal.
 
-    planned: PlannedPush  # the push, and where it is expected to end
-    goal: PreGraspGoal  # that it goes to
-    margin: float  # least stability margin of any draw on the way, m
-    spread: float  # root mean square distance of the draws' ends from their mean, of the cells, m
+    Attributes:
+        planned: the push, and where it is expected to end.
+        goal: the goal that it goes to.
+        margin: least stability margin on the way, by any sample, m.
+        spread: root mean square distance of the cells at the samples' ends from their mean, m.
+    """
+
+    planned: PlannedPush
+    goal: PreGraspGoal
+    margin: float
+    spread: float
 
 
 def make_stability_rule(
@@ -156,15 +179,14 @@ def make_stability_rule(
     margin: float,
     inset: float = SUPPORT_INSET,
 ) -> PoseRule:
-    """A rule for a push's poses: the stability margin must not fall below `margin`, m.
+    """Makes a rule for the poses of a push: the stability margin must not become too thin.
 
-    Where it is thinner at `pose` (3,) already, or with the object wholly on the table, it must not
-    get thinner still.
+    Arguments as of `calc_kept_margin`, which says what is too thin.
     """
-    wanted = calc_kept_margin(masses, pose, surface, margin, inset) - THINNER
+    kept = calc_kept_margin(masses, pose, surface, margin, inset) - ROUND_OFF_MARGIN
 
     def rule(poses: Array) -> NDArray[np.bool_]:
-        return np.asarray(calc_stability_margins(masses, poses, surface, inset) >= wanted)
+        return np.asarray(calc_stability_margins(masses, poses, surface, inset) >= kept)
 
     return rule
 
@@ -176,16 +198,21 @@ def calc_kept_margin(
     margin: float,
     inset: float = SUPPORT_INSET,
 ) -> float:
-    """The stability margin that a push keeps, m.
+    """Calculates the stability margin that a push keeps.
 
-    It is `margin`, or less where it is thinner at `pose` (3,) already, or with the object wholly on
-    the table.
+    Args:
+        masses: that the object may have.
+        pose: (3,) where the push begins, X_WB, m and rad.
+        surface: the table.
+        margin: asked for, m.
+        inset: how far inside the edge a cell's center must be to hold, m.
+
+    Returns:
+        `margin`, or less where it is thinner at `pose` already, or would be with the object wholly
+        on the table, m.
     """
     whole = calc_margin_inside(masses.center_of_mass_polygon, hull_of(masses.obj.p_BC))
     return min(margin, float(whole), calc_stability_margin(masses, pose, surface, inset))
-
-
-THINNER = 1e-4  # m that a margin may become thinner where it is thin already, for round-off
 
 
 def plan_slide(
@@ -200,20 +227,30 @@ def plan_slide(
     obstacles: tuple[Polygon, ...] = (),
     physics: Physics = QUASI_STATIC,
 ) -> Slide | None:
-    """Chooses the next push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.
+    """Chooses the next push of a slide.
 
     Args:
-        draws: further models to try the pushes on; the model itself is always tried.
+        masses: that the object may have; stability is judged by the worst of them.
+        params: the model, by which pushes are searched for.
+        draws: further models that the pushes are tried on.
         pose: (3,) where the object lies, X_WB, m and rad.
         goals: best first.
+        surface: the table.
+        options: how pushes are chosen.
+        limits: of the arm.
         obstacles: what else lies on the table, polygons in W, m, which the object keeps clear of
             whichever of the models is true.
         physics: of the simulations, quasi-static; it takes the place of the one in
             `options.contact`.
+
+    Returns:
+        The push; None where none is safe, within the arm's reach, and brings the object nearer to a
+        goal.
     """
     options = options or SlideOptions()
     options = replace(options, contact=replace(options.contact, physics=physics))
     q = np.asarray(pose, dtype=np.float64)
+    # What a push must keep to: by the model in the search, and by every sample afterwards.
     rule = make_stability_rule(masses, q, surface, options.margin, options.inset)
     constraints = PushConstraints(
         surface,
@@ -230,22 +267,31 @@ def plan_slide(
     def allows(poses: Array) -> NDArray[np.bool_]:
         return rule(poses) & checker.clears_obstacles(poses)
 
+    # Proposals towards every goal, those first that the model has end nearest to their goal.
     proposals: list[tuple[PlannedPush, PreGraspGoal]] = []
     for goal in goals[: options.goals]:
         plan = optimize_contact(
             masses.obj, params, q, goal.pose, constraints=constraints, options=options.contact
         )
-        proposals += [
-            (push, goal)
-            for push in plan.candidates
-            if push.cost < plan.start_cost - options.min_gain
-        ]
-    proposals.sort(key=lambda each: each[0].cost)
+        enough = plan.start_cost - options.min_gain
+        proposals += [(push, goal) for push in plan.candidates if push.cost < enough]
+    proposals.sort(key=lambda proposal: proposal[0].cost)
+    # The best proposal, once cut short.
     best: Slide | None = None
     for planned, goal in proposals[: options.proposals]:
+        # By the samples, and cut short, a push would hardly end nearer than by the model alone.
         if best is not None and planned.cost >= best.planned.cost:
-            break  # cut short and with doubt, it would hardly end nearer than the model has it end
-        slide = _try(planned, goal, masses, (params, *draws), q, surface, allows, options)
+            break
+        slide = _cut_short(
+            planned=planned,
+            goal=goal,
+            masses=masses,
+            models=(params, *draws),
+            pose=q,
+            surface=surface,
+            rule=allows,
+            options=options,
+        )
         if slide is None or (best is not None and slide.planned.cost >= best.planned.cost):
             continue
         if constraints.allows_push(slide.planned.push):
@@ -253,7 +299,7 @@ def plan_slide(
     return best
 
 
-def _try(
+def _cut_short(
     planned: PlannedPush,
     goal: PreGraspGoal,
     masses: PlausibleMassSet,
@@ -263,60 +309,78 @@ def _try(
     rule: PoseRule,
     options: SlideOptions,
 ) -> Slide | None:
-    """The push cut so short that it is safe with every model; None where nothing useful is left of it."""
+    """Cuts a push to the part that is safe with every model, and of that to the part that ends nearest.
+
+    Args:
+        planned: the push.
+        goal: that it goes to.
+        masses: that the object may have.
+        models: M models that the push is simulated with, the estimate first.
+        pose: (3,) where the object lies.
+        surface: the table.
+        rule: which poses are allowed, whichever model is true.
+        options: what is worth pushing for.
+
+    Returns:
+        The part; None where nothing useful is left of the push.
+    """
     obj = masses.obj
-    checks = np.unique(np.append(np.arange(0.0, planned.distance, CHECK_EVERY), planned.distance))
+    shortest = options.contact.distance_range[0]
+    # Distances, every few millimeters, at which the push may be cut. Each model leaves fewer.
+    cuts = np.unique(np.append(np.arange(0.0, planned.distance, CHECK_EVERY), planned.distance))
     paths = []
     for model in models:
         motion = simulate_near_edge(
             obj, model, planned.push, pose, surface, options.contact.physics
         )
         path = np.column_stack(
-            [np.interp(checks, motion.traveled, motion.poses[:, i]) for i in range(3)]
+            [np.interp(cuts, motion.traveled, motion.poses[:, i]) for i in range(3)]
         )
-        allowed = rule(path) & (~np.bool_(motion.fell) | (checks < motion.traveled[-1]))
-        checks = checks[: int(np.argmin(allowed))] if not allowed.all() else checks
+        allowed = rule(path) & (~np.bool_(motion.fell) | (cuts < motion.traveled[-1]))
+        if not allowed.all():
+            cuts = cuts[: int(np.argmin(allowed))]
         paths.append(path)
-        if not (checks >= options.contact.distance_range[0]).any():
+        if not (cuts >= shortest).any():
             return None
-    useful = checks >= options.contact.distance_range[0]
-    ends = np.array([path[: len(checks)] for path in paths])
-    costs = np.where(useful, calc_goal_error(obj, ends, goal.pose).mean(axis=0), np.inf)
+    # Of the cuts that are left, the one that ends nearest to the goal on the models' average.
+    ends = np.array([path[: len(cuts)] for path in paths])
+    mean_costs = calc_goal_error(obj, ends, goal.pose).mean(axis=0)
+    costs = np.where(cuts >= shortest, mean_costs, np.inf)
     best = int(np.argmin(costs))
     start_cost = float(calc_goal_error(obj, pose, goal.pose))
     if costs[best] > start_cost - options.min_gain:
         return None
-    distance = float(checks[best])
+    distance = float(cuts[best])
     push = Push.on_outline(
-        obj, planned.arc_length, planned.angle, distance, radius=planned.push.radius,
-        speed=planned.push.length / planned.push.duration, pose=pose, clearance=options.contact.clearance,
-    )  # fmt: skip
+        obj,
+        planned.arc_length,
+        planned.angle,
+        distance,
+        radius=planned.push.radius,
+        speed=planned.push.length / planned.push.duration,
+        pose=pose,
+        clearance=options.contact.clearance,
+    )
     cells = obj.cells_at(ends[:, best])
     spread = float(np.sqrt(((cells - cells.mean(axis=0)) ** 2).sum(axis=2).mean()))
-    margin = float(
-        calc_stability_margins(
-            masses, ends[:, : best + 1].reshape(-1, 3), surface, options.inset
-        ).min()
-    )
+    on_the_way = ends[:, : best + 1].reshape(-1, 3)
+    margins = calc_stability_margins(masses, on_the_way, surface, options.inset)
     cut = replace(
         planned, distance=distance, push=push, pose=ends[0, best], cost=float(costs[best])
     )
-    return Slide(cut, goal, margin, spread)
-
-
-MM = 1e3  # millimeters in a meter
+    return Slide(planned=cut, goal=goal, margin=float(margins.min()), spread=spread)
 
 
 @dataclass(frozen=True, eq=False)
 class PushMonitor:
-    """What one push was planned with.
+    """Watches one push, by what it was planned with.
 
     Attributes:
-        masses: the masses held possible.
+        masses: that the object may have.
         surface: the table.
-        margin: m0, m.
-        inset: m inside the edge that a cell's center must be to hold.
-        error: e, of a look, m.
+        margin: m0, the stability margin that the push was planned to keep, m.
+        inset: how far inside the edge a cell's center must be to hold, m.
+        error: e, by how much an observed pose may be wrong, m.
         obstacles: other things on the table, as one shape in W; None for none.
         room: least distance from them that the object keeps, m.
     """
@@ -339,27 +403,46 @@ class PushMonitor:
         error: float,
         obstacles: Sequence[Polygon] = (),
     ) -> "PushMonitor":
-        """The monitor of a push from `pose` (3,), planned with `options`.
+        """Makes the monitor of a push that was planned with `options`.
 
         Args:
-            error: of a look, m.
+            masses: that the object may have.
+            surface: the table.
+            pose: (3,) where the push begins, X_WB, m and rad.
+            options: that the push was planned with.
+            error: by how much an observed pose may be wrong, m.
             obstacles: what else lies on the table, polygons in W, m. Where the object begins nearer
                 to one than pushes are broken off at, it must not come nearer still.
         """
-        margin = calc_kept_margin(masses, pose, surface, options.margin, options.inset)
-        others = shapely.union_all(list(obstacles)) if obstacles else None
+        others = None
         room = 0.0
-        if others is not None:
-            begin = transform_shape(pose, make_body(masses.obj)).distance(others)
-            room = min(BREAK_OFF_DISTANCE, begin - error)
-        return cls(masses, surface, margin, options.inset, error, others, room)
+        if obstacles:
+            others = shapely.union_all(list(obstacles))
+            at_start = transform_shape(pose, make_body(masses.obj)).distance(others)
+            room = min(BREAK_OFF_DISTANCE, at_start - error)
+        return cls(
+            masses=masses,
+            surface=surface,
+            margin=calc_kept_margin(masses, pose, surface, options.margin, options.inset),
+            inset=options.inset,
+            error=error,
+            obstacles=others,
+            room=room,
+        )
 
     def find_fault(self, pose: Array) -> str | None:
-        """Why the push should not go on with the object seen at `pose` (3,), in half a sentence; None where it may."""
+        """Says why the push should not go on.
+
+        Args:
+            pose: (3,) where the object is seen, X_WB, m and rad.
+
+        Returns:
+            The reason in half a sentence; None where the push may go on.
+        """
         if self.obstacles is not None:
-            left = transform_shape(pose, make_body(self.masses.obj)).distance(self.obstacles)
-            if left < self.room:
-                return f"the object is {left * MM:.0f} mm from another one"
+            gap = transform_shape(pose, make_body(self.masses.obj)).distance(self.obstacles)
+            if gap < self.room:
+                return f"the object is {gap * MM:.0f} mm from another one"
         margin = calc_stability_margin(self.masses, pose, self.surface, self.inset - self.error)
         if margin >= self.margin - self.error:
             return None

@@ -1,10 +1,16 @@
-"""Whether an object stays on the table, judged on the set of masses that agree with what was seen.
+"""Whether an object stays on the table, whichever of the masses that agree with what was seen it has.
 
 The object stays put while its center of mass, wherever it may be (`uncertainty.PlausibleMassSet`),
 is inside the convex hull of what holds it: the cells whose centers are on the table, at least an
-inset away from its edge. That hull is found, compiled, for many poses at once by the monotone chain
-(Andrew 1979), for which points must be sorted by x, then y; the order is the body frame's, the same
-at every pose.
+inset away from its edge. The *stability margin* of a pose q is how far inside it stays at the
+worst,
+
+    m(q) = min over the hull's edges e and the corners c of the centers of mass
+           of the distance of c from e, inwards
+
+That hull is found in compiled code, for many poses at once, by the monotone chain (Andrew 1979).
+It needs the points in order of x, then y; the order is the body frame's, and so the same at every
+pose. The theory is in `docs/theory/planning.md`, section 3.
 """
 
 from math import sqrt
@@ -20,16 +26,23 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 
 SUPPORT_INSET = 0.002
-"""m inside the edge that a cell's center must be to count as supported: what a pose may be wrong
-by."""
+"""How far inside the edge a cell's center must be to count as supported, m: what a pose may be
+wrong by."""
 
 
 def calc_support_polygon(
     obj: GridObject, pose: ArrayLike, surface: SupportSurface, inset: float = SUPPORT_INSET
 ) -> Array:
-    """What holds the object: the convex hull of the cells' centers that are on the table, `inset` (m) inside its edge.
+    """Calculates what holds the object: the convex hull of the cells' centers that are on the table.
 
-    (V, 2) corners, body frame, m, counterclockwise; empty where no three cells hold it.
+    Args:
+        obj: the object.
+        pose: (3,) X_WB, m and rad.
+        surface: the table.
+        inset: how far inside the edge a cell's center must be to hold, m.
+
+    Returns:
+        (V, 2) corners, body frame, m, counterclockwise; empty where no three cells hold it.
     """
     return hull_of(obj.p_BC[find_supported(obj, pose, surface, inset)])
 
@@ -40,10 +53,16 @@ def calc_stability_margins(
     surface: SupportSurface,
     inset: float = SUPPORT_INSET,
 ) -> Array:
-    """How far the center of mass at its worst stays inside what holds the object, (K,) m, at poses (K, 3), m and rad.
+    """Calculates how far the center of mass at its worst stays inside what holds the object.
 
-    Negative where some mass distribution tips; a cell's center must be `inset` (m) inside the edge
-    to hold.
+    Args:
+        masses: that the object may have.
+        poses: (K, 3) X_WB, m and rad.
+        surface: the table.
+        inset: how far inside the edge a cell's center must be to hold, m.
+
+    Returns:
+        (K,) m; negative where some mass distribution tips.
     """
     obj = masses.obj
     q = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
@@ -59,18 +78,20 @@ def calc_stability_margins(
 def calc_stability_margin(
     masses: PlausibleMassSet, pose: ArrayLike, surface: SupportSurface, inset: float = SUPPORT_INSET
 ) -> float:
-    """The margin at one pose (3,), m; see `calc_stability_margins`."""
+    """The stability margin at one pose (3,), m; see `calc_stability_margins`."""
     return float(calc_stability_margins(masses, pose, surface, inset)[0])
 
 
 @kernel()
 def calc_margins(points, supported, inner, margins):
-    """Fills in `margins` (K,): the least distance of `inner` inside the hull's edges, m; -inf where three do not hold.
+    """Calculates how far points stay inside convex hulls, one hull for every pose.
 
     Args:
         points: (n, 2) in order of x, then y, m.
-        supported: (K, n) which of them are on the table, pose by pose.
-        inner: (V, 2) points that must stay inside the hull of those, m.
+        supported: (K, n) which of them make the hull, pose by pose.
+        inner: (V, 2) points that must stay inside the hull, m.
+        margins: (K,) is filled in: the least distance of `inner` inside the hull's edges, m; -inf
+            where three points do not make a hull.
     """
     n = points.shape[0]
     hull = np.empty((2 * n + 2, 2))
@@ -81,8 +102,10 @@ def calc_margins(points, supported, inner, margins):
             continue
         least = np.inf
         for i in range(size):
+            # Edge from corner i to corner j; inside is to its left.
             j = (i + 1) % size
-            ex, ey = hull[j, 0] - hull[i, 0], hull[j, 1] - hull[i, 1]
+            ex = hull[j, 0] - hull[i, 0]
+            ey = hull[j, 1] - hull[i, 1]
             length = sqrt(ex * ex + ey * ey)
             for v in range(inner.shape[0]):
                 inside = (
@@ -94,12 +117,23 @@ def calc_margins(points, supported, inner, margins):
 
 @kernel()
 def _chain(points, supported, hull):
-    """The hull's corners, counterclockwise, in `hull`; returns how many."""
+    """Finds a hull's corners, counterclockwise, by Andrew's monotone chain.
+
+    Args:
+        points: (n, 2) in order of x, then y, m.
+        supported: (n,) which of them make the hull.
+        hull: (2 n + 2, 2) the first rows are filled in.
+
+    Returns:
+        How many corners there are.
+    """
     n = points.shape[0]
+    # The lower chain, from left to right.
     size = 0
     for i in range(n):
         if supported[i]:
             size = _append(points[i], hull, size, 0)
+    # The upper chain, from right to left, after the lower one's last point, back to the first.
     lower = size
     for i in range(n - 1, -1, -1):
         if supported[i] and not (
@@ -111,12 +145,26 @@ def _chain(points, supported, hull):
 
 @kernel()
 def _append(point, hull, size, floor):
-    """Appends a point to a chain that began at `floor`, without the points that it leaves inside."""
+    """Appends a point to a chain of corners, dropping those that it leaves inside.
+
+    Args:
+        point: (2,) m.
+        hull: the corners so far.
+        size: how many there are.
+        floor: where the chain begins among them.
+
+    Returns:
+        How many there are then.
+    """
     while size - floor >= 2:
-        ax, ay = hull[size - 2, 0], hull[size - 2, 1]
-        bx, by = hull[size - 1, 0], hull[size - 1, 1]
+        # The last two corners a, b and the point turn left: b is a corner.
+        ax = hull[size - 2, 0]
+        ay = hull[size - 2, 1]
+        bx = hull[size - 1, 0]
+        by = hull[size - 1, 1]
         if (bx - ax) * (point[1] - ay) - (by - ay) * (point[0] - ax) > 0.0:
             break
         size -= 1
-    hull[size, 0], hull[size, 1] = point[0], point[1]
+    hull[size, 0] = point[0]
+    hull[size, 1] = point[1]
     return size + 1

@@ -1,19 +1,22 @@
 """What is known of an object, in the forms that pre-grasp decisions take: Identification -> UncertainModel.
 
-Poses under slow pushes show the relative support friction k_i = mu_i m_i alone
-(`identification.identifiability`). With friction coefficients between mu_min and mu_max every mass
-distribution
+Where the center of mass may be: poses under slow pushes show only the relative support friction
+k_i = mu_i m_i of each cell (`identification.identifiability`). With friction coefficients between
+mu_min and mu_max it agrees with every mass distribution m for which
 
-    k_i / mu_max <= t m_i <= k_i / mu_min,    t > 0
+    k_i / mu_max <= t m_i <= k_i / mu_min   with some t > 0
 
-agrees with it. The farthest that its center of mass can be in a direction d is
+The farthest that the center of mass of such a distribution can be in a direction d is
 
-    h(d) = max sum m_i d.p_i / sum m_i
+    h(d) = max over m of sum m_i d.p_i / sum m_i         (`calc_farthest_center`)
 
-(`calc_farthest_center`). k itself is known up to the posterior's spread: h is taken for many draws
-from it that agree with the pushes, and the value is kept that all but a small share of the draws
-stay below. The half-planes d.c <= h(d) over many d bound the center of mass by a polygon, from
-outside.
+k itself is known up to the posterior's spread. So h is calculated for many draws of k from it that
+agree with the pushes, and the value is kept that all but a small share of the draws stay below. The
+half-planes d.c <= h(d) over many d bound the center of mass c by a polygon, from outside.
+
+`PlausibleMassSet` is these mass distributions and that polygon. `UncertainModel` is the estimate,
+by which motions are predicted, with all that says how far it may be wrong. The theory is in
+`docs/theory/planning.md`, section 3.
 """
 
 from dataclasses import dataclass, field
@@ -41,16 +44,25 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 
-PRIOR_AMPLITUDE = 1.0  # standard deviation of log k before the first poke: a half to twice, or so
-MASS_DRAWS = 200  # from the posterior, for the set of plausible masses
-CONFIDENCE = (
-    0.99  # share of the draws whose every mass distribution the bound holds for, by direction
-)
-DIRECTIONS = 72  # Half-planes that bound the center of mass; every 5°
-PRIOR_SIGMAS = (
-    3.0  # standard deviations about a center of mass known beforehand that the set is cut down to
-)
-SLIDE_SAMPLES = 4  # models besides the estimate that a slide's pushes are tried on
+PRIOR_AMPLITUDE = 1.0
+"""Standard deviation of log k before the first poke: friction may well differ by a factor of 2 or 3
+from cell to cell."""
+
+MASS_DRAWS = 200
+"""Number of draws from the posterior that the set of plausible masses is made of."""
+
+CONFIDENCE = 0.99
+"""Share of the draws for which the bound of the center of mass must hold, in each direction."""
+
+DIRECTIONS = 72
+"""Number of half-planes that bound the center of mass, evenly spaced over a full turn."""
+
+PRIOR_SIGMAS = 3.0
+"""If the center of mass is known beforehand, it is taken to be within this many standard deviations
+of that, along x and along y."""
+
+SLIDE_SAMPLES = 4
+"""Number of models, besides the estimate, that a slide's pushes are tried on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +71,11 @@ class PlausibleMassSet:
 
     Attributes:
         obj: the object.
-        mass_min: (S, n) the least mass of each cell, one row for every draw of the relative
-            friction.
-        mass_max: (S, n) the greatest.
-        confidence: share of the draws that a bound must hold for.
-        max_total_mass: greatest mass of the whole, kg, by measured forces; None where nothing says
-            it but the object.
+        mass_min: (S, n) least mass of each cell, one row for every draw of the relative friction.
+        mass_max: (S, n) greatest mass of each cell, one row for every draw.
+        confidence: share of the draws for which a bound of the center of mass must hold.
+        max_total_mass: greatest mass of the whole object that measured forces allow, kg; None where
+            none were measured, or the object was weighed.
 
     Raises:
         PlanningError: shapes disagree, or the bounds are not positive and ordered.
@@ -80,11 +91,11 @@ class PlausibleMassSet:
         shape = self.mass_min.shape
         if shape != self.mass_max.shape or len(shape) != 2 or shape[1] != self.obj.n:
             raise PlanningError(
-                f"mass set: bounds of shapes {shape} and {self.mass_max.shape}; expected (S, {self.obj.n})"
+                f"mass set: bounds of shapes {shape} and {self.mass_max.shape}; "
+                f"expected (S, {self.obj.n})"
             )
-        if not (
-            (self.mass_min > 0) & (self.mass_min <= self.mass_max) & np.isfinite(self.mass_max)
-        ).all():
+        ordered = (self.mass_min > 0) & (self.mass_min <= self.mass_max)
+        if not (ordered & np.isfinite(self.mass_max)).all():
             raise PlanningError("mass set: expected 0 < mass_min <= mass_max")
         if not 0 < self.confidence <= 1:
             raise PlanningError(
@@ -102,15 +113,17 @@ class PlausibleMassSet:
         force: ForceScale | None = None,
         judge: DrawJudge | None = None,
     ) -> "PlausibleMassSet":
-        """All masses that agree with what was learned.
+        """Makes the set of all masses that agree with what was learned.
 
         Args:
+            obj: the object.
             posterior: of its relative friction.
             friction_range: least and greatest friction coefficient of any cell; the object's own
                 bounds where None.
+            seed: of the draws.
             force: what measured forces said, which bound the mass of an object that was not
                 weighed.
-            judge: of the draws, such as the pushes themselves.
+            judge: says how well draws agree with what was seen, such as the pushes themselves.
 
         Raises:
             PlanningError: the range is not positive and increasing.
@@ -120,33 +133,47 @@ class PlausibleMassSet:
             raise PlanningError(
                 f"friction_range is {(low, high)!r}; expected 0 < least <= greatest"
             )
-        share, _ = posterior.draw(MASS_DRAWS, seed, judge)
+        k, _ = posterior.draw(MASS_DRAWS, seed, judge)
+        # All friction together is at least mu_min times the weight.
         heaviest = None
         if force is not None and obj.prior.total_mass is None:
             heaviest = force.bounds[1] / (GRAVITY * low)
-        return cls(obj, share / high, share / low, CONFIDENCE, heaviest)
+        return cls(
+            obj=obj,
+            mass_min=k / high,
+            mass_max=k / low,
+            confidence=CONFIDENCE,
+            max_total_mass=heaviest,
+        )
 
     @classmethod
     def of_masses(cls, obj: GridObject, params: CellParameters) -> "PlausibleMassSet":
-        """One mass distribution, taken as known."""
+        """Makes the set of a single mass distribution, which is taken as known."""
         mass = params.mass[None]
         return cls(obj, mass, mass)
 
     def calc_support(self, directions: ArrayLike) -> Array:
-        """How far the center of mass can be along unit vectors (D, 2), body frame, at most: h (D,), m."""
+        """Calculates h: how far the center of mass can be along some directions at most.
+
+        Args:
+            directions: (D, 2) unit vectors d, body frame.
+
+        Returns:
+            (D,) m.
+        """
         p = self.obj.p_BC
-        far = [
-            calc_farthest_center(p @ d, self.mass_min, self.mass_max)
-            for d in np.asarray(directions, np.float64)
-        ]
-        return np.array([np.quantile(values, self.confidence, method="higher") for values in far])
+        bounds = []
+        for d in np.asarray(directions, np.float64):
+            farthest = calc_farthest_center(p @ d, self.mass_min, self.mass_max)  # of each draw
+            bounds.append(np.quantile(farthest, self.confidence, method="higher"))
+        return np.array(bounds)
 
     @cached_property
     def center_of_mass_polygon(self) -> Array:
-        """(V, 2) corners of a convex polygon that the center of mass is in, body frame, m; counterclockwise.
+        """(V, 2) corners of a convex polygon that the center of mass is in, body frame, m.
 
-        A center of mass known beforehand (`obj.prior.center_of_mass`) cuts it down to a square
-        about that.
+        They are counterclockwise. If the center of mass is known beforehand
+        (`obj.prior.center_of_mass`), the polygon is cut down to a square about that.
         """
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         directions = make_direction(angle)
@@ -157,12 +184,13 @@ class PlausibleMassSet:
         reach = PRIOR_SIGMAS * self.obj.prior.center_of_mass_std
         known = shapely.box(at[0] - reach, at[1] - reach, at[0] + reach, at[1] + reach)
         both = shapely.MultiPoint(corners).convex_hull.intersection(known)
+        # Where pushes and prior contradict each other, the prior is believed.
         kept = both if isinstance(both, shapely.Polygon) and not both.is_empty else known
         return np.asarray(shapely.geometry.polygon.orient(kept).exterior.coords)[:-1]
 
     @property
     def middle(self) -> Array:
-        """(2,) the mean of that polygon's corners, where the center of mass is taken to be, body frame, m."""
+        """(2,) where the center of mass is taken to be: the mean of that polygon's corners, body frame, m."""
         return self.center_of_mass_polygon.mean(axis=0)
 
 
@@ -172,18 +200,18 @@ class UncertainModel:
 
     Attributes:
         obj: the object.
-        params: the estimate, which motions are predicted with.
-        posterior: of z; None where the parameters are taken for granted.
-        noise_scale: of `noise`, as large as the pushes said.
+        params: the estimate, by which motions are predicted.
+        posterior: of z = (log k, log mu_c); None where the parameters are taken for granted.
+        noise_scale: by how much larger than `noise` the pushes were found to scatter.
         friction_range: least and greatest friction coefficient of any cell; the object's own bounds
             where None.
-        sample_count: further models that slides are tried on.
+        sample_count: number of further models that slides are tried on.
         seed: of all draws.
         poke_starts: (K, 2) where the finger's center was as the pushes learned from began, body
             frame, m.
         force: what measured forces said; None where there were none.
         evidence: the pushes learned from, which judge the draws; None where they are not at hand.
-        noise: of what pushes show, at scale one.
+        noise: of what pushes show, before `noise_scale`.
         physics: by which motions are predicted. Slides and pokes are planned slow enough to end at
             rest, so that it is always quasi-static, whatever pushes were learned from.
     """
@@ -211,7 +239,17 @@ class UncertainModel:
         seed: int = 0,
         log: PushLog | None = None,
     ) -> "UncertainModel":
-        """Takes what pushes said, with the noise they showed; those of `log` judge the draws, and are not repeated."""
+        """Makes the model of what was learned from pushes.
+
+        Args:
+            found: what was learned.
+            friction_range: least and greatest friction coefficient of any cell; the object's own
+                bounds where None.
+            sample_count: number of further models that slides are tried on.
+            seed: of all draws.
+            log: the pushes learned from, if they are at hand. They judge the draws, and pokes keep
+                away from where they began.
+        """
         evidence = PushEvidence.of_log(found, log)
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]
         return cls(
@@ -233,18 +271,22 @@ class UncertainModel:
     def of_prior(
         cls, obj: GridObject, *, friction_range: tuple[float, float] | None = None
     ) -> "UncertainModel":
-        """Takes what is held before any push: the smoothness prior about uniform friction."""
+        """Makes the model of an object before any push: the smoothness prior about uniform friction."""
         prior = describe_prior(obj, MapEnsemble(hypotheses=(SmoothField(PRIOR_AMPLITUDE),)))
         return cls.of_identification(prior, friction_range=friction_range, sample_count=0)
 
     @classmethod
     def of_parameters(cls, obj: GridObject, params: CellParameters) -> "UncertainModel":
-        """Takes parameters for granted."""
+        """Makes a model whose parameters are taken for granted."""
         return cls(obj, params)
 
     @cached_property
     def masses(self) -> PlausibleMassSet:
-        """The masses that stability is judged on. Raises PlanningError: the friction range is not increasing."""
+        """The masses that stability is judged on.
+
+        Raises:
+            PlanningError: the friction range is not increasing.
+        """
         if self.posterior is None:
             return PlausibleMassSet.of_masses(self.obj, self.params)
         with threadpool_limits(limits=1, user_api="blas"):
@@ -267,7 +309,11 @@ class UncertainModel:
         )
 
     def require_posterior(self) -> Posterior:
-        """The posterior, which a poke can narrow. Raises PlanningError: the parameters are taken for granted."""
+        """The posterior, which a poke can narrow.
+
+        Raises:
+            PlanningError: there is none, for the parameters are taken for granted.
+        """
         if self.posterior is None:
             raise PlanningError(
                 "model: parameters taken for granted; expected a posterior that pokes can narrow"

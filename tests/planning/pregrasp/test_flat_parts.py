@@ -15,25 +15,24 @@ from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.grasp_parts import (
-    USED,
-    PadLimit,
     find_flat_parts,
     find_held_grasps,
     find_held_parts,
 )
+from gridpush_drake.planning.pregrasp.gripper import USED_SHARE, Gripper, PadLimit
 from gridpush_drake.planning.pregrasp.planner import (
     PreGraspOptions,
     PreGraspPlanner,
     PreGraspPlanStatus,
     plan_pregrasp,
 )
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, find_side_grasps
+from gridpush_drake.planning.pregrasp.side_grasp import find_side_grasps
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.shapes import rectangle
 
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.2, 1.0))
-GRIPPER = SideGripper()
+GRIPPER = Gripper()
 PRIOR = PhysicalPrior(friction=0.35, friction_min=0.25, friction_max=0.5)
 
 
@@ -126,9 +125,10 @@ def test_where_a_flat_part_hangs_over_the_gripper_takes_it():
             assert bool(near) == free
 
 
-def make_planner(obj, **changes):
-    pads = PadLimit.of_object(obj, GRIPPER, 80.0)
-    return PreGraspPlanner(obj, TABLE, PreGraspOptions(pads=replace(pads, **changes), min_pokes=1))
+def make_planner(obj, force=80.0):
+    return PreGraspPlanner(
+        obj, TABLE, PreGraspOptions(gripper=GRIPPER, pad_force=force, min_pokes=1)
+    )
 
 
 def test_a_tray_is_brought_to_the_edge_and_a_part_hangs_over_that_the_pads_hold():
@@ -140,12 +140,12 @@ def test_a_tray_is_brought_to_the_edge_and_a_part_hangs_over_that_the_pads_hold(
     plan = plan_pregrasp(planner, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3))
     assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert len(plan.pushes) >= 1
-    (share,) = planner.options.pads.calc_shares(
+    (share,) = planner.pads.calc_shares(
         plan.goal.part.p_BG[None],
         np.array([plan.goal.part.heading]),
         params.center_of_mass(obj)[None],
     )
-    assert 0.1 < share <= USED
+    assert 0.1 < share <= USED_SHARE
     assert plan.goal.margin > 0.0
 
 
@@ -179,10 +179,10 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
 def test_measured_forces_say_how_heavy_an_object_is_that_was_not_weighed(friction):
     """K of 0.6 N: at most a few hundred grams; of 6 N: it may weigh kilograms. Without forces it is taken for one."""
     obj = make_tray(total_mass=None)
-    planner, prior = make_planner(obj, weight=9.81), UncertainModel.of_prior(obj)
+    planner, prior = make_planner(obj), UncertainModel.of_prior(obj)
     felt = replace(prior, force=ForceScale(friction, 0.1, 6))
     heaviest = friction * np.exp(0.2) / (9.81 * obj.prior.friction_min)
-    pads, centers = planner.options.pads, prior.masses.center_of_mass_polygon
+    pads, centers = planner.pads, prior.masses.center_of_mass_polygon
     assert prior.masses.max_total_mass is None and pads.weigh(prior.masses) is pads
     assert pads.weigh(felt.masses).weight == pytest.approx(9.81 * heaviest)
     held = len(find_held_parts(planner.flat_parts, pads.weigh(felt.masses), centers))
@@ -231,9 +231,7 @@ def test_a_heavy_object_is_not_taken_by_a_handle_that_it_would_turn_about():
     obj, pose = make_handle(3.0), (0.1, 0.2, 0.3)
     model = UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
     planner = make_planner(obj)
-    assert planner.options.pads.max_arm == pytest.approx(
-        0.8 * 80.0 * 0.012 / (3.0 * 9.81), rel=1e-3
-    )
+    assert planner.pads.max_arm == pytest.approx(0.8 * 80.0 * 0.012 / (3.0 * 9.81), rel=1e-3)
     decision = planner.decide(pose, model)
     assert decision.action == "fail"
     assert "within 26 mm of the center of mass" in decision.reason
@@ -264,7 +262,7 @@ def test_a_bar_beside_the_center_of_mass_is_taken_where_the_pads_hold_across_the
         else UncertainModel.of_prior(obj)
     )
     masses = uncertain.masses
-    pose, pads = np.array([0.0, 0.46, 0.35]), PadLimit.of_object(obj, GRIPPER, 80.0)
+    pose, pads = np.array([0.0, 0.46, 0.35]), GRIPPER.limit_pads(obj, 80.0)
     taken = find_side_grasps(obj, pose, TABLE, GRIPPER, (-0.05, 0.1))[0]
     assert abs(make_rotation(pose[2] - taken.approach) @ (masses.middle - taken.p_BG))[1] > 0.08
     found = find_held_grasps(obj, pose, TABLE, pads, np.array([-0.05, 0.1]), 0.03, masses, at_worst)
@@ -275,8 +273,8 @@ def test_pokes_are_made_while_the_center_of_mass_may_be_where_the_pads_hold_it()
     obj = make_tray(total_mass=1.2)
     planner, prior = make_planner(obj), UncertainModel.of_prior(obj)
     centers = prior.masses.center_of_mass_polygon
-    assert not find_held_parts(planner.flat_parts, planner.options.pads, centers)
-    assert find_held_parts(planner.flat_parts, planner.options.pads, prior.masses.middle[None])
+    assert not find_held_parts(planner.flat_parts, planner.pads, centers)
+    assert find_held_parts(planner.flat_parts, planner.pads, prior.masses.middle[None])
     asks = planner.decide((0.1, 0.2, 0.3), prior, pokes=1)
     assert asks.action == "poke"
     assert "the pads cannot hold it" in asks.reason

@@ -19,7 +19,8 @@ from gridpush_drake.planning.pregrasp.goals import (
     find_grasp_at,
     find_pregrasp_goals,
 )
-from gridpush_drake.planning.pregrasp.grasp_parts import Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp.grasp_parts import find_grasp_parts
+from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.planning.pregrasp.planner import (
     PokeForecast,
     PreGraspOptions,
@@ -98,7 +99,7 @@ def test_only_the_handle_can_be_taken(pan, parts):
 
 
 def test_a_wider_gripper_takes_the_plate_too(pan):
-    wide = find_grasp_parts(pan, Gripper(opening=0.16))
+    wide = find_grasp_parts(pan, Gripper(level_opening=0.16))
     assert min(part.p_BG[0] for part in wide) < -0.05
 
 

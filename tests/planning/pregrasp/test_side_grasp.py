@@ -10,7 +10,8 @@ from shapely.affinity import affine_transform
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, choose_varied, find_side_grasps
+from gridpush_drake.planning.pregrasp.gripper import Gripper
+from gridpush_drake.planning.pregrasp.side_grasp import choose_varied, find_side_grasps
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.made_identifications import make_block
 
@@ -37,7 +38,7 @@ def lane(grasp, back, front, width):
 
 @pytest.mark.parametrize(("name", "pose"), OVERHANGING)
 def test_pads_are_on_the_object_and_the_gripper_is_clear(name, pose):
-    obj, g = GridObject.from_yaml(find_shipped_object(name)), SideGripper()
+    obj, g = GridObject.from_yaml(find_shipped_object(name)), Gripper()
     found = find_side_grasps(obj, pose, TABLE)
     outline = place(obj.outline, pose)
     assert found
@@ -71,7 +72,7 @@ def lanes(points, heading, back, front, width):
 
 def search_finely(outline, surface, aim, pitch, turn, phase):
     """Distance from `aim` of the nearest place on a fine grid of points, m, and headings, degrees; NaN without one."""
-    g = SideGripper()
+    g = Gripper()
     inner, table = outline.buffer(-g.margin), surface.polygon.buffer(g.table_clearance)
     grown, core = (
         outline.buffer(g.object_clearance),
@@ -116,7 +117,7 @@ def make_bar(width):
 @pytest.mark.parametrize("degrees", [33.3, 61.7, 94.4, 128.9, -147.1])
 @pytest.mark.parametrize("width", [0.013, 0.0132])
 def test_finds_places_on_a_bar_hardly_wider_than_the_pads(width, degrees):
-    obj, heading, g = make_bar(width), np.radians(degrees), SideGripper()
+    obj, heading, g = make_bar(width), np.radians(degrees), Gripper()
     u = np.array([np.cos(heading), np.sin(heading)])
     pose = np.append(np.array([0.5, 0.15]) + 0.02 * u * np.sign(u[1]), heading)
     found = find_side_grasps(obj, pose, TABLE)
@@ -188,15 +189,15 @@ def test_finds_none_where_too_little_hangs_over():
 
 def test_finds_none_where_the_pads_are_wider_than_what_hangs_over():
     obj, pose = make_block(), (0.5, 0.17, 0.0)
-    assert find_side_grasps(obj, pose, TABLE, SideGripper(pad_width=0.01, pad_length=0.01))
-    assert not find_side_grasps(obj, pose, TABLE, SideGripper(pad_width=0.3, pad_length=0.01))
+    assert find_side_grasps(obj, pose, TABLE, Gripper(pad_width=0.01, pad_length=0.01))
+    assert not find_side_grasps(obj, pose, TABLE, Gripper(pad_width=0.3, pad_length=0.01))
 
 
-@pytest.mark.parametrize("name", [field.name for field in fields(SideGripper)])
+@pytest.mark.parametrize("name", [field.name for field in fields(Gripper)])
 @pytest.mark.parametrize("value", [-0.01, np.nan])
 def test_bad_measures_are_refused(name, value):
-    with pytest.raises(PlanningError, match=f"side gripper: {name} is"):
-        replace(SideGripper(), **{name: value})
+    with pytest.raises(PlanningError, match=f"gripper: {name} is"):
+        replace(Gripper(), **{name: value})
 
 
 def test_bad_arguments_are_refused():
@@ -214,7 +215,7 @@ def test_bad_arguments_are_refused():
 def test_varied_grasps_are_the_best_of_their_kind():
     name, pose = OVERHANGING[0]
     found = find_side_grasps(GridObject.from_yaml(find_shipped_object(name)), pose, TABLE)
-    chosen = choose_varied(found, 10, apart=0.01, turned=0.2)
+    chosen = choose_varied(found, 10, min_distance=0.01, min_turn=0.2)
     assert len(chosen) == 10 and chosen[0] is found[0]
 
     def alike(a, b):
