@@ -1,25 +1,26 @@
 """Contact-point optimization: where on the outline, in which direction and how far to push.
 
-The cost of a push is the mean distance of the cells' centers at its predicted end from where they
-are at the goal pose (`docs/theory/planning.md`, section 1). There are three ways to search for the
-cheapest.
+The cost C of a push is the mean distance of the cells' centers at its predicted end from where they
+are at the goal pose (`trial`, and `docs/theory/planning.md`, section 1). There are three methods to
+search for the cheapest push.
 
-"gradient" minimizes f(s, phi) (see `trial`) by Levenberg-Marquardt steps
+"gradient" minimizes f(s, phi) by Levenberg-Marquardt steps
 
-    (H + lambda diag H) dx = -grad C,   x = (s, phi, d),
+    (H + lambda diag H) dx = -dC/dx,   x = (s, phi, d),
 
-from several starts (`limit_surface.screen`). phi is the direction in the body frame: it is held
-while s runs across a vertex, and the angle from the new edge's normal kept within its range. Starts
-are taken up best first: the one goes on whose step promises the lowest cost, and the search ends
-when no start promises to do better than the best.
+from several starts (`limit_surface.screen`). phi is the direction in the body frame: it stays the
+same while s runs across a vertex, as far as the angle from the new edge's normal is within its
+range. It is always the start with the most promising next step that goes on, and the search ends
+when no start promises to do better than the best has done.
 
-"finite_difference" is the paper's: from places spread along the outline it walks along it, and
-turns, by the sign of finite differences, with steps that halve. "exhaustive" tries every place with
-every direction of a grid, and walks on in the same manner from the best of its nodes: the
-yardstick.
+"finite_difference" is the paper's method. From places spread along the outline it walks to better
+neighbors, along the outline and turned, with steps that halve.
+
+"exhaustive" tries every place with every direction of a grid, and walks on in the same manner from
+the best of its nodes. It is slow, and what the other two are compared with.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from time import perf_counter
@@ -47,8 +48,11 @@ from gridpush_drake.planning.push_constraints import PushConstraints
 ContactMethod = Literal["gradient", "finite_difference", "exhaustive"]
 
 REACH_FACTOR = 1.25
-"""The longest push tried is this times the farthest that a cell has to go, unless the range ends
-before."""
+"""The longest push that is tried is this many times as long as the longest way that a cell has to
+go, unless the range of distances ends before."""
+
+MAX_CANDIDATES = 16
+"""Greatest number of pushes that a search reports."""
 
 
 class ContactPlanStatus(StrEnum):
@@ -69,7 +73,7 @@ class ContactPlan:
             best first.
         start_cost: mean cell error before the push, m.
         method: of the search.
-        simulations: simulated pushes; one with its Jacobian counts as one.
+        simulations: number of simulated pushes; one with its Jacobian counts as one.
         seconds: wall-clock time.
         status: "ok"; "no_improvement" where the best allowed push leaves the object no nearer to
             the goal; "no_reachable_contact" where there is none.
@@ -89,9 +93,6 @@ class ContactPlan:
         return self.start_cost if self.push is None else self.push.cost
 
 
-MAX_CANDIDATES = 16
-
-
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def optimize_contact(
     obj: GridObject,
@@ -106,10 +107,13 @@ def optimize_contact(
     """Chooses the push that brings an object nearest to a goal pose.
 
     Args:
-        pose: (3,) q_W where it lies, m and rad.
-        goal: (3,) where it should.
+        obj: the object.
+        params: its masses and frictions by the model.
+        pose: (3,) where it lies, X_WB, m and rad.
+        goal: (3,) where it should, X_WB, m and rad.
         method: "gradient", "finite_difference" (the paper's) or "exhaustive".
         constraints: table, obstacles and further rules; none by default.
+        options: what pushes may be chosen from, and how they are searched for.
 
     Raises:
         PlanningError: an argument is out of range, or the finger fits nowhere on the outline.
@@ -118,73 +122,126 @@ def optimize_contact(
     if method not in METHODS:
         raise PlanningError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
     options = options or ContactOptions()
-    q, aim = (
-        check_vector(PlanningError, "pose", pose, 3),
-        check_vector(PlanningError, "goal", goal, 3),
-    )
+    q = check_vector(PlanningError, "pose", pose, 3)
+    aim = check_vector(PlanningError, "goal", goal, 3)
     runner = make_runner(obj, params, q, aim, constraints, options)
     trials = METHODS[method](runner)[:MAX_CANDIDATES]
     found = tuple(runner.finish(trial, runner.simulations) for trial in trials)
     start_cost = float(calc_goal_error(obj, q, aim))
-    status = ContactPlanStatus.NO_REACHABLE_CONTACT
-    if found:
-        status = (
-            ContactPlanStatus.OK if found[0].cost < start_cost else ContactPlanStatus.NO_IMPROVEMENT
-        )
+    if not found:
+        status = ContactPlanStatus.NO_REACHABLE_CONTACT
+    elif found[0].cost < start_cost:
+        status = ContactPlanStatus.OK
+    else:
+        status = ContactPlanStatus.NO_IMPROVEMENT
     return ContactPlan(
-        found[0] if found else None,
-        found,
-        start_cost,
-        method,
-        runner.simulations,
-        perf_counter() - begin,
-        status,
+        push=found[0] if found else None,
+        candidates=found,
+        start_cost=start_cost,
+        method=method,
+        simulations=runner.simulations,
+        seconds=perf_counter() - begin,
+        status=status,
     )
 
 
 def make_runner(
-    obj: GridObject, params: CellParameters, pose: Array, goal: Array, constraints: PushConstraints | None,
+    obj: GridObject,
+    params: CellParameters,
+    pose: Array,
+    goal: Array,
+    constraints: PushConstraints | None,
     options: ContactOptions,
-) -> TrialRunner:  # fmt: skip
-    """What simulates the pushes of a search, from a pose to a goal."""
+) -> TrialRunner:
+    """Makes what simulates the pushes of a search; arguments as of `optimize_contact`."""
     if params.n != obj.n:
         raise PlanningError(f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has")
     reach = find_reachable_outline(obj, options.radius, options.clearance)
     longest = float(np.linalg.norm(obj.cells_at(pose) - obj.cells_at(goal), axis=1).max())
-    low, high = options.distance_range
-    high = max(low, min(high, REACH_FACTOR * longest + options.clearance + low))
-    checker = (constraints or PushConstraints()).start_at(obj, pose, options.radius)
-    return TrialRunner(obj, params, pose, goal, reach, checker, options, (low, high))
+    least, greatest = options.distance_range
+    greatest = max(least, min(greatest, REACH_FACTOR * longest + options.clearance + least))
+    return TrialRunner(
+        obj=obj,
+        params=params,
+        pose=pose,
+        goal=goal,
+        reach=reach,
+        checker=(constraints or PushConstraints()).start_at(obj, pose, options.radius),
+        options=options,
+        distance_range=(least, greatest),
+    )
 
 
 Search = Callable[[TrialRunner], list[Trial]]
-"""From what simulates pushes to the trials found, best first."""
+"""A method: takes what simulates pushes, and returns the trials that it found, best first."""
 
-FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 0.03, 1e-3, 30.0
-"""lambda at first, and between what it stays; above, a start has come to its end."""
+# Of the gradient search.
 
-LOOSEN, TIGHTEN = 0.3, 6.0  # factors of lambda after a step that helped and one that did not
-MAX_STEP, MAX_TURN = 0.12, 0.5  # of a step: share of the perimeter, and rad
+FIRST_DAMPING = 0.03
+"""lambda of a start's first step."""
 
-SAME_PLACE, SAME_TURN = 0.03, 0.2
-"""Share of the perimeter and rad within which a start has run into a better one, and ends."""
+MIN_DAMPING = 1e-3
+"""Least lambda, however many steps helped."""
 
-GAIN_FACTOR = 2.0  # how many times its next step's predicted gain a start may still improve
+MAX_DAMPING = 30.0
+"""A start whose lambda becomes larger than this has come to its end."""
 
-DIFFERENCE_PLACE, DIFFERENCE_TURN = 0.04, 0.25
-"""First steps of the finite-difference walk: share of the perimeter, and rad."""
+LOOSEN = 0.3
+"""lambda is multiplied by this after a step that helped."""
 
-HALVINGS = 4  # after so many the walk ends
+TIGHTEN = 6.0
+"""lambda is multiplied by this after a step that did not help."""
+
+MAX_STEP = 0.12
+"""Greatest step along the outline, as a share of its perimeter."""
+
+MAX_TURN = 0.5
+"""Greatest step of the direction, rad."""
+
+SAME_PLACE = 0.03
+"""If a start comes as near as this to a better one, as a share of the perimeter, and as near as
+`SAME_TURN` in direction, it ends."""
+
+SAME_TURN = 0.2
+"""Difference of direction below which two starts may be the same, rad; see `SAME_PLACE`."""
+
+GAIN_FACTOR = 2.0
+"""A start is taken to be able to improve by this many times the predicted gain of its next step."""
+
+TINY = 1e-12
+"""Replaces a divisor or a diagonal element that may be zero."""
+
+SAME_CONTACT = 1e-6
+"""If neither the arc length, m, nor the angle, rad, changes by more than this, the step leads
+nowhere new, and is not simulated."""
+
+# Of the walks along the outline.
+
+DIFFERENCE_PLACE = 0.04
+"""First step of the finite-difference walk along the outline, as a share of its perimeter."""
+
+DIFFERENCE_TURN = 0.25
+"""First step of the finite-difference walk in direction, rad."""
+
+HALVINGS = 4
+"""Number of step sizes, each half the one before, after which the finite-difference walk ends."""
 
 REFINEMENTS = 6
-"""Halvings of the exhaustive search's steps from the best nodes of its grid, half the grid's at
-first: of a long push a millimeter along the outline may move the end by centimeters, which no grid
-resolves."""
+"""Number of step sizes with which the exhaustive search walks on from a node, the first half the
+grid's spacing. With a long push, a millimeter along the outline may move the end by centimeters,
+which no grid resolves."""
 
 
 @dataclass(eq=False)
 class _Walk:
-    """A start of the gradient search, and where it has come to."""
+    """A start of the gradient search, and where it has come to.
+
+    Attributes:
+        trial: the best trial so far.
+        damping: lambda of the next step.
+        step: (3,) dx, the next step in (s, phi, d); None where the walk has come to its end.
+        gain: by how much the cost is predicted to fall in the next step, m.
+    """
 
     trial: Trial
     damping: float = FIRST_DAMPING
@@ -193,36 +250,42 @@ class _Walk:
 
     @property
     def attainable_cost(self) -> float:
+        """The lowest cost that the walk promises, m."""
         return self.trial.cost - GAIN_FACTOR * self.gain
+
+    def end(self) -> None:
+        """Takes no further step."""
+        self.step = None
+        self.gain = 0.0
 
 
 def search_by_gradient(runner: TrialRunner) -> list[Trial]:
-    """Descends from screened starts; one trial a start, best first."""
-    beginnings = screen(runner)
-    walks, options = [], runner.options
-    for s, piece, angle in zip(
-        beginnings.arc_length, beginnings.piece, beginnings.angle, strict=True
-    ):
+    """Descends from screened starts; returns one trial for each start, best first."""
+    options = runner.options
+    starts = screen(runner)
+    walks: list[_Walk] = []
+    for s, piece, angle in zip(starts.arc_length, starts.piece, starts.angle, strict=True):
         walk = _Walk(runner.run(float(s), int(piece), float(angle), gradient=True))
         if np.isfinite(walk.trial.cost):
             _plan_step(walk, runner)
             walks.append(walk)
     while walks and runner.simulations < options.budget:
-        best = min(walk.trial.cost for walk in walks)
+        # The walk that promises most goes on, as long as it promises more than the best has got.
+        lowest_cost = min(walk.trial.cost for walk in walks)
         walk = min(
             walks, key=lambda walk: walk.attainable_cost if walk.step is not None else np.inf
         )
-        if walk.step is None or walk.attainable_cost > best - options.min_improvement:
+        if walk.step is None or walk.attainable_cost > lowest_cost - options.min_improvement:
             break
         if any(_has_run_into(walk, other, runner) for other in walks):
-            walk.step, walk.gain = None, 0.0
-            continue
-        _advance(walk, runner)
+            walk.end()
+        else:
+            _advance(walk, runner)
     return sorted((walk.trial for walk in walks), key=lambda trial: trial.cost)
 
 
 def _has_run_into(walk: _Walk, other: _Walk, runner: TrialRunner) -> bool:
-    """Whether another start is better, and near."""
+    """Whether another walk is at a better place, and near."""
     if other is walk or other.trial.cost > walk.trial.cost:
         return False
     gap = abs(walk.trial.arc_length - other.trial.arc_length)
@@ -231,58 +294,76 @@ def _has_run_into(walk: _Walk, other: _Walk, runner: TrialRunner) -> bool:
 
 
 def _plan_step(walk: _Walk, runner: TrialRunner) -> None:
-    """Solves for the next step and what it is predicted to gain; none where it is not worth a simulation."""
-    slope, H = walk.trial.slope, walk.trial.curvature
+    """Solves for the next step of a walk and its gain.
+
+    The walk ends where the step is not worth a simulation.
+    """
+    slope = walk.trial.slope
+    H = walk.trial.curvature
     assert slope is not None and H is not None
-    free = np.ones(3, dtype=bool)
+    if walk.damping > MAX_DAMPING:
+        walk.end()
+        return
+    # An angle at the end of its range, beyond which the cost would fall, is no unknown.
     low, high = runner.options.angle_range
-    if (walk.trial.angle <= low and slope[1] > 0) or (walk.trial.angle >= high and slope[1] < 0):
+    angle = walk.trial.angle
+    free = np.ones(3, dtype=bool)
+    if (angle <= low and slope[1] > 0) or (angle >= high and slope[1] < 0):
         free[1] = False
+    # (H + lambda diag H) dx = -dC/dx, shortened to what the model may be trusted for.
+    damped = H + walk.damping * np.diag(np.maximum(np.diag(H), TINY))
+    dx = np.zeros(3)
+    dx[free] = np.linalg.solve(damped[np.ix_(free, free)], -slope[free])
     limit = np.array([MAX_STEP * runner.reach.perimeter, MAX_TURN, np.inf])
-    while walk.damping <= MAX_DAMPING:
-        damped = H + walk.damping * np.diag(np.maximum(np.diag(H), 1e-12))
-        x = np.zeros(3)
-        x[free] = np.linalg.solve(damped[np.ix_(free, free)], -slope[free])
-        x *= min(1.0, float(np.min(limit / np.maximum(np.abs(x), 1e-12))))
-        walk.step, walk.gain = x, float(-(slope @ x + x @ H @ x / 2))
-        break
-    if walk.damping > MAX_DAMPING or walk.gain * GAIN_FACTOR < runner.options.min_improvement:
-        walk.step, walk.gain = None, 0.0
+    dx *= min(1.0, float(np.min(limit / np.maximum(np.abs(dx), TINY))))
+    walk.step = dx
+    walk.gain = float(-(slope @ dx + dx @ H @ dx / 2))
+    if walk.gain * GAIN_FACTOR < runner.options.min_improvement:
+        walk.end()
 
 
 def _advance(walk: _Walk, runner: TrialRunner) -> None:
-    """Tries the step; keeps it where it helps."""
+    """Tries the next step of a walk, keeps it where it helps, and plans the one after it."""
     assert walk.step is not None
     s, piece, angle = move(runner, walk.trial, walk.step[0], walk.step[1])
-    same_place = abs(s - walk.trial.arc_length) < 1e-6 and abs(angle - walk.trial.angle) < 1e-6
-    trial = walk.trial if same_place else runner.run(s, piece, angle, gradient=True)
+    trial = walk.trial
+    moved = abs(s - trial.arc_length) >= SAME_CONTACT or abs(angle - trial.angle) >= SAME_CONTACT
+    if moved:
+        trial = runner.run(s, piece, angle, gradient=True)
     if trial.cost < walk.trial.cost:
-        walk.trial, walk.damping = trial, max(MIN_DAMPING, walk.damping * LOOSEN)
+        walk.trial = trial
+        walk.damping = max(MIN_DAMPING, walk.damping * LOOSEN)
     else:
         walk.damping *= TIGHTEN
     _plan_step(walk, runner)
 
 
 def move(runner: TrialRunner, trial: Trial, by: float, turn: float) -> tuple[float, int, float]:
-    """Moves a trial by m along the outline, counterclockwise, and turns it by rad, its direction held in the body.
+    """Moves a trial along the outline and turns it, its direction held in the body frame.
 
-    Returns the nearest reachable arc length, m, its piece, and the angle from the normal there,
-    rad.
+    Args:
+        runner: knows the outline.
+        trial: the trial.
+        by: how far to move along the outline, counterclockwise, m.
+        turn: by how much to turn the direction, rad.
+
+    Returns:
+        The nearest reachable arc length, m, its piece, and the angle from the normal there, rad.
     """
-    places, pieces = runner.reach.find_nearest(trial.arc_length + by)
-    piece = int(pieces)
-    old, new = runner.reach.tangent[trial.piece], runner.reach.tangent[piece]
+    arc_length, piece_there = runner.reach.find_nearest(trial.arc_length + by)
+    piece = int(piece_there)
+    # The angle is from the normal, which turns with the edge.
+    old = runner.reach.tangent[trial.piece]
+    new = runner.reach.tangent[piece]
     bend = float(np.arctan2(old[0] * new[1] - old[1] * new[0], old @ new))
-    return (
-        float(places),
-        piece,
-        float(np.clip(trial.angle + turn - bend, *runner.options.angle_range)),
-    )
+    angle = np.clip(trial.angle + turn - bend, *runner.options.angle_range)
+    return float(arc_length), piece, float(angle)
 
 
 def search_by_differences(runner: TrialRunner) -> list[Trial]:
-    """The paper's walk along the outline; one trial a start, best first."""
+    """Walks along the outline as the paper does; returns one trial for each start, best first."""
     options = runner.options
+    # Starts are evenly spaced, straight pushes, the best of them first.
     spacing = runner.reach.perimeter / options.starts
     first = np.random.default_rng(options.seed).uniform(0, spacing)
     places, pieces = runner.reach.find_nearest(first + spacing * np.arange(options.starts))
@@ -290,15 +371,19 @@ def search_by_differences(runner: TrialRunner) -> list[Trial]:
     trials = [
         runner.run(float(s), int(piece), middle) for s, piece in zip(places, pieces, strict=True)
     ]
-    trials = sorted(
-        (trial for trial in trials if np.isfinite(trial.cost)), key=lambda trial: trial.cost
-    )
+    trials = _sort_allowed(trials)
     first_step = DIFFERENCE_PLACE * runner.reach.perimeter
-    for i, trial in enumerate(trials):
-        trials[i] = _walk_along(
-            runner, trial, first_step, DIFFERENCE_TURN, HALVINGS, options.budget
-        )
-    return sorted(trials, key=lambda trial: trial.cost)
+    walked = [
+        _walk_along(runner, trial, first_step, DIFFERENCE_TURN, HALVINGS, options.budget)
+        for trial in trials
+    ]
+    return sorted(walked, key=lambda trial: trial.cost)
+
+
+def _sort_allowed(trials: Sequence[Trial]) -> list[Trial]:
+    """The trials whose pushes are allowed, best first."""
+    allowed = (trial for trial in trials if np.isfinite(trial.cost))
+    return sorted(allowed, key=lambda trial: trial.cost)
 
 
 def _walk_along(
@@ -309,7 +394,19 @@ def _walk_along(
     halvings: int,
     budget: float = np.inf,
 ) -> Trial:
-    """Walks to better neighbors, `place` (m) along the outline or `turn` (rad) away, with steps that halve."""
+    """Walks to better neighbors until there are none, then with steps half as long, and so on.
+
+    Args:
+        runner: simulates the pushes.
+        trial: where the walk begins.
+        place: first step along the outline, m.
+        turn: first step of the direction, rad.
+        halvings: number of step sizes.
+        budget: number of the runner's simulations after which the walk ends.
+
+    Returns:
+        Where it ends.
+    """
     for _ in range(halvings):
         moved = True
         while moved and runner.simulations < budget:
@@ -317,16 +414,21 @@ def _walk_along(
             for by, angle in ((place, 0.0), (-place, 0.0), (0.0, turn), (0.0, -turn)):
                 if runner.simulations >= budget:
                     break
-                other = runner.run(*move(runner, trial, by, angle))
-                if other.cost < trial.cost:
-                    trial, moved = other, True
+                neighbor = runner.run(*move(runner, trial, by, angle))
+                if neighbor.cost < trial.cost:
+                    trial = neighbor
+                    moved = True
                     break
-        place, turn = place / 2, turn / 2
+        place /= 2
+        turn /= 2
     return trial
 
 
 def search_exhaustively(runner: TrialRunner) -> list[Trial]:
-    """Every place with every direction of a grid, the best of them walked on between its nodes, best first."""
+    """Tries every place with every direction of a grid, and walks on from the best of its nodes.
+
+    Returns a trial for each node, best first.
+    """
     options = runner.options
     spacing = runner.reach.length / options.places
     places, pieces = runner.reach.spread(spacing)
@@ -336,9 +438,8 @@ def search_exhaustively(runner: TrialRunner) -> list[Trial]:
         for s, piece in zip(places, pieces, strict=True)
         for angle in angles
     ]
-    trials = sorted(
-        (trial for trial in trials if np.isfinite(trial.cost)), key=lambda trial: trial.cost
-    )
+    trials = _sort_allowed(trials)
+    # What lies between the nodes: the steps begin with half the grid's spacing.
     turn = float(np.ptp(angles)) / max(options.angles - 1, 1) / 2
     walked = [
         _walk_along(runner, trial, spacing / 2, turn, REFINEMENTS)
@@ -353,4 +454,4 @@ METHODS: dict[str, Search] = {
     "finite_difference": search_by_differences,
     "exhaustive": search_exhaustively,
 }
-"""Names that `optimize_contact` takes."""
+"""The methods by the names that `optimize_contact` takes."""

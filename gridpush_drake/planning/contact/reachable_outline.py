@@ -1,11 +1,12 @@
 """Where on an object's outline a disc can touch it.
 
-A disc of radius r that touches the outline has its center at distance r from the object, nowhere
-nearer: on the boundary of the object grown by r. Of an edge's offset by r, only the pieces on that
-boundary are reachable: what lies within the grown object is in a concavity narrower than the disc,
-or too near a reflex vertex. In the piecewise-linear outline an edge belongs to the normal that it
-has, so that a vertex is the end of two edges; the arcs about convex vertices are left to the ends
-of the edges beside them.
+A disc of radius r that touches the outline has its center at distance r from the object, and nowhere
+nearer: it is on the boundary of the object grown by r. So of each edge, set off by r, only those
+pieces are reachable that lie on that boundary. What lies within the grown object is in a concavity
+narrower than the disc, or too near a reflex vertex.
+
+A place is told by its arc length and its edge, for the edge says what the normal is there. A vertex
+is the end of two edges; that the disc can also touch it from the directions in between is left out.
 """
 
 from dataclasses import dataclass
@@ -19,9 +20,14 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 
-TOUCHING = 1e-6  # m; a disc this much inside the object still counts as touching
-ARC_SEGMENTS = 64  # chords of a quarter circle, of the grown object
-MIN_PIECE = 1e-5  # m; a reachable piece must be longer, unless its edge is not
+TOUCHING = 1e-6
+"""A disc that is this much inside the object still counts as touching it, m."""
+
+ARC_SEGMENTS = 64
+"""Number of chords of a quarter circle in the outline of the grown object."""
+
+MIN_PIECE = 1e-5
+"""A reachable piece must be longer than this, m, unless its edge is not."""
 
 END_ROOM = 1e-7
 """Reachable pieces end this share of the perimeter short of a vertex, where the normal is still the
@@ -48,7 +54,7 @@ class ReachableOutline:
 
     @property
     def length(self) -> float:
-        """Of all pieces, m."""
+        """Length of all pieces together, m."""
         return float((self.high - self.low).sum())
 
     @property
@@ -62,9 +68,17 @@ class ReachableOutline:
         return np.column_stack([self.tangent[:, 1], -self.tangent[:, 0]])
 
     def find_nearest(self, arc_length: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
-        """The nearest reachable arc lengths (..., m) and the pieces (...,) they are on, round the perimeter."""
+        """Finds the nearest reachable places, where the outline begins again after the perimeter.
+
+        Args:
+            arc_length: (...,) m.
+
+        Returns:
+            The nearest reachable arc lengths (...,), m, and the pieces (...,) that they are on.
+        """
         s = np.mod(np.asarray(arc_length, dtype=np.float64), self.perimeter)[..., None]
         turns = np.array([-1.0, 0.0, 1.0]) * self.perimeter
+        # Each arc length as it is, a turn less and a turn more, clipped to every piece: (..., P, 3).
         shifted = s[..., None] + turns
         clipped = np.clip(shifted, self.low[:, None], self.high[:, None])
         gap = np.abs(clipped - shifted).min(axis=-1)
@@ -75,24 +89,38 @@ class ReachableOutline:
         return np.clip(s[..., 0] + turns[best], self.low[piece], self.high[piece]), piece
 
     def spread(self, spacing: float) -> tuple[Array, NDArray[np.int64]]:
-        """Arc lengths `spacing` or less apart, m, and their pieces; evenly, short pieces taken together."""
+        """Spreads places evenly over all pieces, which are taken together.
+
+        Args:
+            spacing: greatest distance between neighboring places, m.
+
+        Returns:
+            Arc lengths, m, and the pieces that they are on.
+        """
         count = max(1, int(np.ceil(self._ends[-1] / spacing)))
         return self.locate((np.arange(count) + 0.5) / count)
 
     def locate(self, share: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
-        """Arc lengths (..., m) at shares (...,) of the pieces' length, 0 to below 1, and the pieces (...,) there."""
+        """Finds places by the share of all pieces' length that is before them.
+
+        Args:
+            share: (...,) 0 to below 1.
+
+        Returns:
+            Arc lengths (...,), m, and the pieces (...,) that they are on.
+        """
         ends = self._ends
         traveled = ends[-1] * np.asarray(share, dtype=np.float64)
         piece = np.searchsorted(ends, traveled, side="right")
         return self.high[piece] - (ends[piece] - traveled), piece
 
     def calc_share(self, arc_length: float, piece: int) -> float:
-        """The share of the pieces' length at which an arc length (m) of a piece lies: the inverse of `locate`."""
+        """Calculates the share of all pieces' length before an arc length (m) of a piece, the inverse of `locate`."""
         ends = self._ends
         return float((ends[piece] - (self.high[piece] - arc_length)) / ends[-1])
 
     def point(self, arc_length: Array, piece: NDArray[np.int64]) -> Array:
-        """(..., 2) outline points, body frame, m."""
+        """Calculates points of the outline, (..., 2), body frame, m, at arc lengths (..., m) on pieces (...,)."""
         return self.origin[piece] + arc_length[..., None] * self.tangent[piece]
 
 
@@ -100,7 +128,12 @@ class ReachableOutline:
 def find_reachable_outline(
     obj: GridObject, radius: float, clearance: float = 0.0
 ) -> ReachableOutline:
-    """Finds where a disc of `radius` (m), with a gap of `clearance` (m) that must be free too, can begin to push.
+    """Finds where a disc can begin to push an object.
+
+    Args:
+        obj: the object.
+        radius: of the disc, m.
+        clearance: gap between disc and object at the beginning, m, which must be free, too.
 
     Raises:
         PlanningError: the radius is not positive, the clearance negative, or there is no reachable
@@ -109,34 +142,41 @@ def find_reachable_outline(
     require_positive(PlanningError, unit="m", radius=radius)
     if not (np.isfinite(clearance) and clearance >= 0):
         raise PlanningError(f"clearance is {clearance!r}; expected a number >= 0 (m)")
-    edges, reach = obj.edges, radius + clearance
+    edges = obj.edges
     count = edges.exterior_count
-    start, end, first = edges.start[:count], edges.end[:count], edges.arc_length[:count]
+    start = edges.start[:count]
+    end = edges.end[:count]
+    first = edges.arc_length[:count]
     lengths = np.linalg.norm(end - start, axis=1)
     tangent = (end - start) / lengths[:, None]
     normal = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    room = END_ROOM * edges.perimeter
+    # Every edge set off by the disc, and the object grown by the disc.
+    reach = radius + clearance
     offset = shapely.linestrings(np.stack([start + reach * normal, end + reach * normal], axis=1))
     grown = shapely.buffer(
         shapely.Polygon(obj.outline.exterior), reach - TOUCHING, quad_segs=ARC_SEGMENTS
     )
+    # What of each edge is not within the grown object: rows of edge, and arc lengths at both ends.
+    room = END_ROOM * edges.perimeter
     rows = []
     for i, free in enumerate(shapely.difference(offset, grown)):
         for piece in getattr(free, "geoms", [free]):
             along = (np.array(piece.coords) - offset[i].coords[0]) @ tangent[i]
-            if len(along) and np.ptp(along) > min(MIN_PIECE, lengths[i] / 2):
-                rows.append(
-                    (
-                        i,
-                        first[i] + max(along.min(), room),
-                        first[i] + min(along.max(), lengths[i] - room),
-                    )
-                )
-    rows = [row for row in rows if row[2] > row[1]]
+            if not len(along) or np.ptp(along) <= min(MIN_PIECE, lengths[i] / 2):
+                continue
+            low = first[i] + max(along.min(), room)
+            high = first[i] + min(along.max(), lengths[i] - room)
+            if high > low:
+                rows.append((i, low, high))
     if not rows:
         raise PlanningError(
             f"{obj.name}: no place on the outline that a disc of radius {radius} m can touch"
         )
-    edge, low, high = (np.array(column) for column in zip(*rows, strict=True))
-    origin = start[edge] - first[edge, None] * tangent[edge]
-    return ReachableOutline(low, high, tangent[edge], origin, edges.perimeter)
+    edge, begins, ends = (np.array(column) for column in zip(*rows, strict=True))
+    return ReachableOutline(
+        low=begins,
+        high=ends,
+        tangent=tangent[edge],
+        origin=start[edge] - first[edge, None] * tangent[edge],
+        perimeter=edges.perimeter,
+    )

@@ -1,20 +1,28 @@
 """One simulated push of a contact search: how near it comes to the goal, and where a better one is.
 
-A straight push at one place and in one direction passes through all its shorter selves, so that a
-single simulation tells the best distance too: the cost at (arc length s, direction phi) is that of
-the best allowed pose of the motion,
+The cost of a pose q is the mean distance of the n cells' centers from where they are at the goal,
 
-    f(s, phi) = min_d C(q(s, phi, d)),   C(q) = 1/n sum_i |p_i(q) - p_i(goal)|.
+    C(q) = 1/n sum_i |r_i|,   r_i = p_i(q) - p_i(goal)
 
-With the exact Jacobian dq/d(s, phi, d), from the same simulation, C's gradient is  1/n sum_i
-r_i^T/|r_i| dp_i/dq dq/dx, and  H = 1/n sum_i (dp_i/dx)^T (dp_i/dx) / |r_i|  is the Gauss-Newton
-matrix of the sum of norms (each norm replaced by the parabola that touches it from above). A
-simulation with its Jacobian counts as one simulation.
+A straight push at arc length s, in direction phi, on its way of length d passes through the end of
+every shorter one. So a single simulation tells the best distance, too: the cost of (s, phi) is that
+of the best allowed pose of the motion,
 
-A push that was chosen, and what the model expects of it.
+    f(s, phi) = min_d C(q(s, phi, d))
+
+With the exact Jacobian dq/dx by x = (s, phi, d), from the same simulation, the gradient of C and
+the Gauss-Newton matrix H are
+
+    dC/dx = 1/n sum_i r_i^T / |r_i| dp_i/dx
+    H     = 1/n sum_i (dp_i/dx)^T (dp_i/dx) / |r_i|,     dp_i/dx = dp_i/dq dq/dx
+
+In H each norm is replaced by the parabola that touches it from above. A simulation with its
+Jacobian counts as one simulation. The theory is in `docs/theory/planning.md`, section 1.
+
+`Trial` is a push under trial, `TrialRunner` simulates it, `PlannedPush` is a push that was chosen.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,16 +64,39 @@ class PlannedPush:
 
     def __repr__(self) -> str:
         """How far it pushes and what is left to the goal, in a line."""
-        return f"PlannedPush of {self.distance * MM:.0f} mm: {self.cost * MM:.1f} mm from the goal afterwards"
+        return (
+            f"PlannedPush of {self.distance * MM:.0f} mm: {self.cost * MM:.1f} mm from the goal "
+            "afterwards"
+        )
 
 
 def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
-    """Mean distance of the cells' centers between poses (..., 3) and one goal pose (3,), (...,) m (the paper's ADD)."""
+    """Calculates C, the mean distance of the cells' centers from where they are at a goal (the paper's ADD).
+
+    Args:
+        obj: the object.
+        pose: (..., 3) poses, X_WB, m and rad.
+        goal: (3,) the goal pose.
+
+    Returns:
+        (...,) m.
+    """
     difference = obj.cells_at(pose) - obj.cells_at(goal)
     return np.asarray(np.hypot(difference[..., 0], difference[..., 1]).mean(axis=-1))
 
 
-DEFAULT_RADIUS = 0.008  # of a finger of which nothing else is said, m: `models/fingers/rod`'s
+DEFAULT_RADIUS = 0.008
+"""Radius of a finger of which nothing else is known, m: that of `models/fingers/rod`."""
+
+RECORD_EVERY = 4
+"""The Jacobian is recorded at every so manieth step of a motion."""
+
+MIN_RESIDUAL = 1e-4
+"""A cell that is nearer than this to where it should be weighs no more in H than at this distance,
+m."""
+
+DISTANCE_TOUCH = 1e-9
+"""A push this much shorter than the least distance still counts as long enough, m, for round-off."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +111,12 @@ class ContactOptions:
         physics: of the simulations, such as that of a learned model; the regime "auto" becomes the
             one that suits `speed`.
         angle_range: least and greatest angle of the motion from the inward normal, rad.
-        starts: of the gradient and the finite-difference search.
-        budget: most simulations of the gradient and the finite-difference search.
-        min_improvement: of the cost that is worth a simulation, m.
-        places: of the exhaustive search's grid, along the outline.
-        angles: of the exhaustive search's grid, at each place.
-        refined: best nodes of that grid that are walked on from.
+        starts: number of starts of the gradient and the finite-difference search.
+        budget: greatest number of simulations of the gradient and the finite-difference search.
+        min_improvement: least improvement of the cost that is worth a simulation, m.
+        places: number of places of the exhaustive search's grid, along the outline.
+        angles: number of angles of the exhaustive search's grid, at each place.
+        refined: number of nodes of that grid, the best ones, from which is searched further.
         seed: of the finite-difference search's first place.
 
     Raises:
@@ -128,53 +159,95 @@ class ContactOptions:
         return self.physics.resolve_for(obj, params, self.speed)
 
 
-RECORD_EVERY = 4  # steps between those whose Jacobian is kept
-MIN_RESIDUAL = 1e-4  # m, below which a cell's error weighs no more in the Gauss-Newton matrix
-
-
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A simulated push, at its best distance."""
+    """A simulated push, at its best distance.
 
-    arc_length: float  # m
-    piece: int  # of the reachable outline
-    angle: float  # from the inward normal, rad
-    distance: float  # m
-    pose: Array  # (3,) q_W at its end
-    cost: float  # mean cell error to the goal, m; infinite where the push is not allowed
-    slope: Array | None = (
-        None  # (3,) of the cost by arc length, direction and distance; None where not asked for
-    )
-    curvature: Array | None = None  # (3, 3) Gauss-Newton matrix of the same
+    Attributes:
+        arc_length: s, where on the exterior outline the disc touches, m.
+        piece: index of the piece of the reachable outline there.
+        angle: of the motion from the inward normal there, rad.
+        distance: d, m.
+        pose: (3,) of the object at the push's end, X_WB, m and rad.
+        cost: C there, m; infinite where the push is not allowed.
+        slope: (3,) dC/dx by x = (s, phi, d); None where it was not asked for.
+        curvature: (3, 3) H; None where it was not asked for.
+    """
+
+    arc_length: float
+    piece: int
+    angle: float
+    distance: float
+    pose: Array
+    cost: float
+    slope: Array | None = None
+    curvature: Array | None = None
 
 
 @dataclass(eq=False)
 class TrialRunner:
-    """Simulates pushes from one pose towards one goal, and counts them."""
+    """Simulates pushes from one pose towards one goal, and counts them.
+
+    Attributes:
+        obj: the object.
+        params: its masses and frictions by the model.
+        pose: (3,) where it lies, X_WB, m and rad.
+        goal: (3,) where it should, X_WB, m and rad.
+        reach: where on the outline the disc can touch.
+        checker: the rules that a push must keep.
+        options: what pushes may be chosen from.
+        distance_range: least and greatest distance that are tried, m.
+        simulations: number of simulations so far.
+    """
 
     obj: GridObject
     params: CellParameters
-    pose: Array  # (3,) where it lies
-    goal: Array  # (3,) where it should
-    reach: ReachableOutline  # where the disc can touch
+    pose: Array
+    goal: Array
+    reach: ReachableOutline
     checker: PushChecker
-    options: ContactOptions  # what pushes may be chosen from
-    distance_range: tuple[float, float]  # least and greatest distance that are tried, m
-    simulations: int = 0  # run so far
+    options: ContactOptions
+    distance_range: tuple[float, float]
+    simulations: int = 0
 
     def make_push(self, arc_length: float, angle: float, distance: float) -> Push:
-        """The push with these parameters."""
+        """Makes the push at an arc length, m, with an angle, rad, and of a distance, m."""
         return Push.on_outline(
-            self.obj, arc_length, angle, distance, radius=self.options.radius, speed=self.options.speed,
-            pose=self.pose, clearance=self.options.clearance,
-        )  # fmt: skip
+            self.obj,
+            arc_length,
+            angle,
+            distance,
+            radius=self.options.radius,
+            speed=self.options.speed,
+            pose=self.pose,
+            clearance=self.options.clearance,
+        )
 
     def run(self, arc_length: float, piece: int, angle: float, gradient: bool = False) -> Trial:
-        """Simulates the longest push at a place and angle, and takes its best allowed part."""
-        push = self.make_push(arc_length, angle, self.distance_range[1])
-        failed = Trial(arc_length, piece, angle, self.distance_range[1], self.pose, np.inf)
+        """Simulates the longest push at a place and angle, and takes its best allowed part.
+
+        Args:
+            arc_length: s, m.
+            piece: of the reachable outline that s is on.
+            angle: from the inward normal, rad.
+            gradient: whether slope and curvature are wanted, too.
+
+        Returns:
+            The trial; of infinite cost where the push misses, or no part of it is allowed.
+        """
+        least, greatest = self.distance_range
+        push = self.make_push(arc_length, angle, greatest)
+        failed = Trial(
+            arc_length=arc_length,
+            piece=piece,
+            angle=angle,
+            distance=greatest,
+            pose=self.pose,
+            cost=np.inf,
+        )
         if not self.checker.allows_finger(push.start[None])[0]:
             return failed
+        # Simulate it, with the Jacobian at some of its steps.
         physics = self.options.resolve_physics(self.obj, self.params)
         times = make_path_times(push, physics.regime)
         record = np.unique(np.append(np.arange(0, len(times), RECORD_EVERY), len(times) - 1))
@@ -191,65 +264,104 @@ class TrialRunner:
         self.simulations += 1
         if motion.status in (MotionStatus.STARTED_OVERLAPPING, MotionStatus.NOT_CONVERGED):
             return failed
+        # The steps that are long enough, and allowed; of these the one nearest to the goal.
         traveled = self.options.speed * times
         usable = self.checker.count_allowed(motion.tip, motion.poses)
-        first = int(np.searchsorted(traveled, self.distance_range[0] - 1e-9))
+        first = int(np.searchsorted(traveled, least - DISTANCE_TOUCH))
         if usable <= first:
             return failed
         best, cost = self._find_nearest(motion.poses, first, usable)
         trial = Trial(
-            arc_length, piece, angle, float(traveled[best]), motion.poses[best].copy(), cost
+            arc_length=arc_length,
+            piece=piece,
+            angle=angle,
+            distance=float(traveled[best]),
+            pose=motion.poses[best].copy(),
+            cost=cost,
         )
         if not gradient:
             return trial
+        # dq/dx at the recorded step nearest to it; dq/dd by the poses before and after.
         row = int(np.argmin(np.abs(record - best)))
-        J, k = motion.jacobian, int(record[row])
+        k = int(record[row])
+        J = motion.jacobian
         assert J.contact_location is not None
-        onward = motion.poses[min(k + 1, len(times) - 1)] - motion.poses[max(k - 1, 0)]
-        onward = onward / (traveled[min(k + 1, len(times) - 1)] - traveled[max(k - 1, 0)])
-        dq = np.column_stack([J.contact_location[row], J.direction[row], onward])
-        slope, curvature = calc_cost_derivatives(self.obj, trial.pose, self.goal, dq)
+        after = min(k + 1, len(times) - 1)
+        before = max(k - 1, 0)
+        dq_dd = (motion.poses[after] - motion.poses[before]) / (traveled[after] - traveled[before])
+        dq_dx = np.column_stack([J.contact_location[row], J.direction[row], dq_dd])
+        slope, H = calc_cost_derivatives(self.obj, trial.pose, self.goal, dq_dx)
         # A distance that cannot change, for the range or a rule ends here, is no unknown.
         if best in (first, usable - 1):
-            slope, curvature = _exclude(slope, curvature, 2)
-        return Trial(
-            arc_length, piece, angle, trial.distance, trial.pose, trial.cost, slope, curvature
-        )
+            slope, H = _exclude(slope, H, 2)
+        return replace(trial, slope=slope, curvature=H)
 
     def _find_nearest(self, poses: Array, first: int, end: int) -> tuple[int, float]:
-        """Index of the pose in [first, end) nearest to the goal, looked for coarsely first, and its cost, m."""
+        """Finds the pose nearest to the goal, at first coarsely, then among its neighbors.
+
+        Args:
+            poses: (K, 3) of a motion.
+            first: index of the first pose that may be taken.
+            end: index after the last pose that may be taken.
+
+        Returns:
+            Its index and its cost, m.
+        """
         rows = np.unique(np.append(np.arange(first, end, RECORD_EVERY), end - 1))
         coarse = int(rows[np.argmin(calc_goal_error(self.obj, poses[rows], self.goal))])
-        begin, stop = max(first, coarse - RECORD_EVERY + 1), min(end, coarse + RECORD_EVERY)
+        begin = max(first, coarse - RECORD_EVERY + 1)
+        stop = min(end, coarse + RECORD_EVERY)
         costs = calc_goal_error(self.obj, poses[begin:stop], self.goal)
         return begin + int(np.argmin(costs)), float(costs.min())
 
     def finish(self, trial: Trial, simulations: int) -> PlannedPush:
-        """The trial as a planned push."""
-        push = self.make_push(trial.arc_length, trial.angle, trial.distance)
+        """Makes the planned push of a trial; `simulations` is how many the choice took."""
         return PlannedPush(
-            trial.arc_length, trial.angle, trial.distance, push, trial.pose, trial.cost, simulations
+            arc_length=trial.arc_length,
+            angle=trial.angle,
+            distance=trial.distance,
+            push=self.make_push(trial.arc_length, trial.angle, trial.distance),
+            pose=trial.pose,
+            cost=trial.cost,
+            simulations=simulations,
         )
 
 
 def calc_cost_derivatives(
-    obj: GridObject, pose: Array, goal: Array, dq: Array
+    obj: GridObject, pose: Array, goal: Array, dq_dx: Array
 ) -> tuple[Array, Array]:
-    """Gradient (k,) and Gauss-Newton matrix (k, k) of the mean cell error, by dq (3, k), the pose's by k parameters."""
-    residual = obj.cells_at(pose) - obj.cells_at(goal)
-    length = np.maximum(np.linalg.norm(residual, axis=1), MIN_RESIDUAL)
+    """Calculates dC/dx and H, see above.
+
+    Args:
+        obj: the object.
+        pose: (3,) q, X_WB, m and rad.
+        goal: (3,) the goal pose.
+        dq_dx: (3, k) derivatives of the pose by k parameters x.
+
+    Returns:
+        dC/dx (k,) and H (k, k).
+    """
+    r = obj.cells_at(pose) - obj.cells_at(goal)
+    length = np.maximum(np.linalg.norm(r, axis=1), MIN_RESIDUAL)
+    # dp_i/dq: the cell moves with the body's origin, and turns about it.
     arm = obj.cells_at(pose) - pose[:2]
-    dp = np.zeros((obj.n, 2, 3))
-    dp[:, 0, 0] = dp[:, 1, 1] = 1.0
-    dp[:, 0, 2], dp[:, 1, 2] = -arm[:, 1], arm[:, 0]
-    dx = dp @ dq
-    slope = np.einsum("ij,ijk->k", residual / length[:, None], dx) / obj.n
-    return slope, np.einsum("ijk,ijl,i->kl", dx, dx, 1.0 / length) / obj.n
+    dp_dq = np.zeros((obj.n, 2, 3))
+    dp_dq[:, 0, 0] = 1.0
+    dp_dq[:, 1, 1] = 1.0
+    dp_dq[:, 0, 2] = -arm[:, 1]
+    dp_dq[:, 1, 2] = arm[:, 0]
+    dp_dx = dp_dq @ dq_dx
+    slope = np.einsum("ij,ijk->k", r / length[:, None], dp_dx) / obj.n
+    H = np.einsum("ijk,ijl,i->kl", dp_dx, dp_dx, 1.0 / length) / obj.n
+    return slope, H
 
 
-def _exclude(slope: Array, curvature: Array, index: int) -> tuple[Array, Array]:
-    slope, curvature = slope.copy(), curvature.copy()
+def _exclude(slope: Array, H: Array, index: int) -> tuple[Array, Array]:
+    """The gradient (k,) and the matrix H (k, k) with which a step leaves one parameter as it is."""
+    slope = slope.copy()
     slope[index] = 0.0
-    curvature[index, :] = curvature[:, index] = 0.0
-    curvature[index, index] = 1.0
-    return slope, curvature
+    H = H.copy()
+    H[index, :] = 0.0
+    H[:, index] = 0.0
+    H[index, index] = 1.0
+    return slope, H
