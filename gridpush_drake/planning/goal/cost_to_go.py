@@ -1,14 +1,15 @@
 """How far an object still has to go, round obstacles and past edges: a cost-to-go over its planar poses.
 
-Where nothing is in between, the cost of a pose is the mean cell error to the goal. Where something
-is, the poses are cut into a lattice (position of the cells' centroid and angle), those that the
-rules forbid are left out, and the shortest paths from the goal found by Dijkstra's algorithm. A
-step of the lattice is as long as the cells move, about
+Where nothing is in between, the cost of a pose is C, the mean distance of the cells' centers from
+where they are at the goal. Where something is in between, the poses are cut into a lattice (position
+of the cells' centroid and angle), and those that the rules forbid are left out. Dijkstra's algorithm
+finds the shortest paths to the goal over the others. A step of the lattice is as long as the cells
+move, about
 
     sqrt(dx² + dy² + rho² dtheta²),   rho the radius of gyration.
 
-The path is a slid object's, not a pushed one's: it says where to go next, and pushes are then
-searched for.
+The path is that of an object that is slid freely, not of a pushed one. It says where to go next;
+pushes that lead there are then searched for (`docs/theory/planning.md`, section 2).
 """
 
 import numpy as np
@@ -20,14 +21,22 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.push_constraints import PushChecker
 
-LATTICE_STEP = (
-    0.03  # m between positions of the lattice; made wider where MAX_POSITIONS would be exceeded
-)
+LATTICE_STEP = 0.03
+"""Distance between neighboring positions of the lattice, m. It is made larger where there would be
+more positions than `MAX_POSITIONS`."""
 
 MAX_POSITIONS = 2500
-TURNS = 24  # angles of the lattice, in a whole turn
-ROOM = 0.25  # m about start, goal and obstacles within which paths are searched for, where there is no table
-LINE_STEP = 0.01  # m between poses that are checked along a straight path, as their cells move
+"""Greatest number of positions of the lattice."""
+
+TURNS = 24
+"""Number of angles of the lattice, in a whole turn."""
+
+ROOM = 0.25
+"""Where there is no table, paths are searched for as far as this about start, goal and obstacles,
+m."""
+
+LINE_STEP = 0.01
+"""Greatest way of a cell between two poses that are checked along a straight path, m."""
 
 NEIGHBORS = np.array(
     [
@@ -42,7 +51,8 @@ NEIGHBORS = np.array(
         (0, 1, -1),
     ]
 )
-"""Half of a lattice pose's neighbors; the others are their mirror images."""
+"""Half of a lattice pose's neighbors, as steps in x, y and angle; the others are their mirror
+images."""
 
 
 class CostToGo:
@@ -50,18 +60,22 @@ class CostToGo:
 
     Attributes:
         obj: the object.
-        goal: (3,) pose.
+        goal: (3,) the goal pose, X_WB, m and rad.
         checker: the rules.
-        direct: whether nothing can be in between: no obstacles, and a table that is convex or none.
+        direct: whether nothing can be in between: there are no obstacles, and the table is convex,
+            or there is none.
     """
 
     def __init__(self, obj: GridObject, start: Array, goal: Array, checker: PushChecker) -> None:
-        """Prepares the lattice, where one is needed."""
-        self.obj, self.goal, self.checker = obj, goal, checker
+        """Prepares the lattice, where one is needed, so that it reaches as far as `start` (3,)."""
+        self.obj = obj
+        self.goal = goal
+        self.checker = checker
         self._centroid = obj.p_BC.mean(axis=0)
         self.direct = not checker.has_obstacles and checker.table_is_convex
         if not self.direct:
-            self._build(start)
+            self._make_lattice(start)
+            self._find_paths()
 
     def calc_cost(self, pose: Array) -> float:
         """The cost-to-go of a pose (3,), m; infinite where no path leads to the goal."""
@@ -70,7 +84,11 @@ class CostToGo:
         return self._enter(pose)[1]
 
     def find_subgoals(self, pose: Array) -> list[Array]:
-        """Poses (3,) to aim for: the goal where nothing is in between, else places along the path; none without one."""
+        """Finds poses (3,) to aim for from a pose (3,).
+
+        They are the goal alone where nothing is in between, else a few places along the path, and
+        none where no path leads to the goal.
+        """
         if self.direct or self.is_clear(pose, self.goal):
             return [self.goal]
         node, cost = self._enter(pose)
@@ -81,66 +99,79 @@ class CostToGo:
             node = int(self._next[node])
             path.append(self._poses[node])
         path.append(self.goal)
+        # The farthest place on the path that can be reached straight, one halfway there, and one a
+        # little beyond it, which a push may still come near to.
         seen = [i for i, at in enumerate(path) if self.is_clear(pose, at)]
-        furthest = seen[-1] if seen else 0
-        chosen = {furthest, (furthest + 1) // 2, min(furthest + 2, len(path) - 1)}
+        farthest = seen[-1] if seen else 0
+        chosen = {farthest, (farthest + 1) // 2, min(farthest + 2, len(path) - 1)}
         return [path[i] for i in sorted(chosen, reverse=True)]
 
     def is_clear(self, a: Array, b: Array) -> bool:
         """Whether the object can be moved and turned straight from pose a (3,) to pose b (3,)."""
         turn = float(wrap_angle(b[2] - a[2]))
         radius = float(np.linalg.norm(self.obj.p_BC - self._centroid, axis=1).max())
-        length = (
-            float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max()) + abs(turn) * radius
-        )
+        way = float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max())
+        length = way + abs(turn) * radius
         share = np.linspace(0.0, 1.0, 2 + int(length / LINE_STEP))[:, None]
         center = (1 - share) * self._center(a) + share * self._center(b)
         poses = self._from_center(center, a[2] + share[:, 0] * turn)
         return bool(self.checker.allows_geometry(poses).all())
 
     def _center(self, pose: Array) -> Array:
+        """The cells' centroid (2,) in W at a pose (3,), m."""
         return transform(pose, self._centroid[None])[0]
 
     def _from_center(self, center: Array, theta: Array) -> Array:
+        """Poses (k, 3) with the cells' centroid at (k, 2), m, and angles (k,), rad."""
         return np.column_stack([center - rotate(theta, self._centroid), theta])
 
-    def _build(self, start: Array) -> None:
-        low, high = self.checker.bounds(
-            np.array([self._center(start), self._center(self.goal)]), ROOM
-        )
+    def _make_lattice(self, start: Array) -> None:
+        """Makes the lattice's poses, and finds out which of them the rules allow."""
+        ends = np.array([self._center(start), self._center(self.goal)])
+        low, high = self.checker.bounds(ends, ROOM)
         step = max(LATTICE_STEP, float(np.sqrt(np.prod(high - low) / MAX_POSITIONS)))
         counts = np.append(np.ceil((high - low) / step).astype(int) + 1, TURNS)
-        index = np.stack(
-            np.meshgrid(*(np.arange(count) for count in counts), indexing="ij"), axis=-1
-        ).reshape(-1, 3)
-        self._low, self._step, self._counts = low, step, counts
-        self._poses = self._from_center(low + step * index[:, :2], 2 * np.pi / TURNS * index[:, 2])
+        axes = [np.arange(count) for count in counts]
+        self._index = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        self._low = low
+        self._step = step
+        self._counts = counts
+        self._poses = self._from_center(
+            low + step * self._index[:, :2], 2 * np.pi / TURNS * self._index[:, 2]
+        )
         self._free = self.checker.allows_geometry(self._poses)
+
+    def _find_paths(self) -> None:
+        """Finds the cost of every lattice pose, and the next one on the way to the goal, by Dijkstra's algorithm."""
+        counts = self._counts
+        index = self._index
         nodes = np.arange(len(index)).reshape(counts)
         rho = self.obj.radius_of_gyration
-        rows, columns, weights = [], [], []
+        rows = []
+        columns = []
+        weights = []
+        # Edges between neighbors that are both allowed.
         for hop in NEIGHBORS:
             other = index + hop
             inside = ((other[:, :2] >= 0) & (other[:, :2] < counts[:2])).all(axis=1)
             a = np.flatnonzero(inside)
             b = nodes[other[a, 0], other[a, 1], other[a, 2] % TURNS]
             free = self._free[a] & self._free[b]
+            shift = self._step * np.hypot(hop[0], hop[1])
+            turn = rho * 2 * np.pi / TURNS * hop[2]
             rows.append(a[free])
             columns.append(b[free])
-            length = float(
-                np.hypot(step * np.hypot(hop[0], hop[1]), rho * 2 * np.pi / TURNS * hop[2])
-            )
-            weights.append(np.full(int(free.sum()), length))
+            weights.append(np.full(int(free.sum()), float(np.hypot(shift, turn))))
         # The goal is one more node, beside the lattice poses that see it.
         last = len(index)
         near = [
             node for node in self._near(self.goal) if self.is_clear(self.goal, self._poses[node])
         ]
+        errors = [calc_goal_error(self.obj, self._poses[node], self.goal) for node in near]
         rows.append(np.full(len(near), last))
         columns.append(np.array(near, dtype=np.int64))
-        weights.append(
-            np.array([calc_goal_error(self.obj, self._poses[node], self.goal) for node in near])
-        )
+        weights.append(np.array(errors))
+        # All shortest paths from the goal; the node before each on its path is the next one to go to.
         data = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
         graph = coo_array(data, shape=(last + 1, last + 1)).tocsr()
         cost, before = dijkstra(graph, directed=False, indices=last, return_predecessors=True)
@@ -148,7 +179,7 @@ class CostToGo:
         self._next = np.where(before[:last] == last, -1, before[:last])
 
     def _near(self, pose: Array) -> list[int]:
-        """The free lattice poses about a pose."""
+        """Indices of the allowed lattice poses about a pose (3,): two to either side in x, y and angle."""
         at = np.append((self._center(pose) - self._low) / self._step, pose[2] * TURNS / (2 * np.pi))
         nodes = []
         for offset in np.ndindex(4, 4, 4):
@@ -160,13 +191,16 @@ class CostToGo:
         return nodes
 
     def _enter(self, pose: Array) -> tuple[int, float]:
-        """The lattice pose by which the path leads from a pose, and its whole cost, m."""
+        """Finds the lattice pose by which the path leads from a pose (3,).
+
+        Returns:
+            Its index, and the cost of the whole path, m; -1 and inf where there is no path.
+        """
         nodes = [node for node in self._near(pose) if np.isfinite(self._cost[node])]
         if not nodes:
             return -1, np.inf
-        costs = self._cost[nodes] + np.array(
-            [calc_goal_error(self.obj, pose, self._poses[node]) for node in nodes]
-        )
+        first_steps = [calc_goal_error(self.obj, pose, self._poses[node]) for node in nodes]
+        costs = self._cost[nodes] + np.array(first_steps)
         for i in np.argsort(costs):
             if self.is_clear(pose, self._poses[nodes[i]]):
                 return nodes[i], float(costs[i])

@@ -1,21 +1,24 @@
 """The next push of a sequence: searches over one and two pushes, compared, and cut short where the model may be wrong.
 
 Horizon 1 aims for the goal itself (or, where something is in between, for places along the path).
-Horizon 2 asks, of the best few of these pushes and of pushes towards waypoints, such as the object
-turned first where it lies, how near a second push from their predicted end would come. One push
-that is good enough is taken; else the first of two that are; else the first of the two that come
-nearest. Where nothing gains, every place is tried with every direction.
+Horizon 2 asks of several first pushes how near a second push from their predicted end would come.
+The first pushes are the best few of horizon 1, and pushes towards waypoints, such as the object
+turned first where it lies. The decision is, in this order,
 
-A push is made only as far as it keeps the rules, with some leeway, not just by the model but by
-every sample: other models that may be the true one. By each of them its own center of friction must
-also stay over the table. Samples are drawn from the posterior; before anything was learned they are
-objects heavier towards one side,
+    one push, if that is good enough, or only one is looked ahead;
+    the first of two, if they come nearer;
+    where neither gains anything, the best of all places with all directions.
 
-    k_i ~ exp(a u · (p_i - c) / r),   u all around,   r the farthest cell's distance from the cells'
-    centroid c,
+A push is made only as far as it keeps the rules, with some leeway, by the model and by every sample:
+other models that may be the true one. By each of them its own center of friction must also stay
+over the table. Samples are drawn from the posterior. Before anything was learned they are objects
+that are heavier towards one side,
 
-little (a small) and much: where a push turns an object to either side, the worst is often in
-between.
+    k_i ~ exp(a u·(p_i - c) / r)
+
+with u all around, c the cells' centroid and r the farthest cell's distance from it. Several a are
+tried, for the most uneven object is not always the worst: a push may turn one object to the one
+side and another to the other. The theory is in `docs/theory/planning.md`, section 2.
 """
 
 from collections.abc import Sequence
@@ -40,18 +43,40 @@ from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.push_constraints import PushConstraints
 
+DEFAULT_TOLERANCE = 0.02
+"""Mean cell error at which a goal counts as reached, m: the paper's."""
+
+DEFAULT_MAX_PUSHES = 25
+"""Number of pushes after which a goal is given up."""
+
+BEAM = 3
+"""Number of first pushes towards the goal, the best ones, for which a second is searched for."""
+
+SECOND_STARTS = 5
+"""Number of starts of the search for a second push."""
+
+SECOND_BUDGET = 16
+"""Greatest number of simulations of the search for a second push."""
+
+MIN_GAIN = 0.001
+"""By how much a push must shorten what is left to go to be worth making, m."""
+
+ROUND_OFF = 1e-9
+"""By how much a center of friction may be nearer to the table's edge than allowed, m, for
+round-off."""
+
 
 @dataclass(frozen=True)
 class RobustnessOptions:
     """How many other models may be the true one, and what must hold by all of them.
 
     Attributes:
-        samples: from the posterior that a push is tried with.
+        samples: number of samples from the posterior that a push is tried with.
         tilts: a above: how uneven an object may be of which nothing is known.
-        sides: directions u of each.
-        leeway: m by which cells may hang over further by a sample than by the model.
-        center_margin: m by which the center of friction must stay over the table.
-        seed: of the draws.
+        sides: number of directions u for each tilt.
+        leeway: by how much more cells may hang over by a sample than by the model, m.
+        center_margin: how far inside the table's edge the center of friction must stay, m.
+        seed: of the samples.
     """
 
     samples: int = 6
@@ -68,15 +93,23 @@ def draw_model_samples(
     identification: Identification | None,
     options: RobustnessOptions,
 ) -> list[CellParameters]:
-    """Other models that may be the true one; `identification` is None where nothing was learned."""
+    """Makes other models that may be the true one.
+
+    Args:
+        obj: the object.
+        params: the model.
+        identification: that the model comes from; None where nothing was learned.
+        options: how many models to make.
+    """
     if identification is not None:
         return identification.samples(options.samples, options.seed)
+    # (p_i - c) and r of the equation above.
     arm = obj.p_BC - obj.p_BC.mean(axis=0)
-    farthest = max(float(np.linalg.norm(arm, axis=1).max()), obj.cell_size)
-    # along the object's longest axis first, where unevenness matters most
+    r = max(float(np.linalg.norm(arm, axis=1).max()), obj.cell_size)
+    # The first u is along the object's longest axis, where unevenness matters most.
     axis = np.linalg.eigh(arm.T @ arm)[1][:, -1]
-    turns = np.arctan2(axis[1], axis[0]) + 2 * np.pi * np.arange(options.sides) / options.sides
-    slopes = make_direction(turns) @ arm.T / farthest
+    angles = np.arctan2(axis[1], axis[0]) + 2 * np.pi * np.arange(options.sides) / options.sides
+    slopes = make_direction(angles) @ arm.T / r
     return [
         replace(params, mass=params.mass * np.exp(tilt * slope))
         for tilt in options.tilts
@@ -86,15 +119,15 @@ def draw_model_samples(
 
 @dataclass(eq=False)
 class Robustness:
-    """Cuts pushes short; counts the simulations it takes.
+    """Cuts pushes to the part that is safe by all models; counts the simulations that this takes.
 
     Attributes:
         obj: the object.
         models: the model first, then the samples.
         constraints: the rules.
-        contact: what pushes are made like.
+        contact: how pushes are made and simulated.
         options: what must hold.
-        simulations: run so far.
+        simulations: number of simulations so far.
     """
 
     obj: GridObject
@@ -105,7 +138,7 @@ class Robustness:
     simulations: int = 0
 
     def cut(self, pose: Array, planned: PlannedPush) -> PlannedPush | None:
-        """The part of a push from `pose` that is safe by all models; None where that is nothing."""
+        """The part of a push from `pose` (3,) that is safe by all models; None where that is too short."""
         if self.constraints.surface is None and not self.constraints.obstacles:
             return planned
         physics = self.contact.resolve_physics(self.obj, self.models[0])
@@ -116,51 +149,49 @@ class Robustness:
             pose_rule=None,
         )
         checker = rules.start_at(self.obj, pose, self.contact.radius)
-        usable, nominal = len(times), None
+        # The number of steps that every model allows.
+        usable = len(times)
+        poses_by_model = None
         for params in self.models:
             motion = simulate(self.obj, params, planned.push, pose, times=times, physics=physics)
             self.simulations += 1
-            nominal = motion.poses if nominal is None else nominal
-            usable = min(
-                usable,
-                checker.count_allowed(motion.tip, motion.poses),
-                self._count_supported(params, motion.poses),
-            )
+            if poses_by_model is None:
+                poses_by_model = motion.poses
+            allowed = checker.count_allowed(motion.tip, motion.poses)
+            usable = min(usable, allowed, self._count_supported(params, motion.poses))
         distance = self.contact.speed * times[usable - 1] if usable else 0.0
-        if nominal is None or distance < self.contact.distance_range[0]:
+        if poses_by_model is None or distance < self.contact.distance_range[0]:
             return None
         if usable == len(times):
             return planned
         whole = planned.push
         push = Push(
-            whole.start,
-            whole.velocity,
-            float(times[usable - 1]),
-            whole.radius,
+            start=whole.start,
+            velocity=whole.velocity,
+            duration=float(times[usable - 1]),
+            radius=whole.radius,
             start_tangent=whole.start_tangent,
         )
         return replace(
-            planned, distance=float(distance), push=push, pose=nominal[usable - 1].copy()
+            planned,
+            distance=float(distance),
+            push=push,
+            pose=poses_by_model[usable - 1].copy(),
         )
 
     def _count_supported(self, params: CellParameters, poses: Array) -> int:
-        """How many of the poses, from the first on, keep the model's center of friction over the table."""
+        """Counts the poses (K, 3), from the first on, with the center of friction well over the table.
+
+        If it is nearer to the edge already in the first pose, it must not come nearer still.
+        """
         surface = self.constraints.surface
         if surface is None:
             return len(poses)
         center = (params.relative_friction() @ self.obj.p_BC)[None]
-        room = surface.signed_distances(transform(poses, center)[:, 0])
-        held = room >= min(self.options.center_margin, float(room[0])) - 1e-9
+        inside = surface.signed_distances(transform(poses, center)[:, 0])
+        least = min(self.options.center_margin, float(inside[0])) - ROUND_OFF
+        held = inside >= least
         return len(poses) if held.all() else int(np.argmin(held))
-
-
-DEFAULT_TOLERANCE = 0.02  # mean cell error at which a goal counts as reached, m: the paper's
-
-DEFAULT_MAX_PUSHES = 25
-
-BEAM = 3  # first pushes towards the goal that a second is searched for
-SECOND_STARTS, SECOND_BUDGET = 5, 16  # starts of the second push's search, and its most simulations
-MIN_GAIN = 0.001  # m by which a push must shorten what is left to go to be worth making
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +206,7 @@ class GoalRules:
         robustness: how far pushes must be safe though the model may be wrong; None trusts the
             model.
         tolerance: mean cell error at which the goal counts as reached, m.
-        max_pushes: most pushes.
+        max_pushes: number of pushes after which the goal is given up.
 
     Raises:
         PlanningError: a number is out of range.
@@ -198,13 +229,21 @@ class GoalRules:
 
 @dataclass(frozen=True, eq=False)
 class NextPush:
-    """A decision."""
+    """The decision on the next push.
 
-    push: PlannedPush | None  # the push; None where none gains enough
-    cost: float  # what is left to go after it, m (mean cell error, round obstacles)
-    final_cost: float  # what is expected to be left at the end of the horizon, m
-    horizon: int  # 1 or 2, that of the search the push comes from
-    simulations: int  # that the decision took
+    Attributes:
+        push: the push; None where none gains enough.
+        cost: what is left to go after it, m (mean cell error, round obstacles).
+        final_cost: what is expected to be left at the end of the horizon, m.
+        horizon: 1 or 2, that of the search which the push comes from.
+        simulations: number of simulations that the decision took.
+    """
+
+    push: PlannedPush | None
+    cost: float
+    final_cost: float
+    horizon: int
+    simulations: int
 
 
 def choose_push(
@@ -215,14 +254,20 @@ def choose_push(
     rules: GoalRules,
     robustness: Robustness | None = None,
 ) -> NextPush:
-    """Decides on the next push of an object at `pose` (3,), m and rad.
+    """Decides on the next push of an object.
 
-    One that comes as near as the tolerance is good enough. `robustness` cuts pushes short; None
-    makes them as planned.
+    Args:
+        obj: the object.
+        params: its masses and frictions by the model.
+        pose: (3,) where it lies, X_WB, m and rad.
+        cost_to_go: to the goal.
+        rules: how it is pushed.
+        robustness: cuts pushes short; None makes them as planned.
     """
     search = _PushSearch(obj, params, pose, cost_to_go, rules, robustness)
     first = search.find_first("gradient")
-    if (first and first[0][0] <= rules.tolerance) or rules.horizon < 2:
+    good_enough = bool(first) and first[0].cost <= rules.tolerance
+    if good_enough or rules.horizon < 2:
         chosen = search.decide(first, [])
         if chosen.push is not None:
             return chosen
@@ -232,9 +277,35 @@ def choose_push(
     return search.decide(search.find_first("exhaustive"), [])
 
 
+@dataclass(frozen=True, eq=False)
+class _Option:
+    """A push that may be made next.
+
+    Attributes:
+        push: the push.
+        cost: what is left to go after it, m.
+        final_cost: what is left after the best second push, m; the same as `cost` where none was
+            searched for.
+    """
+
+    push: PlannedPush
+    cost: float
+    final_cost: float
+
+
 @dataclass(eq=False)
 class _PushSearch:
-    """The searches of one decision, counted."""
+    """The searches of one decision, with the number of simulations that they took.
+
+    Attributes:
+        obj: the object.
+        params: its masses and frictions by the model.
+        pose: (3,) where it lies.
+        cost_to_go: to the goal.
+        rules: how it is pushed.
+        robustness: cuts pushes short; None for not.
+        simulations: number of simulations so far.
+    """
 
     obj: GridObject
     params: CellParameters
@@ -245,79 +316,96 @@ class _PushSearch:
     simulations: int = 0
 
     def __post_init__(self) -> None:
-        self.now = self.cost_to_go.calc_cost(self.pose)
+        self.cost_now = self.cost_to_go.calc_cost(self.pose)
         self.subgoals = self.cost_to_go.find_subgoals(self.pose)
 
-    def find_first(self, method: ContactMethod) -> list[tuple[float, PlannedPush]]:
-        """Pushes towards the goal or what leads to it, each after the cost that it leaves, least first."""
+    def find_first(self, method: ContactMethod) -> list[_Option]:
+        """Finds pushes towards the goal, or towards what leads to it, best first."""
         found = []
         for subgoal in self.subgoals:
             plan = self._search(self.pose, subgoal, self.rules.contact, method)
             found += self._take(plan.candidates, BEAM if self.rules.horizon > 1 else 1)
-        return sorted(found, key=lambda pair: pair[0])
+        return sorted(found, key=lambda option: option.cost)
 
-    def find_second(
-        self, first: list[tuple[float, PlannedPush]]
-    ) -> list[tuple[float, float, PlannedPush]]:
-        """First pushes, each after the costs that a second push leaves, and that it leaves itself."""
+    def find_second(self, first: list[_Option]) -> list[_Option]:
+        """Finds for the best of some first pushes, and for pushes to waypoints, what a second one leaves."""
         beam = first[:BEAM]
-        for waypoint in (
-            make_waypoints(self.obj, self.pose, self.subgoals[0]) if self.subgoals else []
-        ):
+        waypoints = []
+        if self.subgoals:
+            waypoints = make_waypoints(self.obj, self.pose, self.subgoals[0])
+        for waypoint in waypoints:
             plan = self._search(self.pose, waypoint, self.rules.contact)
             beam += self._take(plan.candidates, 1)
         later = replace(self.rules.contact, starts=SECOND_STARTS, budget=SECOND_BUDGET)
         found = []
-        for cost, push in beam:
-            final = cost
-            for subgoal in self.cost_to_go.find_subgoals(push.pose)[:1]:
-                plan = self._search(push.pose, subgoal, later)
+        for option in beam:
+            final_cost = option.cost
+            for subgoal in self.cost_to_go.find_subgoals(option.push.pose)[:1]:
+                plan = self._search(option.push.pose, subgoal, later)
                 if plan.push is not None:
-                    final = min(final, self.cost_to_go.calc_cost(plan.push.pose))
-            found.append((final, cost, push))
+                    final_cost = min(final_cost, self.cost_to_go.calc_cost(plan.push.pose))
+            found.append(replace(option, final_cost=final_cost))
         return found
 
-    def _take(
-        self, candidates: Sequence[PlannedPush], count: int
-    ) -> list[tuple[float, PlannedPush]]:
-        """The best few candidates that are allowed, as far as they are safe, each after the cost that it leaves."""
+    def _make_option(self, push: PlannedPush) -> _Option:
+        """Calculates what a push leaves to go."""
+        cost = self.cost_to_go.calc_cost(push.pose)
+        return _Option(push=push, cost=cost, final_cost=cost)
+
+    def _take(self, candidates: Sequence[PlannedPush], count: int) -> list[_Option]:
+        """Takes the best few candidates that are allowed, as far as they are safe, best first."""
         if self.robustness is None:
             allowed = (push for push in candidates if self.rules.constraints.allows_push(push.push))
-            return [(self.cost_to_go.calc_cost(push.pose), push) for push in islice(allowed, count)]
+            return [self._make_option(push) for push in islice(allowed, count)]
         before = self.robustness.simulations
-        taken: list[tuple[float, PlannedPush]] = []
-        for cost, push in sorted(
-            ((self.cost_to_go.calc_cost(push.pose), push) for push in candidates),
-            key=lambda pair: pair[0],
-        ):
-            # cut short, a push leaves more to go
-            if len(taken) >= count and cost >= taken[count - 1][0]:
+        options = [self._make_option(push) for push in candidates]
+        options.sort(key=lambda option: option.cost)
+        taken: list[_Option] = []
+        for option in options:
+            # Cut short, a push leaves more to go: once enough are better, the others need no cut.
+            if len(taken) >= count and option.cost >= taken[count - 1].cost:
                 break
-            safe = self.robustness.cut(self.pose, push)
+            safe = self.robustness.cut(self.pose, option.push)
             if safe is not None and self.rules.constraints.allows_push(safe.push):
-                taken = sorted(
-                    [*taken, (self.cost_to_go.calc_cost(safe.pose), safe)], key=lambda pair: pair[0]
-                )
+                taken.append(self._make_option(safe))
+                taken.sort(key=lambda option: option.cost)
         self.simulations += self.robustness.simulations - before
         return taken[:count]
 
-    def decide(
-        self, first: list[tuple[float, PlannedPush]], second: list[tuple[float, float, PlannedPush]]
-    ) -> NextPush:
-        """The better of the horizons, where it gains enough."""
-        worth = self.now - MIN_GAIN
-        chosen = NextPush(None, self.now, self.now, 1, self.simulations)
-        if first and first[0][0] < worth:
-            chosen = NextPush(first[0][1], first[0][0], first[0][0], 1, self.simulations)
+    def decide(self, first: list[_Option], second: list[_Option]) -> NextPush:
+        """Decides for the better of the horizons, where it gains enough.
+
+        Args:
+            first: pushes of horizon 1, best first.
+            second: pushes of horizon 2, in any order.
+        """
+        worth = self.cost_now - MIN_GAIN
+        chosen = NextPush(
+            push=None,
+            cost=self.cost_now,
+            final_cost=self.cost_now,
+            horizon=1,
+            simulations=self.simulations,
+        )
+        if first and first[0].cost < worth:
+            best = first[0]
+            chosen = replace(chosen, push=best.push, cost=best.cost, final_cost=best.cost)
         if second:
-            final, cost, push = min(second, key=lambda entry: entry[:2])
-            if final < min(worth, chosen.final_cost):
-                chosen = NextPush(push, cost, final, 2, self.simulations)
+            best = min(second, key=lambda option: (option.final_cost, option.cost))
+            if best.final_cost < min(worth, chosen.final_cost):
+                chosen = replace(
+                    chosen,
+                    push=best.push,
+                    cost=best.cost,
+                    final_cost=best.final_cost,
+                    horizon=2,
+                )
         return chosen
 
     def _search(
         self, pose: Array, goal: Array, options: ContactOptions, method: ContactMethod = "gradient"
     ) -> ContactPlan:
+        """Searches for pushes from a pose (3,) to a goal (3,), and counts the simulations."""
         plan = optimize_contact(
             self.obj,
             self.params,
@@ -332,7 +420,10 @@ class _PushSearch:
 
 
 def make_waypoints(obj: GridObject, pose: Array, goal: Array) -> list[Array]:
-    """Poses in between that one push may have to make for first: turned as the goal, or half so, where it lies."""
+    """Makes poses (3,) that a first of two pushes may have to make for.
+
+    They are the object where it lies, turned as at the goal, or half as far.
+    """
     centroid = obj.p_BC.mean(axis=0)
     here = transform(pose, centroid[None])[0]
     thetas = pose[2] + np.array([1.0, 0.5]) * wrap_angle(goal[2] - pose[2])

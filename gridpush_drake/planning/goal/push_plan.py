@@ -1,6 +1,7 @@
-"""A sequence of pushes to a goal pose, by the model alone.
+"""A sequence of pushes to a goal pose, by the model alone; and its YAML file.
 
-A push plan as a YAML file, and as the document that it holds.
+`plan_pushes` makes the sequence: each push begins where the one before is predicted to end. For
+pushes that are made, seen and learned from one by one, see `push_to_goal`.
 """
 
 from dataclasses import dataclass
@@ -35,7 +36,7 @@ from gridpush_drake.yaml_file import dump_yaml
 
 
 class PushPlanStatus(StrEnum):
-    """How a sequence of pushes ends; see REASONS."""
+    """How a sequence of pushes ends; `REASONS` says what each status means."""
 
     REACHED = "reached"
     GOAL_OFF_TABLE = "goal_off_table"
@@ -50,18 +51,25 @@ class PushPlanStatus(StrEnum):
 
 REASONS = {
     PushPlanStatus.REACHED: "The object is at the goal, within the tolerance.",
-    PushPlanStatus.GOAL_OFF_TABLE: "At the goal pose the object hangs over the table's edge further than it may.",
+    PushPlanStatus.GOAL_OFF_TABLE: (
+        "At the goal pose the object hangs over the table's edge further than it may."
+    ),
     PushPlanStatus.START_OFF_TABLE: "Where the object lies, its center is not over the table.",
-    PushPlanStatus.GOAL_BLOCKED: "At the goal pose the object touches an obstacle, or is nearer to one than it may be.",
+    PushPlanStatus.GOAL_BLOCKED: (
+        "At the goal pose the object touches an obstacle, or is nearer to one than it may be."
+    ),
     PushPlanStatus.GOAL_OUT_OF_REACH: "At the goal pose the finger does not come to the object.",
     PushPlanStatus.START_BLOCKED: "Where the object lies, it overlaps an obstacle.",
-    PushPlanStatus.NO_PATH: "There is no path to the goal for the object between the obstacles and the table's edges.",
+    PushPlanStatus.NO_PATH: (
+        "There is no path to the goal for the object between the obstacles and the table's edges."
+    ),
     PushPlanStatus.STUCK: "No push that the finger can make brings the object nearer to the goal.",
     PushPlanStatus.TOO_MANY_PUSHES: "The goal was not reached within the pushes that were allowed.",
 }
 """What each status means, in a sentence."""
 
-LOOK_AHEAD = GoalRules(horizon=2)  # rules of a plan that trusts its model
+LOOK_AHEAD = GoalRules(horizon=2)
+"""Rules of a plan that trusts its model: it looks two pushes ahead."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +77,15 @@ class PushPlan:
     """A sequence of pushes, each from where the one before is predicted to end.
 
     Attributes:
-        start: (3,) q_W at the beginning.
-        goal: (3,).
+        start: (3,) pose at the beginning, X_WB, m and rad.
+        goal: (3,) pose to get to, X_WB, m and rad.
         pushes: in order; as far as they get, where the goal is not reached.
-        status: "reached", or why not: see REASONS.
-        reason: the same in a sentence.
+        status: "reached", or why not: see `REASONS`.
+        reason: the status in a sentence.
         error: predicted mean cell error at the end, m.
-        errors: (pushes,) the same after each push; a push that goes round something may make it greater.
-        simulations: simulated pushes.
+        errors: (pushes,) predicted mean cell error after each push, m. It may grow in a push that
+            goes round something.
+        simulations: number of simulated pushes.
         seconds: wall-clock time.
     """
 
@@ -92,13 +101,12 @@ class PushPlan:
 
     def __repr__(self) -> str:
         """Status, pushes and what is left, in two lines."""
-        pushes = (
-            f"{count(len(self.pushes), 'push')}, {self.error * MM:.1f} mm from the goal at the end"
-        )
-        return f"PushPlan, {self.status}: {pushes}\n{self.reason}"
+        pushes = count(len(self.pushes), "push")
+        left = f"{self.error * MM:.1f} mm from the goal at the end"
+        return f"PushPlan, {self.status}: {pushes}, {left}\n{self.reason}"
 
     def _repr_html_(self) -> str:
-        """A row a push, and the path that the object is predicted to take."""
+        """A table with a row for each push, and a drawing of the path that the object is predicted to take."""
         rows = [
             (number, f"{each.distance * MM:.0f}", describe_pose(each.pose), f"{error * MM:.1f}")
             for number, (each, error) in enumerate(
@@ -116,7 +124,7 @@ class PushPlan:
 
     @property
     def poses(self) -> Array:
-        """(pushes + 1, 3) the start and the predicted pose after each push."""
+        """(pushes + 1, 3) the start and the predicted pose after each push, X_WB, m and rad."""
         return np.array([self.start, *(push.pose for push in self.pushes)])
 
 
@@ -127,61 +135,85 @@ def plan_pushes(
     goal: ArrayLike,
     rules: GoalRules = LOOK_AHEAD,
 ) -> PushPlan:
-    """Plans pushes that bring an object from `pose` (3,) to `goal` (3,), m and rad, trusting the model.
+    """Plans pushes that bring an object to a goal, trusting the model.
+
+    Args:
+        obj: the object.
+        params: its masses and frictions by the model.
+        pose: (3,) where it lies, X_WB, m and rad.
+        goal: (3,) where it should get to, X_WB, m and rad.
+        rules: how it is pushed; their robustness is not used.
 
     Returns:
-        The plan; its `status` says whether it gets there, and if not why. The rules' robustness is not asked for.
+        The plan; its `status` says whether it gets there, and if not why.
 
     Raises:
         PlanningError: an argument is out of range.
     """
     begin = perf_counter()
-    q, aim = (
-        check_vector(PlanningError, "pose", pose, 3),
-        check_vector(PlanningError, "goal", goal, 3),
-    )
+    start = check_vector(PlanningError, "pose", pose, 3)
+    aim = check_vector(PlanningError, "goal", goal, 3)
     pushes: list[PlannedPush] = []
-    simulations, start = 0, q
-    status = check_ends(obj, q, aim, rules.constraints, rules.contact.radius)
-    cost_to_go = (
-        CostToGo(obj, q, aim, rules.constraints.start_at(obj, q, rules.contact.radius))
-        if not status
-        else None
-    )
-    while status is None and cost_to_go is not None:
-        status = find_stop_reason(obj, q, cost_to_go, len(pushes), rules)
-        if status is not None:
-            break
-        decision = choose_push(obj, params, q, cost_to_go, rules)
-        simulations += decision.simulations
-        if decision.push is None:
-            status = PushPlanStatus.STUCK
-            break
-        pushes.append(decision.push)
-        q = decision.push.pose
-    assert status is not None
+    simulations = 0
+    status = check_ends(obj, start, aim, rules.constraints, rules.contact.radius)
+    if status is None:
+        checker = rules.constraints.start_at(obj, start, rules.contact.radius)
+        cost_to_go = CostToGo(obj, start, aim, checker)
+        q = start
+        while True:
+            status = find_stop_reason(obj, q, cost_to_go, len(pushes), rules)
+            if status is not None:
+                break
+            decision = choose_push(obj, params, q, cost_to_go, rules)
+            simulations += decision.simulations
+            if decision.push is None:
+                status = PushPlanStatus.STUCK
+                break
+            pushes.append(decision.push)
+            q = decision.push.pose
     errors = calc_goal_error(obj, np.array([start, *(push.pose for push in pushes)]), aim)
     return PushPlan(
-        start, aim, tuple(pushes), status, REASONS[status], float(errors[-1]), errors[1:], simulations,
-        perf_counter() - begin,
-    )  # fmt: skip
+        start=start,
+        goal=aim,
+        pushes=tuple(pushes),
+        status=status,
+        reason=REASONS[status],
+        error=float(errors[-1]),
+        errors=errors[1:],
+        simulations=simulations,
+        seconds=perf_counter() - begin,
+    )
 
 
 def find_stop_reason(
     obj: GridObject, pose: Array, cost_to_go: CostToGo, made: int, rules: GoalRules
 ) -> PushPlanStatus | None:
-    """Why a sequence should end at `pose` after `made` pushes; None where it should go on."""
+    """Finds why a sequence should end at `pose` (3,) after `made` pushes; None where it should go on."""
     if float(calc_goal_error(obj, pose, cost_to_go.goal)) <= rules.tolerance:
         return PushPlanStatus.REACHED
     if made >= rules.max_pushes:
         return PushPlanStatus.TOO_MANY_PUSHES
-    return None if np.isfinite(cost_to_go.calc_cost(pose)) else PushPlanStatus.NO_PATH
+    if not np.isfinite(cost_to_go.calc_cost(pose)):
+        return PushPlanStatus.NO_PATH
+    return None
 
 
 def check_ends(
     obj: GridObject, start: Array, goal: Array, constraints: PushConstraints, radius: float
 ) -> PushPlanStatus | None:
-    """Why the object cannot lie at the goal, or does not lie properly at the start, by the rules; None where it can."""
+    """Finds what the rules have against the two ends of a way.
+
+    Args:
+        obj: the object.
+        start: (3,) where it lies, X_WB, m and rad.
+        goal: (3,) where it should get to, X_WB, m and rad.
+        constraints: the rules.
+        radius: of the finger, m.
+
+    Returns:
+        Why the object cannot lie at the goal, or does not lie properly at the start; None where it
+        can and does.
+    """
     checker = constraints.start_at(obj, start, radius)
     if constraints.surface is not None:
         center = Point(obj.cells_at(start).mean(axis=0))
@@ -189,10 +221,11 @@ def check_ends(
             return PushPlanStatus.START_OFF_TABLE
     if checker.overlaps_obstacle(start):
         return PushPlanStatus.START_BLOCKED
-    table, blocked = constraints.allow_pose(obj, goal)
-    if not table or (
-        constraints.surface and not find_supported(obj, goal, constraints.surface).any()
-    ):
+    on_table, blocked = constraints.allow_pose(obj, goal)
+    if not on_table:
+        return PushPlanStatus.GOAL_OFF_TABLE
+    # Where cells may hang over, some of them must still be on the table.
+    if constraints.surface and not find_supported(obj, goal, constraints.surface).any():
         return PushPlanStatus.GOAL_OFF_TABLE
     if blocked:
         return PushPlanStatus.GOAL_BLOCKED
@@ -203,6 +236,7 @@ def check_ends(
 
 
 FORMAT_VERSION = 1
+"""Version of the format of plan files."""
 
 HEADER = """\
 # Pushes that bring an object to a goal pose, planned by gridpush.
@@ -210,11 +244,20 @@ HEADER = """\
 # the push (x, y, theta), `error` the mean distance of the object's cells from where they are at the goal.
 """
 
+"""Comment at the beginning of a plan file."""
+
 LINE_WIDTH = 120
+"""Greatest width of a line of a plan file, in characters."""
 
 
 def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
-    """A plan as plain lists and numbers; `radius` is the pusher's, m."""
+    """Makes the document of a plan: plain dictionaries, lists and numbers.
+
+    Args:
+        plan: the plan.
+        name: of the object.
+        radius: of the pusher, m.
+    """
     return {
         "gridpush_plan": FORMAT_VERSION,
         "object": name,
@@ -244,7 +287,18 @@ def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
 def write_plan(
     path: Path | str, plan: PushPlan, name: str, radius: float, force: bool = False
 ) -> None:
-    """Writes a plan. Raises OutputError where the file exists and `force` is not set, or it cannot be written."""
+    """Writes a plan as YAML.
+
+    Args:
+        path: of the file.
+        plan: the plan.
+        name: of the object.
+        radius: of the pusher, m.
+        force: whether a file that exists is written over.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
     document = describe_plan(plan, name, radius)
     text = dump_yaml(document, default_flow_style=None, width=LINE_WIDTH)
     write_whole(path, HEADER + text, force)

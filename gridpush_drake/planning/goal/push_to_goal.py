@@ -1,12 +1,15 @@
-"""Pushing an object to a goal pose, push by push: one closed loop, for controllers and simulated worlds alike.
+"""The loop that pushes an object to a goal pose, push by push, for controllers and simulated worlds alike.
 
     waiting ---- at rest, and seen ----> pushing ----> waiting      a push, then a new observation
        |
        +--> reached, failed       until there is another goal, or somebody moves the object
 
-Whenever the robot is ready, the object is observed until it lies still; then `decide_push` says
+Whenever the robot is ready, the object is observed until it lies still. Then `decide_push` says
 where and how to push, by what was learned so far. So an object that slipped, or was moved by
 somebody, is pushed from where it lies.
+
+`PushToGoalLoop` is the loop; `push_to_goal` steps it in a simulated world. A whole sequence by the
+model alone is planned by `push_plan`.
 """
 
 from collections.abc import Callable
@@ -53,29 +56,39 @@ from gridpush_drake.planning.loop_run import Learner, run_loop
 from gridpush_drake.planning.world import PushWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-ALIKE_WITHIN, ALIKE_TURN = 0.01, 0.2
-"""Pushes that begin nearer to a refused one, m, in a direction less different, rad, are like it,
-and not tried."""
+ALIKE_DISTANCE = 0.01
+"""A push that begins nearer than this to one that was refused, m, in a direction that differs by
+less than `ALIKE_TURN`, is not tried."""
+
+ALIKE_TURN = 0.2
+"""Difference of direction below which two pushes may be alike, rad; see `ALIKE_DISTANCE`."""
 
 MOVED = 0.01
-"""m, mean cell distance by which somebody must have moved an object for a new attempt after the
-end."""
+"""If somebody moves an object by this much after the end, as the mean way of its cells, m, it is
+pushed again."""
+
+REFUSED = "refused"
+"""Cause of a failure: the robot refused too many pushes in a row."""
+
+ERROR = "error"
+"""Cause of a failure: no push could be planned, for an argument makes no sense."""
 
 
 @dataclass(frozen=True, eq=False)
 class PushDecision:
-    """What to do."""
+    """What to do next.
 
-    status: (
-        PushPlanStatus | None
-    )  # why to end, see `push_plan.REASONS`; None where a push should be made
-    error: float  # mean cell error to the goal now, m
-    chosen: NextPush | None = (
-        None  # the next push; None where there should be none, or none was searched for
-    )
-    cost_to_go: CostToGo | None = (
-        None  # to be given to the next decision; None where it was not needed
-    )
+    Attributes:
+        status: why to end, see `push_plan.REASONS`; None where a push should be made.
+        error: mean cell error to the goal now, m.
+        chosen: the next push; None where there should be none, or none was searched for.
+        cost_to_go: to be given to the next decision; None where it was not needed.
+    """
+
+    status: PushPlanStatus | None
+    error: float
+    chosen: NextPush | None = None
+    cost_to_go: CostToGo | None = None
 
 
 def decide_push(
@@ -88,11 +101,16 @@ def decide_push(
     rules: GoalRules,
     cost_to_go: CostToGo | None = None,
 ) -> PushDecision:
-    """Decides on the next push of an object from `pose` (3,) to `goal` (3,), m and rad.
+    """Decides on the next push of an object.
 
     Args:
-        made: pushes so far.
+        obj: the object.
+        pose: (3,) where it lies, X_WB, m and rad.
+        goal: (3,) where it should get to, X_WB, m and rad.
+        made: number of pushes made so far.
+        params: its masses and frictions by the model.
         identification: that the model comes from; None where nothing was learned.
+        rules: how it is pushed.
         cost_to_go: of the decision before, to the same goal by the same rules; None where there was
             none.
 
@@ -100,15 +118,14 @@ def decide_push(
         PlanningError: the finger fits nowhere on the outline.
     """
     error = float(calc_goal_error(obj, pose, goal))
-    bad = check_ends(obj, pose, goal, rules.constraints, rules.contact.radius)
-    if bad is not None:
-        return PushDecision(bad, error)
-    # a lattice made for where the object lay before may not say how to go on from where somebody
-    # put it
+    status = check_ends(obj, pose, goal, rules.constraints, rules.contact.radius)
+    if status is not None:
+        return PushDecision(status, error)
+    # A lattice that was made for where the object lay before may not say how to go on from where
+    # somebody put it.
     if cost_to_go is None or cost_to_go.direct or not np.isfinite(cost_to_go.calc_cost(pose)):
-        cost_to_go = CostToGo(
-            obj, pose, goal, rules.constraints.start_at(obj, pose, rules.contact.radius)
-        )
+        checker = rules.constraints.start_at(obj, pose, rules.contact.radius)
+        cost_to_go = CostToGo(obj, pose, goal, checker)
     status = find_stop_reason(obj, pose, cost_to_go, made, rules)
     if status is not None:
         return PushDecision(status, error, cost_to_go=cost_to_go)
@@ -116,16 +133,19 @@ def decide_push(
     if rules.robustness is not None:
         samples = draw_model_samples(obj, params, identification, rules.robustness)
         robustness = Robustness(
-            obj, [params, *samples], rules.constraints, rules.contact, rules.robustness
+            obj=obj,
+            models=[params, *samples],
+            constraints=rules.constraints,
+            contact=rules.contact,
+            options=rules.robustness,
         )
     chosen = choose_push(obj, params, pose, cost_to_go, rules, robustness)
-    return PushDecision(
-        PushPlanStatus.STUCK if chosen.push is None else None, error, chosen, cost_to_go
-    )
+    status = PushPlanStatus.STUCK if chosen.push is None else None
+    return PushDecision(status, error, chosen, cost_to_go)
 
 
 def forbid(rules: GoalRules, refused: tuple[Push, ...]) -> GoalRules:
-    """The rules with a push rule that asks first whether a push is like some that were refused."""
+    """Makes rules that also forbid whatever is like one of the pushes that were refused."""
     if not refused:
         return rules
     before = rules.constraints
@@ -133,7 +153,7 @@ def forbid(rules: GoalRules, refused: tuple[Push, ...]) -> GoalRules:
     def allow(push: Push) -> bool:
         direction = _calc_direction(push)
         alike = any(
-            np.linalg.norm(push.start - one.start) < ALIKE_WITHIN
+            np.linalg.norm(push.start - one.start) < ALIKE_DISTANCE
             and direction @ _calc_direction(one) > np.cos(ALIKE_TURN)
             for one in refused
         )
@@ -143,6 +163,7 @@ def forbid(rules: GoalRules, refused: tuple[Push, ...]) -> GoalRules:
 
 
 def _calc_direction(push: Push) -> Array:
+    """The unit vector (2,) of a push's motion, W."""
     return np.asarray(push.velocity / np.linalg.norm(push.velocity))
 
 
@@ -156,9 +177,6 @@ class ContactPointMode(StrEnum):
     LOST = "lost"
 
 
-REFUSED, ERROR = "refused", "error"  # causes of a failure that planning does not know of
-
-
 @dataclass(frozen=True)
 class ContactPointStatus:
     """Where the loop stands.
@@ -169,8 +187,8 @@ class ContactPointStatus:
         reason: the mode in a sentence.
         cause: of "reached" or "failed": a key of `planning.goal.push_plan.REASONS`, "refused" or
             "error"; else empty.
-        pushes: asked for towards this goal and carried out.
-        refused: asked for in a row and refused.
+        pushes: number of pushes towards this goal that were carried out.
+        refused: number of pushes, the last ones in a row, that were refused.
         error: mean cell error to the goal where the object was last seen at rest, m; NaN before.
         expected_pose: (x, y, theta) in which the push under way is predicted to leave the object,
             W, m and rad.
@@ -192,19 +210,30 @@ class ContactPointStatus:
 
 @dataclass(frozen=True, eq=False)
 class PushToGoalState(LoopState):
-    """All that the loop remembers; never changed, only replaced."""
+    """All that the loop remembers; never changed, only replaced.
 
-    status: ContactPointStatus = field(default_factory=ContactPointStatus)  # a `ContactPointStatus`
-    begun: bool = False  # whether a goal, or that there is none, was heeded
-    goal: Pose | None = None  # that is pushed to; None where there is none
-    decided_at: Array | None = None  # (3,) where the object lay at the last decision
-    planned: PlannedPush | None = None  # the push under way, or the last one, as planned
-    cost_to_go: CostToGo | None = None  # to the goal
-    logged: int = 0  # pushes in the log when the last push was asked for
-    simulations: int = 0  # of the planner, towards this goal
+    Attributes:
+        status: where the loop stands.
+        begun: whether a goal, or that there is none, was taken notice of.
+        goal: pose (x, y, theta) that is pushed to, m and rad; None where there is none.
+        decided_at: (3,) where the object lay at the last decision; None before the first.
+        planned: the push under way, or the last one, as planned; None before the first.
+        cost_to_go: to the goal; None before the first decision.
+        logged: number of pushes in the log when the last push was asked for.
+        simulations: number of the planner's simulations, towards this goal.
+    """
+
+    status: ContactPointStatus = field(default_factory=ContactPointStatus)
+    begun: bool = False
+    goal: Pose | None = None
+    decided_at: Array | None = None
+    planned: PlannedPush | None = None
+    cost_to_go: CostToGo | None = None
+    logged: int = 0
+    simulations: int = 0
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "PushToGoalState":
-        """In another mode, with nothing seen yet, and neither a push under way nor a cause unless `others` says so."""
+        """The state in another mode, see `LoopState.turn_to`; without a cause unless `others` says so."""
         return super().turn_to(mode, reason, **{"cause": "", "expected_error": nan, **others})
 
 
@@ -230,8 +259,17 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         params: CellParameters | None = None,
         options: LoopOptions | None = None,
     ) -> None:
-        """Takes what never changes; the model is the prior's by default."""
-        self.obj, self.rules = obj, rules or GoalRules()
+        """Takes what never changes.
+
+        Args:
+            obj: the object.
+            rules: how to push.
+            params: the model before anything was learned; by default uniform, by the object's
+                prior.
+            options: how the loop observes, and when it gives up.
+        """
+        self.obj = obj
+        self.rules = rules or GoalRules()
         self.params = CellParameters.uniform(obj) if params is None else params
         self.options = options or LoopOptions()
 
@@ -244,17 +282,20 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         return now.goal is None
 
     def _count_made(self, now: PushToGoalState, seen: Observation) -> dict[str, Any]:
-        status, log, off = now.status, seen.log, nan
+        status = now.status
+        log = seen.log
+        error = nan
+        # Where the push was logged, and the object was seen, how far from the prediction it ended.
         if len(log) > now.logged and status.expected_pose is not None and len(log[-1].t_observed):
-            off = float(calc_goal_error(self.obj, log[-1].final_pose, status.expected_pose))
-        return {"pushes": status.pushes + 1, "refused": 0, "prediction_error": off}
+            error = float(calc_goal_error(self.obj, log[-1].final_pose, status.expected_pose))
+        return {"pushes": status.pushes + 1, "refused": 0, "prediction_error": error}
 
     def _count_refused(self, now: PushToGoalState) -> dict[str, Any]:
         count = len(now.refused)
         return {"refused": count, "cause": REFUSED if count >= self.options.max_refusals else ""}
 
     def _prepare(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
-        """Begins anew where another goal is given."""
+        """The state that begins anew, where another goal is given."""
         x, y, theta = seen.goal.tolist()
         wanted = (x, y, theta) if np.isfinite(seen.goal).all() else None
         if wanted == now.goal and now.begun:
@@ -266,23 +307,28 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         return begun.turn_to(WAITING, reason)
 
     def decide(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
-        """The next push, or the end."""
-        pose, goal, found = now.filter.calc_mean(), np.array(now.goal), seen.identification
+        """The state with the next push asked for, or at the end."""
+        pose = now.filter.calc_mean()
+        found = seen.identification
+        # After the end there is another attempt only if somebody moved the object.
         if now.status.mode in (ContactPointMode.REACHED, FAILED):
-            since = (
-                np.inf
-                if now.decided_at is None
-                else calc_goal_error(self.obj, pose, now.decided_at)
-            )
-            if since < MOVED or now.status.cause == PushPlanStatus.TOO_MANY_PUSHES:
+            moved = np.inf
+            if now.decided_at is not None:
+                moved = calc_goal_error(self.obj, pose, now.decided_at)
+            if moved < MOVED or now.status.cause == PushPlanStatus.TOO_MANY_PUSHES:
                 return now
             now = replace(now, refused=()).turn_to(WAITING, "Somebody moved the object.", refused=0)
         now = replace(now, decided_at=pose)
-        params = self.params if found is None else found.params
-        rules = forbid(self.rules, now.refused)
         try:
             decision = decide_push(
-                self.obj, pose, goal, now.status.pushes, params, found, rules, now.cost_to_go
+                obj=self.obj,
+                pose=pose,
+                goal=np.array(now.goal),
+                made=now.status.pushes,
+                params=self.params if found is None else found.params,
+                identification=found,
+                rules=forbid(self.rules, now.refused),
+                cost_to_go=now.cost_to_go,
             )
         except GridPushError as error:
             return now.turn_to(FAILED, f"No push could be planned: {error}.", cause=ERROR)
@@ -302,22 +348,42 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
     def _push(
         self, now: PushToGoalState, error: float, planned: PlannedPush, logged: int
     ) -> PushToGoalState:
+        """The state with a push asked for.
+
+        Args:
+            now: the state.
+            error: mean cell error to the goal now, m.
+            planned: the push.
+            logged: number of pushes in the log.
+        """
         x, y, theta = planned.pose.tolist()
-        expected = float(calc_goal_error(self.obj, planned.pose, np.array(now.goal)))
+        expected_error = float(calc_goal_error(self.obj, planned.pose, np.array(now.goal)))
         return replace(now, planned=planned, logged=logged).ask(
-            planned.push, ContactPointMode.PUSHING, f"Push {now.status.pushes + 1} is under way.", error=error,
-            expected_pose=(x, y, theta), expected_error=expected,
-        )  # fmt: skip
+            planned.push,
+            ContactPointMode.PUSHING,
+            f"Push {now.status.pushes + 1} is under way.",
+            error=error,
+            expected_pose=(x, y, theta),
+            expected_error=expected_error,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class PushStep:
-    """One round: what was planned, what happened, and whether it was learned from."""
+    """One round: what was planned, what happened, and whether it was learned from.
 
-    planned: PlannedPush  # the push with its predicted end
-    seen: ObservedPush  # what happened
-    prediction_error: float  # mean cell distance between predicted and seen end, m
-    learned: bool  # whether the model was learned anew after it
+    Attributes:
+        planned: the push with its predicted end.
+        seen: what happened.
+        prediction_error: mean cell distance between predicted and seen end, m; NaN where the end
+            was not seen.
+        learned: whether the model was learned anew after it.
+    """
+
+    planned: PlannedPush
+    seen: ObservedPush
+    prediction_error: float
+    learned: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,17 +391,17 @@ class PushRun:
     """What came of pushing to a goal.
 
     Attributes:
-        goal: (3,).
+        goal: (3,) the goal pose, X_WB, m and rad.
         steps: the rounds, in order.
         status: "reached", "lost", or why it ended: see `push_plan.REASONS`; "error" where no push
             could be planned.
-        reason: the same in a sentence.
+        reason: the status in a sentence.
         error: mean cell error where the object was last seen at rest, m; NaN where it never was.
         params: the last model.
-        identification: it came from; None where nothing was learned.
-        simulations: pushes simulated by the planner.
-        planning_seconds: wall-clock time.
-        learning_seconds: wall-clock time.
+        identification: that the last model came from; None where nothing was learned.
+        simulations: number of pushes simulated by the planner.
+        planning_seconds: wall-clock time of planning, s.
+        learning_seconds: wall-clock time of learning, s.
     """
 
     goal: Array
@@ -356,8 +422,8 @@ class PushRun:
 
 
 ONE_OBSERVATION = LoopOptions(observations=1, timeout=0.15)
-"""For a world in which nothing moves between two pushes: the object is decided on as it is first
-seen."""
+"""Options for a world in which nothing moves between two pushes: one observation is enough for a
+decision."""
 
 
 def push_to_goal(
@@ -371,37 +437,42 @@ def push_to_goal(
     options: LoopOptions = ONE_OBSERVATION,
     progress: Callable[[PushStep], None] | None = None,
 ) -> PushRun:
-    """Pushes an object to a goal pose (3,), m and rad, in a world, seeing it after every push, and learning on the way.
+    """Pushes an object to a goal in a world, seeing it after every push, and learning on the way.
 
     An object that was moved by somebody else between pushes is pushed from where it then lies.
 
     Args:
+        world: where the object lies, and pushes are carried out.
+        obj: the object.
+        goal: (3,) the goal pose, X_WB, m and rad.
+        rules: how it is pushed.
         params: the model to begin with; uniform by the object's prior where None.
         learner: learns after every push that does not reach the goal; None never.
+        options: how the loop observes, and when it gives up.
         progress: called after every push.
 
     Raises:
         PlanningError: an argument is out of range.
     """
-    aim, steps = check_vector(PlanningError, "goal", goal, 3), list[PushStep]()
+    aim = check_vector(PlanningError, "goal", goal, 3)
+    steps: list[PushStep] = []
     loop = PushToGoalLoop(obj, rules, params, options)
 
     def learn(
         obj: GridObject, log: PushLog, before: Identification | None
     ) -> Identification | None:
         seen = log[-1]
-        reached = (
-            len(seen.t_observed)
-            and calc_goal_error(obj, seen.final_pose, aim) <= loop.rules.tolerance
-        )
+        reached = False
+        if len(seen.t_observed):
+            reached = bool(calc_goal_error(obj, seen.final_pose, aim) <= loop.rules.tolerance)
         return before if learner is None or reached else learner(obj, log, before)
 
     def note(state: PushToGoalState, seen: ObservedPush, learned: bool) -> None:
         assert state.planned is not None
-        off = nan
+        error = nan
         if len(seen.t_observed):
-            off = float(calc_goal_error(obj, seen.final_pose, state.planned.pose))
-        steps.append(PushStep(state.planned, seen, off, learned))
+            error = float(calc_goal_error(obj, seen.final_pose, state.planned.pose))
+        steps.append(PushStep(state.planned, seen, error, learned))
         if progress is not None:
             progress(steps[-1])
 
@@ -409,9 +480,17 @@ def push_to_goal(
         return state.status.mode in (ContactPointMode.REACHED, FAILED, LOST)
 
     run = run_loop(loop, obj, world, is_over, learn=learn, goal=aim, progress=note)
-    status, found = run.state.status, run.identification
+    status = run.state.status
+    found = run.identification
     return PushRun(
-        aim, tuple(steps), status.cause or status.mode.value, status.reason, status.error,
-        loop.params if found is None else found.params, found, run.state.simulations, run.planning_seconds,
-        run.learning_seconds,
-    )  # fmt: skip
+        goal=aim,
+        steps=tuple(steps),
+        status=status.cause or status.mode.value,
+        reason=status.reason,
+        error=status.error,
+        params=loop.params if found is None else found.params,
+        identification=found,
+        simulations=run.state.simulations,
+        planning_seconds=run.planning_seconds,
+        learning_seconds=run.learning_seconds,
+    )
