@@ -1,8 +1,10 @@
 """What a push must keep clear of: the table's edge, obstacles, and whatever else a caller knows.
 
-A push is cut short where going on would break a rule. A rule that is broken where the push begins
-(an object that already hangs over the edge, or lies at an obstacle) asks instead that it does not
-get worse.
+A push is cut short where going on would break a rule. If a rule is broken already where the push
+begins, for the object hangs over the edge or lies at an obstacle, it must not get worse.
+
+`PushConstraints` are the rules. `PushChecker` applies them to pushes of one object from one pose,
+with the shapes that this takes made once.
 """
 
 from collections.abc import Callable
@@ -21,18 +23,21 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.support_surface import SupportSurface
 
 PoseRule = Callable[[Array], NDArray[np.bool_]]
-"""From poses (K, 3) along a push, in order, to whether each is allowed, (K,)."""
+"""Takes poses (K, 3) along a push, in order, and returns whether each is allowed, (K,)."""
 
 PushRule = Callable[[Push], bool]
-"""Whether a push can be carried out."""
+"""Takes a push and returns whether it can be carried out."""
 
-CHECK_EVERY = 0.003  # m of the pusher's motion between poses that are checked
-SLACK = 1e-6  # m, for round-off
+CHECK_EVERY = 0.003
+"""Length of the pusher's path between poses that are checked, m."""
+
+SLACK = 1e-6
+"""By how much a rule may be broken, m, for round-off."""
 
 
 @dataclass(frozen=True, eq=False)
 class PushConstraints:
-    """The rules.
+    """The rules of pushes.
 
     Attributes:
         surface: the table; None for one without end.
@@ -94,24 +99,31 @@ class PushConstraints:
         return self.push_rule is None or self.push_rule(push)
 
     def start_at(self, obj: GridObject, pose: ArrayLike, radius: float) -> "PushChecker":
-        """The rules for pushes of an object at `pose` (3,) by a disc of `radius`, m."""
+        """Makes what checks pushes of an object at `pose` (3,), X_WB, by a disc of `radius`, m."""
         return PushChecker(self, obj, np.asarray(pose, dtype=np.float64), radius)
 
     def allow_pose(self, obj: GridObject, pose: ArrayLike) -> tuple[bool, bool]:
-        """Whether all cells are far enough from the table's edge at a pose (3,), and whether an obstacle is there."""
+        """Says whether an object may lie at a pose.
+
+        Args:
+            obj: the object.
+            pose: (3,) X_WB, m and rad.
+
+        Returns:
+            Whether all of it is far enough inside the table's edge, and whether it is too near to
+            an obstacle.
+        """
         q = np.asarray(pose, dtype=np.float64)
-        body = shapely.polygons(transform(q[None], np.array(make_body(obj).exterior.coords)[:-1]))[
-            0
-        ]
-        on_table, blocked = True, False
+        outline = np.array(make_body(obj).exterior.coords)[:-1]
+        body = shapely.polygons(transform(q[None], outline))[0]
+        on_table = True
         if self.surface is not None:
-            on_table = bool(
-                shapely.covers(self.surface.polygon.buffer(-self.edge_margin + SLACK), body)
-            )
+            table = self.surface.polygon.buffer(-self.edge_margin + SLACK)
+            on_table = bool(shapely.covers(table, body))
+        blocked = False
         if self.obstacles:
-            blocked = float(shapely.distance(shapely.union_all(list(self.obstacles)), body)) < (
-                self.obstacle_margin - SLACK
-            )
+            distance = float(shapely.distance(shapely.union_all(list(self.obstacles)), body))
+            blocked = distance < self.obstacle_margin - SLACK
         return on_table, blocked
 
 
@@ -126,50 +138,70 @@ class PushChecker:
     def __init__(
         self, constraints: PushConstraints, obj: GridObject, pose: Array, radius: float
     ) -> None:
-        self.constraints, self.body = constraints, make_body(obj)
+        """Makes the shapes that pushes are checked with.
+
+        Args:
+            constraints: the rules.
+            obj: the object.
+            pose: (3,) where pushes begin, X_WB, m and rad.
+            radius: of the finger, a disc, m.
+        """
+        self.constraints = constraints
+        self.body = make_body(obj)
         self._vertices = np.array(self.body.exterior.coords)[:-1]
-        surface = constraints.surface
+        # On a convex table it is enough that the corners of the body's convex hull are.
+        self._points_on_table = self._vertices
         self._table: BaseGeometry | None = None
         self._finger_table: BaseGeometry | None = None
-        self._hull = self._vertices
-        if surface is not None:
-            table = surface.polygon.buffer(-constraints.edge_margin)
-            if surface.is_convex:
-                self._hull = np.array(self.body.convex_hull.exterior.coords)[:-1]
-            points = shapely.points(transform(pose[None], self._hull)[0])
-            over = 0.0 if table.is_empty else float(shapely.distance(points, table).max())
-            self._table = table.buffer(over + SLACK) if over > 0 else table.buffer(SLACK)
-            self._finger_table = surface.polygon.buffer(-constraints.finger_inset)
-            shapely.prepare(self._table)
-            shapely.prepare(self._finger_table)
         self._finger_region = constraints.finger_region
-        if self._finger_region is not None:
-            shapely.prepare(self._finger_region)
         self._blocked: BaseGeometry | None = None
         self._finger_blocked: BaseGeometry | None = None
+        if constraints.surface is not None:
+            self._prepare_table(constraints.surface, pose)
+        if self._finger_region is not None:
+            shapely.prepare(self._finger_region)
         if constraints.obstacles:
-            union = shapely.union_all(list(constraints.obstacles))
-            room = float(shapely.distance(union, self.place(pose[None])[0]))
-            self._blocked = union.buffer(
-                max(min(constraints.obstacle_margin, room) - SLACK, -SLACK)
-            )
-            self._finger_blocked = union.buffer(constraints.obstacle_margin + radius)
-            shapely.prepare(self._blocked)
-            shapely.prepare(self._finger_blocked)
+            self._prepare_obstacles(pose, radius)
+
+    def _prepare_table(self, surface: SupportSurface, pose: Array) -> None:
+        """Makes the tables that body and finger must be on, with the body at `pose` (3,) at first."""
+        table = surface.polygon.buffer(-self.constraints.edge_margin)
+        if surface.is_convex:
+            self._points_on_table = np.array(self.body.convex_hull.exterior.coords)[:-1]
+        # If the body is beyond the margin already, the table is made larger by as much.
+        points = shapely.points(transform(pose[None], self._points_on_table)[0])
+        over = 0.0 if table.is_empty else float(shapely.distance(points, table).max())
+        self._table = table.buffer(over + SLACK) if over > 0 else table.buffer(SLACK)
+        self._finger_table = surface.polygon.buffer(-self.constraints.finger_inset)
+        shapely.prepare(self._table)
+        shapely.prepare(self._finger_table)
+
+    def _prepare_obstacles(self, pose: Array, radius: float) -> None:
+        """Makes what body and finger must not touch, with the body at `pose` (3,) at first."""
+        margin = self.constraints.obstacle_margin
+        union = shapely.union_all(list(self.constraints.obstacles))
+        # If the body is nearer than the margin already, the margin is made smaller by as much.
+        room = float(shapely.distance(union, self.place(pose[None])[0]))
+        self._blocked = union.buffer(max(min(margin, room) - SLACK, -SLACK))
+        self._finger_blocked = union.buffer(margin + radius)
+        shapely.prepare(self._blocked)
+        shapely.prepare(self._finger_blocked)
 
     def place(self, poses: Array) -> NDArray[np.object_]:
-        """The body as polygons (K,) at poses (K, 3), world frame; without its holes."""
+        """Makes polygons (K,) of the body, without its holes, at poses (K, 3), in W."""
         return np.asarray(shapely.polygons(transform(poses, self._vertices)))
 
     def allows_finger(self, p_WP: Array) -> NDArray[np.bool_]:
-        """Whether the disc's center may be at p_WP (..., 2)."""
+        """Whether the disc's center may be at p_WP (..., 2), m."""
+        x = p_WP[..., 0]
+        y = p_WP[..., 1]
         allowed = np.ones(p_WP.shape[:-1], dtype=bool)
         if self._finger_table is not None:
-            allowed &= shapely.contains_xy(self._finger_table, p_WP[..., 0], p_WP[..., 1])
+            allowed &= shapely.contains_xy(self._finger_table, x, y)
         if self._finger_region is not None:
-            allowed &= shapely.contains_xy(self._finger_region, p_WP[..., 0], p_WP[..., 1])
+            allowed &= shapely.contains_xy(self._finger_region, x, y)
         if self._finger_blocked is not None:
-            allowed &= ~shapely.contains_xy(self._finger_blocked, p_WP[..., 0], p_WP[..., 1])
+            allowed &= ~shapely.contains_xy(self._finger_blocked, x, y)
         return allowed
 
     def overlaps_obstacle(self, pose: Array) -> bool:
@@ -181,16 +213,24 @@ class PushChecker:
 
     @property
     def has_obstacles(self) -> bool:
-        """Whether there are any."""
+        """Whether there are obstacles."""
         return self._blocked is not None
 
     @property
     def table_is_convex(self) -> bool:
-        """Whether the table is, or there is none."""
-        return self._table is None or self._hull is not self._vertices
+        """Whether the table is convex, or there is none."""
+        return self._table is None or self._points_on_table is not self._vertices
 
     def bounds(self, points: Array, room: float) -> tuple[Array, Array]:
-        """Least and greatest x and y, m, of the table, or of `points` (K, 2) and the obstacles with some room, m."""
+        """Calculates the bounds of where an object may be.
+
+        Args:
+            points: (K, 2) that must be within them where there is no table, m.
+            room: about points and obstacles where there is no table, m.
+
+        Returns:
+            (2,) least and (2,) greatest x and y, m: those of the table, if there is one.
+        """
         if self.constraints.surface is not None:
             box = np.array(self.constraints.surface.polygon.bounds)
             return box[:2], box[2:]
@@ -212,9 +252,9 @@ class PushChecker:
         """Whether edge and obstacles let the object be at poses (K, 3)."""
         allowed = np.ones(len(poses), dtype=bool)
         if self._table is not None:
-            points = transform(poses, self._hull)
+            points = transform(poses, self._points_on_table)
             allowed &= shapely.contains_xy(self._table, points[..., 0], points[..., 1]).all(axis=1)
-            if self._hull is self._vertices:
+            if not self.table_is_convex:
                 allowed &= shapely.covers(self._table, self.place(poses))
         return allowed & self.clears_obstacles(poses)
 
@@ -225,13 +265,18 @@ class PushChecker:
         return np.asarray(~shapely.intersects(self._blocked, self.place(poses)))
 
     def count_allowed(self, tip: Array, poses: Array) -> int:
-        """How many of a push's tip places (T+1, 2) and poses (T+1, 3), from the first on, are allowed."""
+        """Counts how many steps of a push are allowed, from the first on.
+
+        Args:
+            tip: (T+1, 2) places of the disc's center, m.
+            poses: (T+1, 3) poses of the object, X_WB, m and rad.
+        """
         if self.constraints.is_free:
             return len(tip)
+        # Only every so manieth step is checked, and the last one.
         step = max(float(np.linalg.norm(np.diff(tip, axis=0), axis=1).mean()), SLACK)
-        rows = np.unique(
-            np.append(np.arange(0, len(tip), max(1, int(CHECK_EVERY / step))), len(tip) - 1)
-        )
+        stride = max(1, int(CHECK_EVERY / step))
+        rows = np.unique(np.append(np.arange(0, len(tip), stride), len(tip) - 1))
         allowed = self.allows_finger(tip[rows]) & self.allows_poses(poses[rows])
         if allowed.all():
             return len(tip)
@@ -240,16 +285,17 @@ class PushChecker:
 
 
 def make_body(obj: GridObject) -> Polygon:
-    """Union of the outline and the cells' squares, kept with the object; its largest piece."""
+    """Makes the largest piece of the union of an object's outline and its cells' squares, body frame.
+
+    The polygon is kept with the object, so that it is made only once.
+    """
     cached = obj.__dict__.get("_swept_body")
     if cached is None:
         half = obj.cell_size / 2
         x, y = obj.p_BC.T
-        union = shapely.union_all(
-            [obj.outline, *shapely.box(x - half, y - half, x + half, y + half)]
-        )
-        cached = Polygon(
-            max(getattr(union, "geoms", [union]), key=lambda piece: piece.area).exterior
-        )
+        squares = shapely.box(x - half, y - half, x + half, y + half)
+        union = shapely.union_all([obj.outline, *squares])
+        pieces = getattr(union, "geoms", [union])
+        cached = Polygon(max(pieces, key=lambda piece: piece.area).exterior)
         obj.__dict__["_swept_body"] = cached
     return cached

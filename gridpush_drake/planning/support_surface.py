@@ -5,10 +5,7 @@ beyond its edge. Signed distances are positive inside:
 
     d(p) = +- min over edges |p - edge|
 
-`find_supported`: which cells are on the table.
-
-The same as `SupportSurface.contains` of the cells' centers, but quicker: of a convex table only
-those edges are looked at that the object reaches, at any of the poses.
+`SupportSurface` is the table. `find_supported` says which cells of an object are on it.
 """
 
 from collections.abc import Sequence
@@ -29,14 +26,18 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush
 
 ROUND_SIDES = 120
-"""Sides of the polygon that stands for a round table; the edge is then off by R (1 - cos(pi/120)) =
-R/2900."""
+"""Number of sides of the polygon that stands for a round table. Its edge is then off by at most
+R (1 - cos(pi/120)) = R/2900."""
 
-FIT_ANGLES = 48  # directions in which a body is tried on a table, over a full turn
+FIT_ANGLES = 48
+"""Number of directions in which a body is tried on a table, over a full turn."""
 
 STRAIGHT = 1e-9
-"""m², cross product of two edges above which a corner turned the wrong way makes a table
-concave."""
+"""A corner that turns inwards makes a table concave if the cross product of its two edges is larger
+than this, m²."""
+
+ROUND_OFF = 1e-9
+"""An edge of the table is looked at if the object comes as near to it as this, m, for round-off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +62,8 @@ class SupportSurface:
 
     def __post_init__(self) -> None:
         polygon = self.polygon
-        if (
-            not isinstance(polygon, Polygon)
-            or polygon.is_empty
-            or not polygon.is_valid
-            or polygon.area <= 0
-        ):
+        is_simple = isinstance(polygon, Polygon) and not polygon.is_empty and polygon.is_valid
+        if not is_simple or polygon.area <= 0:
             raise PlanningError(
                 "table: expected a simple polygon with an area, that does not cross itself"
             )
@@ -81,7 +78,11 @@ class SupportSurface:
 
     @classmethod
     def rectangle(cls, center: ArrayLike, size: ArrayLike) -> "SupportSurface":
-        """A rectangle along the world's axes, of a center (x, y) and sides (along x and y), m.
+        """Makes a rectangle along the world's axes.
+
+        Args:
+            center: (2,) m.
+            size: (2,) sides along x and y, m.
 
         Raises:
             PlanningError: a number is not finite, or a side is not positive.
@@ -96,7 +97,11 @@ class SupportSurface:
 
     @classmethod
     def round(cls, center: ArrayLike, radius: float) -> "SupportSurface":
-        """A disc, m, as an inscribed polygon of `ROUND_SIDES` sides.
+        """Makes a round table, as an inscribed polygon of `ROUND_SIDES` sides.
+
+        Args:
+            center: (2,) m.
+            radius: m.
 
         Raises:
             PlanningError: a number is not finite, or the radius is not positive.
@@ -108,27 +113,31 @@ class SupportSurface:
 
     @classmethod
     def from_polygon(cls, points: ArrayLike | Sequence[Sequence[float]]) -> "SupportSurface":
-        """A polygon by its corners (k, 2) in either turning, m. Raises PlanningError where it is no simple polygon."""
+        """Makes a table of any shape.
+
+        Args:
+            points: (k, 2) its corners, clockwise or counterclockwise, m.
+
+        Raises:
+            PlanningError: they make no simple polygon.
+        """
         corners = np.array(points, dtype=np.float64)
-        if (
-            corners.ndim != 2
-            or corners.shape[1] != 2
-            or len(corners) < 3
-            or not np.isfinite(corners).all()
-        ):
+        is_list = corners.ndim == 2 and corners.shape[1] == 2 and len(corners) >= 3
+        if not is_list or not np.isfinite(corners).all():
             raise PlanningError(
-                f"table: points of shape {corners.shape}; expected (k, 2) finite numbers, k >= 3 (m)"
+                f"table: points of shape {corners.shape}; "
+                "expected (k, 2) finite numbers, k >= 3 (m)"
             )
         return cls(Polygon(corners))
 
     @cached_property
     def corners(self) -> Array:
-        """(k, 2) of the polygon, counterclockwise, the first not repeated, m."""
+        """(k, 2) corners of the polygon, counterclockwise, the first not repeated, m."""
         return np.asarray(self.polygon.exterior.coords, dtype=np.float64)[:-1, :2]
 
     @cached_property
     def edge_lengths(self) -> Array:
-        """(k,) of the edge from each corner to the next, m."""
+        """(k,) length of the edge from each corner to the next, m."""
         return np.linalg.norm(np.roll(self.corners, -1, axis=0) - self.corners, axis=1)
 
     @cached_property
@@ -139,7 +148,7 @@ class SupportSurface:
 
     @cached_property
     def edge_offsets(self) -> Array:
-        """(k,) where the edges' lines are along their normals n, m: n.p is as great for all p on a line."""
+        """(k,) offsets of the edges' lines along their normals n, m: n.p for any point p on a line."""
         return np.asarray((self.edge_normals * self.corners).sum(axis=1))
 
     @cached_property
@@ -155,18 +164,32 @@ class SupportSurface:
         return float(self.edge_lengths.sum())
 
     def edge_at(self, arc_length: float) -> tuple[Array, Array]:
-        """The point (2,), m, at an arc length (m from the first corner, counterclockwise), and the normal there."""
+        """Finds a point of the edge.
+
+        Args:
+            arc_length: from the first corner, counterclockwise, m.
+
+        Returns:
+            The point (2,), m, and the outward unit normal (2,) there.
+        """
         s = arc_length % self.perimeter
         begins = np.cumsum(self.edge_lengths) - self.edge_lengths
         edge = int(np.searchsorted(begins, s, side="right")) - 1
         normal = self.edge_normals[edge]
-        return self.corners[edge] + (s - begins[edge]) * np.array([-normal[1], normal[0]]), normal
+        tangent = np.array([-normal[1], normal[0]])
+        return self.corners[edge] + (s - begins[edge]) * tangent, normal
 
     def contains(self, points: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Whether points (..., 2) are on the table, at least `margin` (m) inside its edge, or so far out if negative.
+        """Whether points are on the table.
 
-        Beyond the corners of a convex table a negative margin reaches as far as the edges' lines,
-        set off, do.
+        Args:
+            points: (..., 2) m.
+            margin: how far inside the edge they must be, m. If it is negative, they may be so far
+                beyond the edge; at the corners of a convex table that is measured from the lines of
+                the edges.
+
+        Returns:
+            (...,) bool.
         """
         p = np.asarray(points, dtype=np.float64)
         if self.is_convex:
@@ -176,7 +199,7 @@ class SupportSurface:
         return np.asarray(shapely.contains_xy(self.polygon, p[..., 0], p[..., 1]))
 
     def signed_distances(self, points: ArrayLike) -> Array:
-        """Distance of points (..., 2) to the edge (...,), m: positive on the table, negative beyond it."""
+        """Distances (...,) of points (..., 2) to the edge, m: positive on the table, negative beyond it."""
         p = np.asarray(points, dtype=np.float64)
         flat = p.reshape(-1, 2)
         along = np.roll(self.corners, -1, axis=0) - self.corners
@@ -188,16 +211,23 @@ class SupportSurface:
         return np.where(self.contains(p), distance, -distance)
 
     def cell_distances(self, obj: GridObject, pose: ArrayLike) -> Array:
-        """How far inside the edge each cell's square is at poses (..., 3): the least signed distance, (..., n) m.
+        """Calculates how far inside the edge each cell's square is, by its point nearest to the edge.
 
-        For a concave table a lower bound: the center's less half the diagonal.
+        On a concave table it is a lower bound: the center's distance less half the diagonal.
+
+        Args:
+            obj: the object.
+            pose: (..., 3) X_WB, m and rad.
+
+        Returns:
+            (..., n) m.
         """
         q = np.asarray(pose, dtype=np.float64)
         centers = obj.cells_at(q)
         half = obj.cell_size / 2
         if not self.is_convex:
             return self.signed_distances(centers) - half * np.sqrt(2)
-        # a square's support function: half times the 1-norm of the normal seen from the body
+        # How far a square reaches along a normal: half its side times the normal's 1-norm in B.
         across = np.abs(rotate(-q[..., 2, None], self.edge_normals)).sum(axis=-1)
         gaps = self.edge_offsets - centers @ self.edge_normals.T - half * across[..., None, :]
         return np.asarray(gaps.min(axis=-1))
@@ -205,48 +235,74 @@ class SupportSurface:
     def contains_cells(
         self, obj: GridObject, pose: ArrayLike, margin: float = 0.0
     ) -> bool | NDArray[np.bool_]:
-        """Whether every cell's square is on the table, at least `margin` (m) inside the edge, at poses (..., 3)."""
+        """Whether every cell's square is on the table.
+
+        Args:
+            obj: the object.
+            pose: (..., 3) X_WB, m and rad.
+            margin: how far inside the edge they must be, m.
+
+        Returns:
+            (...,) bool.
+        """
         inside = self.cell_distances(obj, pose).min(axis=-1) >= margin
         return bool(inside) if np.ndim(inside) == 0 else np.asarray(inside)
 
     def fits(self, body: ArrayLike) -> bool:
-        """Whether a convex body of corners (V, 2), m, can lie on the table, turned in some direction.
+        """Whether a convex body can lie on the table, turned in some direction.
 
-        In each of `FIT_ANGLES` directions: whether the edges' half-planes, moved in by how far the
-        body reaches across them, have a point in common. Of a concave table the convex hull is
-        tried.
+        For each of `FIT_ANGLES` directions the half-planes of the edges are moved in by how far the
+        body reaches across them. It can lie there if they have a point in common. For a concave
+        table its convex hull is tried.
+
+        Args:
+            body: (V, 2) corners of the body, body frame, m.
         """
         table = self if self.is_convex else SupportSurface(self.polygon.convex_hull)
         offsets = table.edge_offsets
         for angle in 2 * np.pi * np.arange(FIT_ANGLES) / FIT_ANGLES:
-            turned = rotate(angle, body)
-            if _have_common_point(
-                table.edge_normals, offsets - (turned @ table.edge_normals.T).max(axis=0)
-            ):
+            reach = (rotate(angle, body) @ table.edge_normals.T).max(axis=0)
+            if _have_common_point(table.edge_normals, offsets - reach):
                 return True
         return False
 
 
 def _have_common_point(normals: Array, offsets: Array) -> bool:
-    """Whether half-planes n.p <= offset (m) have a point in common: whether n.p + t <= offset with some t >= 0."""
+    """Whether half-planes n.p <= offset have a point p in common.
+
+    They do if the greatest t for which some p fulfills n.p + t <= offset is not negative.
+
+    Args:
+        normals: (k, 2) unit normals n.
+        offsets: (k,) m.
+    """
     A = np.column_stack([normals, np.ones(len(normals))])
-    best = linprog(
-        [0.0, 0.0, -1.0], A_ub=A, b_ub=offsets, bounds=[(None, None), (None, None), (None, None)]
-    )
+    best = linprog([0.0, 0.0, -1.0], A_ub=A, b_ub=offsets, bounds=3 * [(None, None)])
     return bool(best.status == 0 and -best.fun >= 0)
-
-
-ROUND_OFF = 1e-9  # m
 
 
 def find_supported(
     obj: GridObject, poses: ArrayLike, surface: SupportSurface, inset: float = 0.0
 ) -> NDArray[np.bool_]:
-    """Whether cells' centers are on the table, at least `inset` (m) inside its edge, at poses (..., 3): (..., n)."""
+    """Finds which cells' centers are on the table.
+
+    It says the same as `SupportSurface.contains`, but is quicker: of a convex table only those
+    edges are looked at that the object reaches at any of the poses.
+
+    Args:
+        obj: the object.
+        poses: (..., 3) X_WB, m and rad.
+        surface: the table.
+        inset: how far inside the edge a center must be, m.
+
+    Returns:
+        (..., n) bool.
+    """
     q = np.asarray(poses, dtype=np.float64)
     if not surface.is_convex:
         return surface.contains(obj.cells_at(q), inset)
-    normals, offsets = surface.edge_normals, surface.edge_offsets
+    normals = surface.edge_normals
+    offsets = surface.edge_offsets
     reach = float(np.linalg.norm(obj.p_BC, axis=1).max()) + inset + ROUND_OFF
     gaps = (offsets - q[..., :2] @ normals.T).reshape(-1, len(normals))
     near = gaps.min(axis=0) < reach

@@ -12,7 +12,7 @@ from gridpush_drake.planning.robot_status import PushPhase, PushStatus
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.made_identifications import make_block
 
-OPTIONS = LoopOptions(observations=4, rest=0.004, rest_angle=0.04, timeout=1.0)
+OPTIONS = LoopOptions(observations=4, rest_distance=0.004, rest_angle=0.04, timeout=1.0)
 
 
 def look(poses, looks=None):

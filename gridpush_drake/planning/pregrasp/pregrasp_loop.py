@@ -283,7 +283,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             surface=planner.surface,
             pose=pose,
             options=planner.options.slide,
-            error=self.options.rest,
+            error=self.options.rest_distance,
             obstacles=planner.obstacles,
         )
         # The reason of a poke says also what came of the poke before.
