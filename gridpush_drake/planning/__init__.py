@@ -1,4 +1,4 @@
-"""Where to push: contact points, pushes to a goal, pre-grasp goals and their stability, exploration."""
+"""Where to push: contact points, pushes to a goal, slides to the table's edge, and pokes."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What closed loops that push an object have in common: pure functions of a state and an observation.
+"""What closed loops that push an object share: pure functions of a state and an observation.
 
     waiting --- the robot is ready, the object seen at rest ---> a decision ---> a push ---> waiting
        |
@@ -82,7 +82,7 @@ class LoopOptions:
                 raise PlanningError(f"{each.name} is {value!r}; expected a positive number")
 
     def are_of_one_rest(self, poses: Sequence[Pose], pose: Array) -> bool:
-        """Whether a pose (3,), m and rad, may belong to the same rest as the mean of others; not if it is NaN."""
+        """Whether a pose (3,) may belong to the same rest as the mean of others; not if NaN."""
         difference = np.abs(pose - np.mean(poses, axis=0))
         return bool(difference[:2].max() <= self.rest_distance and difference[2] <= self.rest_angle)
 
@@ -285,7 +285,7 @@ class ClosedLoop(Generic[L]):
         raise NotImplementedError
 
     def _prepare(self, now: L, seen: Observation) -> L:
-        """The state with what is new from outside, such as another goal. It is asked for between pushes."""
+        """The state with what is new from outside, such as another goal; for between pushes."""
         return now
 
     def _count_made(self, now: L, seen: Observation) -> dict[str, Any]:

@@ -164,7 +164,7 @@ class PushChecker:
             self._prepare_obstacles(pose, radius)
 
     def _prepare_table(self, surface: SupportSurface, pose: Array) -> None:
-        """Makes the tables that body and finger must be on, with the body at `pose` (3,) at first."""
+        """Makes the tables that body and finger must be on; the body begins at `pose` (3,)."""
         table = surface.polygon.buffer(-self.constraints.edge_margin)
         if surface.is_convex:
             self._points_on_table = np.array(self.body.convex_hull.exterior.coords)[:-1]
@@ -177,7 +177,7 @@ class PushChecker:
         shapely.prepare(self._finger_table)
 
     def _prepare_obstacles(self, pose: Array, radius: float) -> None:
-        """Makes what body and finger must not touch, with the body at `pose` (3,) at first."""
+        """Makes what body and finger must not touch; the body begins at `pose` (3,)."""
         margin = self.constraints.obstacle_margin
         union = shapely.union_all(list(self.constraints.obstacles))
         # If the body is nearer than the margin already, the margin is made smaller by as much.
@@ -285,7 +285,7 @@ class PushChecker:
 
 
 def make_body(obj: GridObject) -> Polygon:
-    """Makes the largest piece of the union of an object's outline and its cells' squares, body frame.
+    """Makes the union of an object's outline and its cells' squares, body frame; its largest piece.
 
     The polygon is kept with the object, so that it is made only once.
     """

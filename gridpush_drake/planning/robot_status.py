@@ -74,9 +74,9 @@ class GraspStatus:
     Attributes:
         phase: what it is doing.
         command_id: number of the last command that was taken up or refused; 0 before the first.
-        outcome: what came of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped"
-            (lost while lifting or holding) or "held" (lifted, and held for the time: the phase
-            stays "holding").
+        outcome: what came of that command: "" (under way), "refused", "missed" (closed on nothing),
+            "slipped" (lost while lifting or holding) or "held" (lifted, and held for as long as was
+            asked; the phase stays "holding").
         reason: why it was refused, or what went wrong; empty where nothing did.
     """
 

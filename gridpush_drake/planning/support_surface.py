@@ -148,7 +148,7 @@ class SupportSurface:
 
     @cached_property
     def edge_offsets(self) -> Array:
-        """(k,) offsets of the edges' lines along their normals n, m: n.p for any point p on a line."""
+        """(k,) offsets of the edges along their normals n, m: n.p for any point p of an edge."""
         return np.asarray((self.edge_normals * self.corners).sum(axis=1))
 
     @cached_property
@@ -199,7 +199,7 @@ class SupportSurface:
         return np.asarray(shapely.contains_xy(self.polygon, p[..., 0], p[..., 1]))
 
     def signed_distances(self, points: ArrayLike) -> Array:
-        """Distances (...,) of points (..., 2) to the edge, m: positive on the table, negative beyond it."""
+        """Distances (...,) of points (..., 2) to the edge, m: negative beyond it."""
         p = np.asarray(points, dtype=np.float64)
         flat = p.reshape(-1, 2)
         along = np.roll(self.corners, -1, axis=0) - self.corners
@@ -211,7 +211,7 @@ class SupportSurface:
         return np.where(self.contains(p), distance, -distance)
 
     def cell_distances(self, obj: GridObject, pose: ArrayLike) -> Array:
-        """Calculates how far inside the edge each cell's square is, by its point nearest to the edge.
+        """Calculates how far inside the edge each cell's square is, at the point nearest to it.
 
         On a concave table it is a lower bound: the center's distance less half the diagonal.
 

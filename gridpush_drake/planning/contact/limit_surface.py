@@ -1,4 +1,4 @@
-"""What a great many pushes will roughly do, by the ellipsoidal limit surface; and which to begin a search with.
+"""What many pushes will roughly do, by the ellipsoidal limit surface; which to begin a search with.
 
 All friction of the support together resists at most a force f_max = sum k_i, or a moment
 m_max = sum k_i a_i about the center of friction c. Here a_i is the arm by which cell i resists
@@ -114,7 +114,7 @@ class DistanceTable:
 
 @lru_cache(maxsize=32)
 def make_distance_table(obj: GridObject, radius: float) -> DistanceTable:
-    """Tabulates the signed distance to the exterior outline, as far as a disc of `radius` (m) may be."""
+    """Tabulates the signed distance to the exterior outline, for a disc of a radius, m."""
     outline = shapely.Polygon(obj.outline.exterior)
     shapely.prepare(outline)
     low = np.array(outline.bounds[:2])
@@ -138,7 +138,7 @@ def predict_roughly(
     distance: float,
     radius: float,
 ) -> Array:
-    """Follows N straight pushes of an object at the pose (0, 0, 0) by the ellipsoidal limit surface.
+    """Follows N straight pushes of an object at (0, 0, 0) by the ellipsoidal limit surface.
 
     Args:
         obj: the object.

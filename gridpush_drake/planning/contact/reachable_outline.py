@@ -1,9 +1,9 @@
 """Where on an object's outline a disc can touch it.
 
-A disc of radius r that touches the outline has its center at distance r from the object, and nowhere
-nearer: it is on the boundary of the object grown by r. So of each edge, set off by r, only those
-pieces are reachable that lie on that boundary. What lies within the grown object is in a concavity
-narrower than the disc, or too near a reflex vertex.
+A disc of radius r that touches the outline has its center at distance r from the object, and
+nowhere nearer: it is on the boundary of the object grown by r. So of each edge, set off by r, only
+those pieces are reachable that lie on that boundary. What lies within the grown object is in a
+concavity narrower than the disc, or too near a reflex vertex.
 
 A place is told by its arc length and its edge, for the edge says what the normal is there. A vertex
 is the end of two edges; that the disc can also touch it from the directions in between is left out.
@@ -78,7 +78,7 @@ class ReachableOutline:
         """
         s = np.mod(np.asarray(arc_length, dtype=np.float64), self.perimeter)[..., None]
         turns = np.array([-1.0, 0.0, 1.0]) * self.perimeter
-        # Each arc length as it is, a turn less and a turn more, clipped to every piece: (..., P, 3).
+        # Each arc length, also a turn less and a turn more, clipped to every piece: (..., P, 3).
         shifted = s[..., None] + turns
         clipped = np.clip(shifted, self.low[:, None], self.high[:, None])
         gap = np.abs(clipped - shifted).min(axis=-1)
@@ -115,12 +115,12 @@ class ReachableOutline:
         return self.high[piece] - (ends[piece] - traveled), piece
 
     def calc_share(self, arc_length: float, piece: int) -> float:
-        """Calculates the share of all pieces' length before an arc length (m) of a piece, the inverse of `locate`."""
+        """Share of all pieces' length before an arc length, m, of a piece; inverts `locate`."""
         ends = self._ends
         return float((ends[piece] - (self.high[piece] - arc_length)) / ends[-1])
 
     def point(self, arc_length: Array, piece: NDArray[np.int64]) -> Array:
-        """Calculates points of the outline, (..., 2), body frame, m, at arc lengths (..., m) on pieces (...,)."""
+        """Points (..., 2) of the outline, body frame, m, at arc lengths (..., m) on pieces (...,)."""
         return self.origin[piece] + arc_length[..., None] * self.tangent[piece]
 
 

@@ -71,7 +71,7 @@ class PlannedPush:
 
 
 def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
-    """Calculates C, the mean distance of the cells' centers from where they are at a goal (the paper's ADD).
+    """Calculates C, the mean distance of the cells' centers from the goal's (the paper's ADD).
 
     Args:
         obj: the object.
@@ -96,7 +96,7 @@ MIN_RESIDUAL = 1e-4
 m."""
 
 DISTANCE_TOUCH = 1e-9
-"""A push this much shorter than the least distance still counts as long enough, m, for round-off."""
+"""By how much a push may be shorter than the least distance, m, for round-off."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class ContactOptions:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 1")
 
     def resolve_physics(self, obj: GridObject, params: CellParameters) -> Physics:
-        """The physics of pushes at `speed`, by a model of the object; never with the regime "auto"."""
+        """The physics of pushes at `speed`, by a model; never with the regime "auto"."""
         return self.physics.resolve_for(obj, params, self.speed)
 
 

@@ -1,10 +1,10 @@
-"""How far an object still has to go, round obstacles and past edges: a cost-to-go over its planar poses.
+"""How far an object still has to go, round obstacles and past edges: a cost-to-go over its poses.
 
 Where nothing is in between, the cost of a pose is C, the mean distance of the cells' centers from
-where they are at the goal. Where something is in between, the poses are cut into a lattice (position
-of the cells' centroid and angle), and those that the rules forbid are left out. Dijkstra's algorithm
-finds the shortest paths to the goal over the others. A step of the lattice is as long as the cells
-move, about
+where they are at the goal. Where something is in between, the poses are cut into a lattice
+(position of the cells' centroid and angle), and those that the rules forbid are left out.
+Dijkstra's algorithm finds the shortest paths to the goal over the others. A step of the lattice is
+as long as the cells move, about
 
     sqrt(dx² + dy² + rho² dtheta²),   rho the radius of gyration.
 
@@ -142,7 +142,7 @@ class CostToGo:
         self._free = self.checker.allows_geometry(self._poses)
 
     def _find_paths(self) -> None:
-        """Finds the cost of every lattice pose, and the next one on the way to the goal, by Dijkstra's algorithm."""
+        """Finds the cost of every lattice pose, and the next one on the way to the goal."""
         counts = self._counts
         index = self._index
         nodes = np.arange(len(index)).reshape(counts)
@@ -171,7 +171,8 @@ class CostToGo:
         rows.append(np.full(len(near), last))
         columns.append(np.array(near, dtype=np.int64))
         weights.append(np.array(errors))
-        # All shortest paths from the goal; the node before each on its path is the next one to go to.
+        # All shortest paths from the goal, by Dijkstra's algorithm. On the path to a node, the
+        # node before it is where to go next from there.
         data = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
         graph = coo_array(data, shape=(last + 1, last + 1)).tocsr()
         cost, before = dijkstra(graph, directed=False, indices=last, return_predecessors=True)
@@ -179,7 +180,7 @@ class CostToGo:
         self._next = np.where(before[:last] == last, -1, before[:last])
 
     def _near(self, pose: Array) -> list[int]:
-        """Indices of the allowed lattice poses about a pose (3,): two to either side in x, y and angle."""
+        """Finds the allowed lattice poses about a pose (3,): two on either side in x, y, angle."""
         at = np.append((self._center(pose) - self._low) / self._step, pose[2] * TURNS / (2 * np.pi))
         nodes = []
         for offset in np.ndindex(4, 4, 4):

@@ -1,4 +1,4 @@
-"""The next push of a sequence: searches over one and two pushes, compared, and cut short where the model may be wrong.
+"""The next push of a sequence: it looks one or two pushes ahead, and allows for a wrong model.
 
 Horizon 1 aims for the goal itself (or, where something is in between, for places along the path).
 Horizon 2 asks of several first pushes how near a second push from their predicted end would come.
@@ -9,10 +9,10 @@ turned first where it lies. The decision is, in this order,
     the first of two, if they come nearer;
     where neither gains anything, the best of all places with all directions.
 
-A push is made only as far as it keeps the rules, with some leeway, by the model and by every sample:
-other models that may be the true one. By each of them its own center of friction must also stay
-over the table. Samples are drawn from the posterior. Before anything was learned they are objects
-that are heavier towards one side,
+A push is made only as far as it keeps the rules, with some leeway, by the model and by every
+sample: other models that may be the true one. By each of them its own center of friction must also
+stay over the table. Samples are drawn from the posterior. Before anything was learned they are
+objects that are heavier towards one side,
 
     k_i ~ exp(a u·(p_i - c) / r)
 
@@ -138,7 +138,7 @@ class Robustness:
     simulations: int = 0
 
     def cut(self, pose: Array, planned: PlannedPush) -> PlannedPush | None:
-        """The part of a push from `pose` (3,) that is safe by all models; None where that is too short."""
+        """Cuts a push from `pose` (3,) to what is safe by all models; None if that is too short."""
         if self.constraints.surface is None and not self.constraints.obstacles:
             return planned
         physics = self.contact.resolve_physics(self.obj, self.models[0])
@@ -180,7 +180,7 @@ class Robustness:
         )
 
     def _count_supported(self, params: CellParameters, poses: Array) -> int:
-        """Counts the poses (K, 3), from the first on, with the center of friction well over the table.
+        """Counts the poses (K, 3), from the first on, with the center of friction over the table.
 
         If it is nearer to the edge already in the first pose, it must not come nearer still.
         """
@@ -328,7 +328,7 @@ class _PushSearch:
         return sorted(found, key=lambda option: option.cost)
 
     def find_second(self, first: list[_Option]) -> list[_Option]:
-        """Finds for the best of some first pushes, and for pushes to waypoints, what a second one leaves."""
+        """Finds what a second push leaves, after the best first ones and those to waypoints."""
         beam = first[:BEAM]
         waypoints = []
         if self.subgoals:

@@ -106,7 +106,7 @@ class PushPlan:
         return f"PushPlan, {self.status}: {pushes}, {left}\n{self.reason}"
 
     def _repr_html_(self) -> str:
-        """A table with a row for each push, and a drawing of the path that the object is predicted to take."""
+        """A table with a row for each push, and a drawing of the predicted path."""
         rows = [
             (number, f"{each.distance * MM:.0f}", describe_pose(each.pose), f"{error * MM:.1f}")
             for number, (each, error) in enumerate(
@@ -188,7 +188,7 @@ def plan_pushes(
 def find_stop_reason(
     obj: GridObject, pose: Array, cost_to_go: CostToGo, made: int, rules: GoalRules
 ) -> PushPlanStatus | None:
-    """Finds why a sequence should end at `pose` (3,) after `made` pushes; None where it should go on."""
+    """Finds why a sequence should end at `pose` (3,) after `made` pushes; None to go on."""
     if float(calc_goal_error(obj, pose, cost_to_go.goal)) <= rules.tolerance:
         return PushPlanStatus.REACHED
     if made >= rules.max_pushes:
@@ -240,8 +240,9 @@ FORMAT_VERSION = 1
 
 HEADER = """\
 # Pushes that bring an object to a goal pose, planned by gridpush.
-# SI units, radians, world frame; `start` is the place of the pusher's center, `pose` the object's predicted pose after
-# the push (x, y, theta), `error` the mean distance of the object's cells from where they are at the goal.
+# SI units, radians, world frame; `start` is the place of the pusher's center, `pose` the object's
+# predicted pose after the push (x, y, theta), `error` the mean distance of the object's cells from
+# where they are at the goal.
 """
 
 """Comment at the beginning of a plan file."""

@@ -1,4 +1,4 @@
-"""The loop that pushes an object to a goal pose, push by push, for controllers and simulated worlds alike.
+"""The loop that pushes an object to a goal pose, for controllers and simulated worlds alike.
 
     waiting ---- at rest, and seen ----> pushing ----> waiting      a push, then a new observation
        |
@@ -233,7 +233,7 @@ class PushToGoalState(LoopState):
     simulations: int = 0
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "PushToGoalState":
-        """The state in another mode, see `LoopState.turn_to`; without a cause unless `others` says so."""
+        """The state in another mode, see `LoopState.turn_to`; it has no cause unless given one."""
         return super().turn_to(mode, reason, **{"cause": "", "expected_error": nan, **others})
 
 

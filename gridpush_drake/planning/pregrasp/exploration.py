@@ -147,7 +147,9 @@ def make_pokes(
 def choose_poke(
     model: UncertainModel, pose: ArrayLike, pokes: Sequence[Push], F: Array
 ) -> PokeChoice:
-    """Chooses the poke that is expected to leave the least variance of what matters, in the direction least known.
+    """Chooses the poke that is expected to leave the least variance of what matters.
+
+    What matters has several coordinates; the direction counts in which it is then known least.
 
     Args:
         model: of the object, with its posterior.
@@ -190,8 +192,8 @@ def calc_observation(
         pose: (3,) where the object lies, X_WB, m and rad.
 
     Returns:
-        J (3, n+1), derivatives of the residual by z, and R (3, 3), covariance of its noise, m². None
-        where the push does not touch the object.
+        J (3, n+1), derivatives of the residual by z, and R (3, 3), covariance of its noise, m².
+        None where the push does not touch the object.
     """
     q = np.asarray(pose, dtype=np.float64)
     # The observation is made up: what would be seen does not matter, only its derivatives do.
@@ -241,7 +243,7 @@ def make_center_functional(model: UncertainModel, direction: ArrayLike | None = 
 
 
 def make_farthest_functional(model: UncertainModel, direction: ArrayLike) -> Array:
-    """Derivatives by z of how far the center of mass can be along a direction, by the friction's bounds, m.
+    """Derivatives by z of how far, by the friction's bounds, the center of mass can be, m.
 
     The more of the friction is far out on either side, the farther the bounds let the center of
     mass be. That may be known badly long after the center of friction is known well.

@@ -1,4 +1,4 @@
-"""Where to slide an object so that the gripper can take it at the table's edge (the goals of the paper's Algorithm 3).
+"""Where to slide an object to grasp it at the table's edge: the goals of the paper's Algorithm 3.
 
 A goal pose lets the footprint of a graspable part hang beyond the edge while the center of mass, at
 its worst, stays inside what holds the object.
@@ -125,7 +125,7 @@ class GoalOptions:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 4")
 
     def calc_charge(self, margin: float) -> float:
-        """What a margin, m, that is thinner than comfortable adds to the way that a goal costs, m."""
+        """What a margin, m, thinner than comfortable adds to the way that a goal costs, m."""
         return self.charge * max(self.comfort - margin, 0.0)
 
 
@@ -310,7 +310,7 @@ def _judge_candidates(
     surface: SupportSurface,
     options: GoalOptions,
 ) -> list[PreGraspGoal]:
-    """Goals of those candidates whose part hangs over far enough, with their margins on the real table."""
+    """Goals of the candidates whose part hangs over far enough, with their real margins."""
     found = []
     for candidate in candidates:
         overhang = float(calc_overhangs([candidate.part], candidate.pose, surface)[0])
@@ -332,7 +332,7 @@ def _judge_candidates(
 def _keep_graspable(
     goals: list[PreGraspGoal], masses: PlausibleMassSet, limits: ArmLimits
 ) -> list[PreGraspGoal]:
-    """The first few goals, in their order, that the arm can grasp at; all where it has no limits."""
+    """The first few goals that the arm can grasp at; all where it has no limits."""
     if limits.can_grasp is None:
         return goals
     can_grasp = limits.can_grasp
@@ -395,7 +395,7 @@ def _list_candidates(
     options: GoalOptions,
     limits: ArmLimits,
 ) -> list[_Candidate]:
-    """Lists the poses with every direction of the object off the table, at every place of its edge."""
+    """Lists poses with each direction of the object off the table, at each place of its edge."""
     obj = masses.obj
     footprints = np.array([part.footprint for part in parts])
     angles = 2 * np.pi * np.arange(options.directions) / options.directions
@@ -427,7 +427,7 @@ def _list_candidates(
 def _list_edge_places(
     surface: SupportSurface, count: int, limits: ArmLimits
 ) -> list[tuple[Array, Array]]:
-    """Lists evenly spaced points of the table's edge, with the normals there, that the gripper reaches.
+    """Lists evenly spaced points of the table's edge that the gripper reaches, and the normals.
 
     Args:
         surface: the table.
@@ -458,7 +458,7 @@ def _keep_clear(
 def _judge(
     masses: PlausibleMassSet, pose: Array, surface: SupportSurface, inset: float
 ) -> tuple[float, Array]:
-    """The stability margin at a pose (3,), m, and the direction (2,), body frame, in which it is least."""
+    """The stability margin at a pose (3,), m, and the direction (2,), in B, of the least margin."""
     centers = masses.center_of_mass_polygon
     hull = calc_support_polygon(masses.obj, pose, surface, inset)
     return calc_margin_inside(centers, hull), find_weakest_direction(centers, hull)

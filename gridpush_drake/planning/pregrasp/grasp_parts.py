@@ -138,7 +138,7 @@ def _can_take(piece: Polygon, others: list[Polygon], gripper: Gripper) -> bool:
 
 
 def _calc_held_share(piece: Polygon, pad_give: float) -> float:
-    """Share of the piece's length along which both jaws touch it, if their pads yield by `pad_give`, m."""
+    """Share of a piece's length along which both jaws touch it; pads yield by `pad_give`, m."""
     x0, y0, x1, y1 = piece.bounds
     heights = y0 + (y1 - y0) * (np.arange(CHORDS) + 0.5) / CHORDS
     lines = shapely.linestrings([[[x0 - FAR, y], [x1 + FAR, y]] for y in heights])
@@ -147,7 +147,7 @@ def _calc_held_share(piece: Polygon, pad_give: float) -> float:
 
 
 def _make_part(piece: Polygon, y: float, R: Array, gripper: Gripper) -> GraspPart:
-    """Makes the part of a piece, whose strip begins at `y` (m); R (2, 2) turns it back into the body frame."""
+    """Makes the part of a piece whose strip begins at `y`, m; R (2, 2) turns it into the body."""
     x0, _, x1, _ = piece.bounds
     left = x0 - gripper.side_room
     right = x1 + gripper.side_room
@@ -185,7 +185,7 @@ def find_flat_parts(obj: GridObject, gripper: Gripper) -> list[FlatPart]:
 
 
 def _list_rim_places(obj: GridObject) -> Iterator[tuple[Array, float]]:
-    """Lists points (2,) of the outer rim, body frame, m, and the headings straight in from there, rad."""
+    """Lists points (2,) of the outer rim, body frame, m, and headings straight in there, rad."""
     ring = shapely.orient_polygons(obj.outline.simplify(RIM_DETAIL)).exterior
     corners = shapely.get_coordinates(ring)
     edges = np.diff(corners, axis=0)

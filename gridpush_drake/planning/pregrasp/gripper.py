@@ -2,10 +2,10 @@
 
 Every other form of a gripper is made from this record:
 
-    gripper.yaml --GripperMeasures.make_gripper--> Gripper        (`station.robot` reads the file)
-    Gripper --limit_pads--> PadLimit                              what its pads can hold of an object
-    Gripper --GraspTrajectoryOptions.of_gripper-->                how it carries out a grasp
-                                                                  (`systems.grasp_executor`)
+    gripper.yaml --GripperMeasures.make_gripper--> Gripper        (read by `station.robot`)
+    Gripper --limit_pads--> PadLimit                              (what its pads can hold)
+    Gripper --GraspTrajectoryOptions.of_gripper-->                (how it carries out a grasp, see
+                                                                  `systems.grasp_executor`)
 
 The gripper reaches in from the side, beyond the table's edge, one jaw under the object and one over
 it. Seen from above, with the grasp point G in the middle between the pads and the x axis along the
@@ -232,7 +232,7 @@ class Gripper:
         return min(force, self.max_force)
 
     def limit_pads(self, obj: GridObject, force: float) -> "PadLimit":
-        """What the pads hold of an object of the total mass that is known beforehand, or the usual one.
+        """What the pads hold of an object, whose total mass is known beforehand or the usual one.
 
         Args:
             obj: the object.
@@ -281,22 +281,22 @@ class PadLimit:
         require_positive(PlanningError, "pads: ", "N", force=self.force, weight=self.weight)
 
     def weigh(self, masses: PlausibleMassSet) -> "PadLimit":
-        """The limit with the greatest weight that measured forces leave, if the object was not weighed."""
+        """The limit with the greatest weight that measured forces leave an object not weighed."""
         heaviest = masses.max_total_mass
         return self if heaviest is None else replace(self, weight=GRAVITY * heaviest)
 
     @property
     def torques(self) -> tuple[float, float]:
-        """F a and F b: greatest torque of the weight with the arm along the fingers, and across, N m."""
+        """F a and F b: greatest torques of the weight by arms along the fingers and across, N m."""
         return self.force * self.gripper.pad_length / 2, self.force * self.gripper.pad_width / 2
 
     @property
     def max_arm(self) -> float:
-        """Greatest distance from the center of mass at which a plan lets the pads hold the object, m."""
+        """Greatest distance from the center of mass at which a plan lets the pads hold, m."""
         return USED_SHARE * max(self.torques) / self.weight
 
     def calc_shares(self, p_BG: Array, headings: Array, centers: Array) -> Array:
-        """What share of their limit the pads would have to hold, (k,); over 1 is more than they can.
+        """What share of their limit the pads would have to hold, (k,); above 1 they cannot.
 
         Args:
             p_BG: (k, 2) grasp points, body frame, m.
@@ -313,7 +313,7 @@ class PadLimit:
         return np.maximum(np.maximum(d_x / Fa, d_y / Fb), 1.0 / self.force) * self.weight
 
     def holds(self, p_BG: Array, headings: Array, centers: Array) -> Array:
-        """Whether the pads hold the object with something to spare, (k,) bool; arguments as of `calc_shares`."""
+        """Whether the pads hold with something to spare, (k,); arguments as of `calc_shares`."""
         return np.asarray(self.calc_shares(p_BG, headings, centers) <= USED_SHARE)
 
     def describe_best(self, p_BG: Array, headings: Array, centers: Array) -> str:

@@ -1,4 +1,4 @@
-"""What to do next to get an object to the table's edge and grasp it there (the paper's Algorithm 3, made safe).
+"""What to do next to grasp an object at the table's edge: the paper's Algorithm 3, made safe.
 
     explore   poke until the set of possible masses leaves a goal that is safe
     slide     push towards the goals, stable at the worst all the way; learn from every push that
@@ -261,7 +261,7 @@ class PreGraspPlanner:
     def _decide_by_rim(
         self, q: Array, model: UncertainModel, pokes: int, slides: int
     ) -> PreGraspDecision:
-        """Decides what to do next to take a flat part by which the pads hold the object at the worst."""
+        """Decides what to do next to take a flat part by which the pads surely hold the object."""
         assert self.pads is not None  # or there would be no flat parts
         pads = self.pads.weigh(model.masses)
         centers = model.masses.center_of_mass_polygon
@@ -337,7 +337,7 @@ class PreGraspPlanner:
         return f"on the table{clear}"
 
     def _calc_max_arm(self, model: UncertainModel) -> float:
-        """How far a narrow part may be from the estimated center of mass, m: less for a heavy object."""
+        """How far a narrow part may be from the center of mass, m: less for a heavy object."""
         if self.pads is None:
             return self.options.max_arm
         return min(self.options.max_arm, self.pads.weigh(model.masses).max_arm)
@@ -371,7 +371,10 @@ class PreGraspPlanner:
         It pokes if the center of mass may turn out to be near narrow parts that allow a goal.
         """
         if any(isinstance(part, FlatPart) for part in parts):
-            why = "no pose lets a part that the pads hold hang over the edge where the arm can take it"
+            why = (
+                "no pose lets a part that the pads hold hang over the edge where the arm can "
+                "take it"
+            )
             return PreGraspDecision("fail", why)
         arm = self._calc_max_arm(model)
         near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
@@ -524,7 +527,7 @@ class PreGraspPlan:
         return f"PreGraspPlan, {self.status}: {count(len(self.pushes), 'push')}\n{self.message}"
 
     def _repr_html_(self) -> str:
-        """A table with a row for each push, and a drawing of the path that the object is predicted to take."""
+        """A table with a row for each push, and a drawing of the predicted path."""
         rows = [
             (number, f"{push.length * MM:.0f}", describe_pose(pose))
             for number, (push, pose) in enumerate(

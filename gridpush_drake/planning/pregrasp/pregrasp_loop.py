@@ -1,4 +1,4 @@
-"""The loop that gets an object to the table's edge and grasps it there: the paper's Algorithm 3, made safe.
+"""The loop that grasps an object at the table's edge: the paper's Algorithm 3, made safe.
 
     waiting ----> exploring, sliding ----> waiting        a push, then a new observation
        |                  |                   ^
@@ -149,7 +149,7 @@ class PreGraspState(LoopState):
 
     @property
     def shown_push(self) -> Push | None:
-        """The push that is asked for: none while one is broken off, and once the object is grasped."""
+        """The push that is asked for: none while one is broken off, or in a grasp."""
         return None if self.status.mode in NO_PUSH else self.push
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "PreGraspState":
@@ -314,8 +314,8 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         goal = decision.goal
         masses = uncertain.masses
         at_worst = goal is not None and isinstance(goal.part, FlatPart)
-        # As near the center of mass as the gripper gets; else at the part that the plan found, which
-        # is farther off, but within reach.
+        # As near the center of mass as the gripper gets; else at the part that the plan found,
+        # which is farther off, but within reach.
         grasp = self._find_grasp(pose, masses.middle, masses, at_worst)
         if grasp is None and goal is not None:
             grasp = self._find_grasp(pose, goal.part.p_BG, masses, at_worst)

@@ -1,4 +1,4 @@
-"""Where a gripper can take an object from beyond the table's edge, one jaw under the overhang and one over it.
+"""Where a gripper can take an object from the side, one jaw under the overhang and one over it.
 
 What the gripper is made of, seen from above, and what it sweeps on its way in, is in `gripper`.
 Whether its pads can then hold the object is another question, see `gripper.PadLimit`.
@@ -455,7 +455,7 @@ def find_places(
 
 
 def _turn_back(x: Array, y: Array, R: Array) -> Array:
-    """Points (k, 2) in W of those at x (k,) along and y (k,) across headings with rotations R (k, 2, 2)."""
+    """Points (k, 2) in W, at x (k,) along and y (k,) across headings of rotations R (k, 2, 2)."""
     return x[:, None] * R[:, :, 0] + y[:, None] * R[:, :, 1]
 
 

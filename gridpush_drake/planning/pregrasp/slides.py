@@ -309,7 +309,7 @@ def _cut_short(
     rule: PoseRule,
     options: SlideOptions,
 ) -> Slide | None:
-    """Cuts a push to the part that is safe with every model, and of that to the part that ends nearest.
+    """Cuts a push to what is safe with every model, and of that to what ends nearest.
 
     Args:
         planned: the push.

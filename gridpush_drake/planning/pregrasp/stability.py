@@ -1,4 +1,4 @@
-"""Whether an object stays on the table, whichever of the masses that agree with what was seen it has.
+"""Whether an object stays on the table, by all masses that agree with what was seen.
 
 The object stays put while its center of mass, wherever it may be (`uncertainty.PlausibleMassSet`),
 is inside the convex hull of what holds it: the cells whose centers are on the table, at least an
@@ -33,7 +33,7 @@ wrong by."""
 def calc_support_polygon(
     obj: GridObject, pose: ArrayLike, surface: SupportSurface, inset: float = SUPPORT_INSET
 ) -> Array:
-    """Calculates what holds the object: the convex hull of the cells' centers that are on the table.
+    """Calculates what holds the object: the hull of the cells' centers that are on the table.
 
     Args:
         obj: the object.

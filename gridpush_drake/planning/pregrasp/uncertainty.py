@@ -1,4 +1,4 @@
-"""What is known of an object, in the forms that pre-grasp decisions take: Identification -> UncertainModel.
+"""What is known of an object, as pre-grasp decisions take it: Identification -> UncertainModel.
 
 Where the center of mass may be: poses under slow pushes show only the relative support friction
 k_i = mu_i m_i of each cell (`identification.identifiability`). With friction coefficients between
@@ -190,7 +190,7 @@ class PlausibleMassSet:
 
     @property
     def middle(self) -> Array:
-        """(2,) where the center of mass is taken to be: the mean of that polygon's corners, body frame, m."""
+        """(2,) the mean of that polygon's corners, body frame, m: the estimated center of mass."""
         return self.center_of_mass_polygon.mean(axis=0)
 
 
@@ -271,7 +271,7 @@ class UncertainModel:
     def of_prior(
         cls, obj: GridObject, *, friction_range: tuple[float, float] | None = None
     ) -> "UncertainModel":
-        """Makes the model of an object before any push: the smoothness prior about uniform friction."""
+        """Makes the model before any push: the smoothness prior about uniform friction."""
         prior = describe_prior(obj, MapEnsemble(hypotheses=(SmoothField(PRIOR_AMPLITUDE),)))
         return cls.of_identification(prior, friction_range=friction_range, sample_count=0)
 
