@@ -188,7 +188,7 @@ def test_the_method_is_one(monkeypatch):
 
 
 def test_two_objects_are_a_scenario():
-    scene = find_blocks("docs/extending.md", "yaml")[2]
+    scene = find_blocks("docs/extending.md", "yaml")[3]
     assert scene == find_scenario("two_objects").read_text()
 
 
@@ -208,7 +208,7 @@ def test_every_block_is_tried_somewhere():
         (
             "docs/extending.md",
             "yaml",
-        ): 3,  # a robot and its scene (tests/station/test_robot.py), two objects
+        ): 4,  # a robot, its scene and its gripper (tests/station/test_robot.py), two objects
         ("docs/howto/own_object.md", "yaml"): 1,
         ("docs/howto/own_pushes.md", "csv"): 1,
     }

@@ -19,6 +19,7 @@ from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import (
     FingerMeasures,
+    GripperMeasures,
     find_robot,
     make_robot_directives,
     read_measures,
@@ -177,6 +178,15 @@ def test_reach_is_measured_from_the_base_wherever_it_stands(second_arm):
     axis, low, high = CalcTipReach(station.plant, station.robot, 0.012)
     assert axis == pytest.approx(BASE[:2])
     assert (low, high) == pytest.approx(station.robot.arm.reach.calc_ring(0.16, 0.012 - BASE[2]))
+
+
+def test_the_gripper_of_the_page_is_the_default_one(tmp_path):
+    if not DOCS.is_file():
+        pytest.skip("a wheel's tests have no docs beside them")
+    (measures,) = re.findall("```yaml\n(mount_frame.*?)```", DOCS.read_text(), re.DOTALL)
+    path = tmp_path / "gripper.yaml"
+    path.write_text(measures)
+    assert read_measures(path, GripperMeasures).make_gripper() == Gripper()
 
 
 def test_the_grippers_measures_are_those_that_grasps_are_planned_with():

@@ -12,6 +12,7 @@ from gridpush_drake.multibody.tool_motion import (
     calc_tool_pose,
     make_transform,
 )
+from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.systems.grasp_executor import (
     GraspExecutor,
     GraspTrajectoryOptions,
@@ -29,6 +30,18 @@ from gridpush_drake.systems.messages import (
 REST = (0.5, -0.1, 0.12, 0.0)
 COMMAND = GraspCommand(1, 0.5, 0.18, 0.015, -np.pi / 2, 0.1)
 STYLE = GraspTrajectoryOptions(hold_time=0.5)
+
+
+def test_options_are_made_from_the_gripper():
+    gripper = Gripper(opening=0.08, max_force=140.0, closing_speed=0.1, standoff=0.12)
+    style = GraspTrajectoryOptions.of_gripper(gripper, 450.0, hold_time=0.5)
+    assert style == GraspTrajectoryOptions(
+        opening=0.08, force=140.0, closing_speed=0.1, standoff=0.12, hold_time=0.5
+    )
+    assert GraspTrajectoryOptions.of_gripper(gripper, 60.0).force == 60.0
+    assert GraspTrajectoryOptions.of_gripper(Gripper(), 80.0) == GraspTrajectoryOptions()
+
+
 STEP = 0.01
 THICK = 0.03  # m, of what is between the pads
 

@@ -120,7 +120,7 @@ class ReachableOutline:
         return float((ends[piece] - (self.high[piece] - arc_length)) / ends[-1])
 
     def point(self, arc_length: Array, piece: NDArray[np.int64]) -> Array:
-        """Points (..., 2) of the outline, body frame, m, at arc lengths (..., m) on pieces (...,)."""
+        """Outline points (..., 2), body frame, m, at arc lengths, m, on pieces, both (...,)."""
         return self.origin[piece] + arc_length[..., None] * self.tangent[piece]
 
 

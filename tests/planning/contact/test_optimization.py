@@ -1,3 +1,6 @@
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import shapely
@@ -269,6 +272,18 @@ def test_a_further_rule_is_kept(hammer):
     assert plan.push is not None
     assert all(push.pose[2] < POSE[2] + 0.1 for push in plan.candidates)
     assert optimize_contact(hammer, params, POSE, GOAL).push.pose[2] > POSE[2] + 0.1
+
+
+def test_the_rule_of_the_page_is_kept():
+    page = Path(__file__).parents[3] / "docs" / "extending.md"
+    if not page.is_file():
+        pytest.skip("a wheel's tests have no docs beside them")
+    section = page.read_text().partition("## A rule that pushes keep")[2]
+    names = {}
+    exec(re.search("```python\n(.*?)```", section, re.DOTALL)[1], names)
+    plan, start = names["plan"], names["start"]
+    assert plan.status == "ok"
+    assert all(abs(push.pose[2] - start[2]) <= np.pi / 4 for push in plan.candidates)
 
 
 def test_the_limit_surface_ranks_pushes(hammer):

@@ -1,6 +1,8 @@
 """Grasps from beyond the edge: the pads on the object, the gripper clear of the table and of the object."""
 
+import re
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -210,6 +212,17 @@ def test_bad_arguments_are_refused():
         find_side_grasps(obj, pose, TABLE, aim=[0.0])
     with pytest.raises(PlanningError, match="step"):
         find_side_grasps(obj, pose, TABLE, step=0.0)
+
+
+def test_the_gripper_of_the_page_takes_the_hammer():
+    page = Path(__file__).parents[3] / "docs" / "extending.md"
+    if not page.is_file():
+        pytest.skip("a wheel's tests have no docs beside them")
+    (example,) = re.findall("```python\n([^`]*limit_pads[^`]*)```", page.read_text())
+    names = {}
+    exec(example, names)
+    assert names["grasps"] and names["pads"].force == 60.0
+    assert names["pads"].gripper is names["gripper"]
 
 
 def test_varied_grasps_are_the_best_of_their_kind():
