@@ -82,7 +82,12 @@ class LoopOptions:
                 raise PlanningError(f"{each.name} is {value!r}; expected a positive number")
 
     def are_of_one_rest(self, poses: Sequence[Pose], pose: Array) -> bool:
-        """Whether a pose (3,) may belong to the same rest as the mean of others; not if NaN."""
+        """Whether a pose may belong to the same rest as others do.
+
+        Args:
+            poses: the others; their mean counts.
+            pose: (3,) X_WB, m and rad; NaN belongs to no rest.
+        """
         difference = np.abs(pose - np.mean(poses, axis=0))
         return bool(difference[:2].max() <= self.rest_distance and difference[2] <= self.rest_angle)
 
@@ -285,7 +290,10 @@ class ClosedLoop(Generic[L]):
         raise NotImplementedError
 
     def _prepare(self, now: L, seen: Observation) -> L:
-        """The state with what is new from outside, such as another goal; for between pushes."""
+        """The state with what is new from outside, such as another goal.
+
+        It is called between pushes only.
+        """
         return now
 
     def _count_made(self, now: L, seen: Observation) -> dict[str, Any]:

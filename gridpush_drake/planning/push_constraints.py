@@ -285,9 +285,10 @@ class PushChecker:
 
 
 def make_body(obj: GridObject) -> Polygon:
-    """Makes the union of an object's outline and its cells' squares, body frame; its largest piece.
+    """Makes the body that must keep clear: the union of an object's outline and its cells' squares.
 
-    The polygon is kept with the object, so that it is made only once.
+    It is the largest piece of that, in the body frame. The polygon is kept with the object, so that
+    it is made only once.
     """
     cached = obj.__dict__.get("_swept_body")
     if cached is None:

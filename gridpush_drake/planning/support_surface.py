@@ -148,7 +148,7 @@ class SupportSurface:
 
     @cached_property
     def edge_offsets(self) -> Array:
-        """(k,) offsets of the edges along their normals n, m: n.p for any point p of an edge."""
+        """(k,) offset of each edge along its outward normal n: n.p for any of its points p, m."""
         return np.asarray((self.edge_normals * self.corners).sum(axis=1))
 
     @cached_property

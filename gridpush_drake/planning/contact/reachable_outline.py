@@ -115,12 +115,25 @@ class ReachableOutline:
         return self.high[piece] - (ends[piece] - traveled), piece
 
     def calc_share(self, arc_length: float, piece: int) -> float:
-        """Share of all pieces' length before an arc length, m, of a piece; inverts `locate`."""
+        """Calculates the share of all pieces' length before a place; the inverse of `locate`.
+
+        Args:
+            arc_length: of the place, m.
+            piece: that it is on.
+        """
         ends = self._ends
         return float((ends[piece] - (self.high[piece] - arc_length)) / ends[-1])
 
     def point(self, arc_length: Array, piece: NDArray[np.int64]) -> Array:
-        """Outline points (..., 2), body frame, m, at arc lengths, m, on pieces, both (...,)."""
+        """Calculates points of the outline.
+
+        Args:
+            arc_length: (...,) m.
+            piece: (...,) indices of the pieces that they are on.
+
+        Returns:
+            (..., 2) body frame, m.
+        """
         return self.origin[piece] + arc_length[..., None] * self.tangent[piece]
 
 

@@ -138,7 +138,15 @@ class Robustness:
     simulations: int = 0
 
     def cut(self, pose: Array, planned: PlannedPush) -> PlannedPush | None:
-        """Cuts a push from `pose` (3,) to what is safe by all models; None if that is too short."""
+        """Cuts a push to the part that is safe by all models.
+
+        Args:
+            pose: (3,) where the object lies, X_WB, m and rad.
+            planned: the push.
+
+        Returns:
+            The part; None if it is too short to be a push.
+        """
         if self.constraints.surface is None and not self.constraints.obstacles:
             return planned
         physics = self.contact.resolve_physics(self.obj, self.models[0])
@@ -156,7 +164,7 @@ class Robustness:
             motion = simulate(self.obj, params, planned.push, pose, times=times, physics=physics)
             self.simulations += 1
             if poses_by_model is None:
-                poses_by_model = motion.poses
+                poses_by_model = motion.poses  # of the model itself, which is the first
             allowed = checker.count_allowed(motion.tip, motion.poses)
             usable = min(usable, allowed, self._count_supported(params, motion.poses))
         distance = self.contact.speed * times[usable - 1] if usable else 0.0
@@ -180,9 +188,10 @@ class Robustness:
         )
 
     def _count_supported(self, params: CellParameters, poses: Array) -> int:
-        """Counts the poses (K, 3), from the first on, with the center of friction over the table.
+        """Counts the poses (K, 3), from the first on, that keep the center of friction on the table.
 
-        If it is nearer to the edge already in the first pose, it must not come nearer still.
+        It must be `center_margin` inside the edge. If it is nearer to the edge already in the first
+        pose, it must not come nearer still.
         """
         surface = self.constraints.surface
         if surface is None:
@@ -328,7 +337,10 @@ class _PushSearch:
         return sorted(found, key=lambda option: option.cost)
 
     def find_second(self, first: list[_Option]) -> list[_Option]:
-        """Finds what a second push leaves, after the best first ones and those to waypoints."""
+        """Finds what is left to go after a second push.
+
+        First pushes are the best of `first`, and others towards waypoints.
+        """
         beam = first[:BEAM]
         waypoints = []
         if self.subgoals:

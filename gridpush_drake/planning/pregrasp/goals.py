@@ -125,7 +125,7 @@ class GoalOptions:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 4")
 
     def calc_charge(self, margin: float) -> float:
-        """What a margin, m, thinner than comfortable adds to the way that a goal costs, m."""
+        """Calculates the charge for a thin margin, m, in meters that the object has to be slid."""
         return self.charge * max(self.comfort - margin, 0.0)
 
 
@@ -310,7 +310,15 @@ def _judge_candidates(
     surface: SupportSurface,
     options: GoalOptions,
 ) -> list[PreGraspGoal]:
-    """Goals of the candidates whose part hangs over far enough, with their real margins."""
+    """Makes goals of those candidates whose part hangs over far enough on the real table.
+
+    Args:
+        candidates: judged as if the edge were straight.
+        masses: that the object may have.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        surface: the table.
+        options: how far a part must hang over.
+    """
     found = []
     for candidate in candidates:
         overhang = float(calc_overhangs([candidate.part], candidate.pose, surface)[0])
@@ -458,7 +466,11 @@ def _keep_clear(
 def _judge(
     masses: PlausibleMassSet, pose: Array, surface: SupportSurface, inset: float
 ) -> tuple[float, Array]:
-    """The stability margin at a pose (3,), m, and the direction (2,), in B, of the least margin."""
+    """Calculates the stability margin at a pose (3,), m.
+
+    Returns:
+        The margin, and the unit vector (2,), body frame, along which it is least.
+    """
     centers = masses.center_of_mass_polygon
     hull = calc_support_polygon(masses.obj, pose, surface, inset)
     return calc_margin_inside(centers, hull), find_weakest_direction(centers, hull)

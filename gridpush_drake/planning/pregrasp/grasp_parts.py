@@ -147,7 +147,14 @@ def _calc_held_share(piece: Polygon, pad_give: float) -> float:
 
 
 def _make_part(piece: Polygon, y: float, R: Array, gripper: Gripper) -> GraspPart:
-    """Makes the part of a piece whose strip begins at `y`, m; R (2, 2) turns it into the body."""
+    """Makes the part of a piece.
+
+    Args:
+        piece: of a strip, in coordinates in which the jaws close along x.
+        y: where the strip begins, m.
+        R: (2, 2) rotation from these coordinates into the body frame.
+        gripper: the gripper.
+    """
     x0, _, x1, _ = piece.bounds
     left = x0 - gripper.side_room
     right = x1 + gripper.side_room
@@ -185,7 +192,11 @@ def find_flat_parts(obj: GridObject, gripper: Gripper) -> list[FlatPart]:
 
 
 def _list_rim_places(obj: GridObject) -> Iterator[tuple[Array, float]]:
-    """Lists points (2,) of the outer rim, body frame, m, and headings straight in there, rad."""
+    """Lists places of the outer rim.
+
+    Yields:
+        A point (2,), body frame, m, and the heading that points straight in from there, rad.
+    """
     ring = shapely.orient_polygons(obj.outline.simplify(RIM_DETAIL)).exterior
     corners = shapely.get_coordinates(ring)
     edges = np.diff(corners, axis=0)

@@ -232,10 +232,10 @@ class Gripper:
         return min(force, self.max_force)
 
     def limit_pads(self, obj: GridObject, force: float) -> "PadLimit":
-        """What the pads hold of an object, whose total mass is known beforehand or the usual one.
+        """Makes the limit of what the pads can hold of an object.
 
         Args:
-            obj: the object.
+            obj: the object; it weighs what is known beforehand, or else `DEFAULT_TOTAL_MASS`.
             force: with which both jaws together press, N.
 
         Raises:
@@ -281,28 +281,40 @@ class PadLimit:
         require_positive(PlanningError, "pads: ", "N", force=self.force, weight=self.weight)
 
     def weigh(self, masses: PlausibleMassSet) -> "PadLimit":
-        """The limit with the greatest weight that measured forces leave an object not weighed."""
+        """Makes the limit for the greatest weight that the object may have.
+
+        It differs from this limit if the object was not weighed, but forces were measured.
+        """
         heaviest = masses.max_total_mass
         return self if heaviest is None else replace(self, weight=GRAVITY * heaviest)
 
     @property
     def torques(self) -> tuple[float, float]:
-        """F a and F b: greatest torques of the weight by arms along the fingers and across, N m."""
+        """F a and F b: greatest torques of the weight that the pads hold, N m.
+
+        The first is for an arm of the weight along the fingers, the second for one across.
+        """
         return self.force * self.gripper.pad_length / 2, self.force * self.gripper.pad_width / 2
 
     @property
     def max_arm(self) -> float:
-        """Greatest distance from the center of mass at which a plan lets the pads hold, m."""
+        """Greatest distance of the grasp from the center of mass that a plan allows, m.
+
+        It is the distance along the longer side of the pads.
+        """
         return USED_SHARE * max(self.torques) / self.weight
 
     def calc_shares(self, p_BG: Array, headings: Array, centers: Array) -> Array:
-        """What share of their limit the pads would have to hold, (k,); above 1 they cannot.
+        """Calculates what share of their limit the pads would have to hold.
 
         Args:
             p_BG: (k, 2) grasp points, body frame, m.
             headings: (k,) in which the fingers point, body frame, rad.
             centers: (v, 2) corners of a polygon that the center of mass is in, body frame, m. The
                 worst of them counts.
+
+        Returns:
+            (k,); what is above 1, the pads cannot hold.
         """
         along = make_direction(headings)
         d = centers[None] - p_BG[:, None]
@@ -313,7 +325,11 @@ class PadLimit:
         return np.maximum(np.maximum(d_x / Fa, d_y / Fb), 1.0 / self.force) * self.weight
 
     def holds(self, p_BG: Array, headings: Array, centers: Array) -> Array:
-        """Whether the pads hold with something to spare, (k,); arguments as of `calc_shares`."""
+        """Whether the pads hold the object at some grasp points with something to spare.
+
+        They do if they need no more than `USED_SHARE` of their limit. Arguments as of
+        `calc_shares`; returns (k,) bool.
+        """
         return np.asarray(self.calc_shares(p_BG, headings, centers) <= USED_SHARE)
 
     def describe_best(self, p_BG: Array, headings: Array, centers: Array) -> str:

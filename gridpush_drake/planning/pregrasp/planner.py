@@ -261,7 +261,10 @@ class PreGraspPlanner:
     def _decide_by_rim(
         self, q: Array, model: UncertainModel, pokes: int, slides: int
     ) -> PreGraspDecision:
-        """Decides what to do next to take a flat part by which the pads surely hold the object."""
+        """Decides what to do next to take a flat part.
+
+        Only those parts count by which the pads hold the object wherever its center of mass is.
+        """
         assert self.pads is not None  # or there would be no flat parts
         pads = self.pads.weigh(model.masses)
         centers = model.masses.center_of_mass_polygon

@@ -455,7 +455,16 @@ def find_places(
 
 
 def _turn_back(x: Array, y: Array, R: Array) -> Array:
-    """Points (k, 2) in W, at x (k,) along and y (k,) across headings of rotations R (k, 2, 2)."""
+    """Turns points that are seen along headings back into W.
+
+    Args:
+        x: (k,) coordinates along the headings, m.
+        y: (k,) coordinates across them, m.
+        R: (k, 2, 2) rotations of the headings.
+
+    Returns:
+        (k, 2) m.
+    """
     return x[:, None] * R[:, :, 0] + y[:, None] * R[:, :, 1]
 
 
