@@ -188,7 +188,7 @@ class Robustness:
         )
 
     def _count_supported(self, params: CellParameters, poses: Array) -> int:
-        """Counts the poses (K, 3), from the first on, that keep the center of friction on the table.
+        """Counts the poses (K, 3), from the first on, with the center of friction on the table.
 
         It must be `center_margin` inside the edge. If it is nearer to the edge already in the first
         pose, it must not come nearer still.

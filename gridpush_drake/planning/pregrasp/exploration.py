@@ -245,9 +245,9 @@ def make_center_functional(model: UncertainModel, direction: ArrayLike | None = 
 def make_farthest_functional(model: UncertainModel, direction: ArrayLike) -> Array:
     """Derivatives by z of how far the center of mass can be along a direction, m.
 
-    How far it can be is limited by the bounds of the friction coefficients. The more of the friction
-    is far out on either side, the farther they let the center of mass be. That may be known badly
-    long after the center of friction is known well.
+    How far it can be is limited by the bounds of the friction coefficients. The more of the
+    friction is far out on either side, the farther they let the center of mass be. That may be
+    known badly long after the center of friction is known well.
 
     Args:
         model: of the object, with its posterior.
