@@ -273,7 +273,7 @@ class PushChecker:
         """
         if self.constraints.is_free:
             return len(tip)
-        # Only every so manieth step is checked, and the last one.
+        # Only steps about CHECK_EVERY apart are checked, and the last one.
         step = max(float(np.linalg.norm(np.diff(tip, axis=0), axis=1).mean()), SLACK)
         stride = max(1, int(CHECK_EVERY / step))
         rows = np.unique(np.append(np.arange(0, len(tip), stride), len(tip) - 1))

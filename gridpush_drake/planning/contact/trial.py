@@ -89,7 +89,7 @@ DEFAULT_RADIUS = 0.008
 """Radius of a finger of which nothing else is known, m: that of `models/fingers/rod`."""
 
 RECORD_EVERY = 4
-"""The Jacobian is recorded at every so manieth step of a motion."""
+"""Number of steps of a motion from one recorded Jacobian to the next."""
 
 MIN_RESIDUAL = 1e-4
 """A cell that is nearer than this to where it should be weighs no more in H than at this distance,

@@ -314,7 +314,7 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         if now.status.mode in (ContactPointMode.REACHED, FAILED):
             moved = np.inf
             if now.decided_at is not None:
-                moved = calc_goal_error(self.obj, pose, now.decided_at)
+                moved = float(calc_goal_error(self.obj, pose, now.decided_at))
             if moved < MOVED or now.status.cause == PushPlanStatus.TOO_MANY_PUSHES:
                 return now
             now = replace(now, refused=()).turn_to(WAITING, "Somebody moved the object.", refused=0)

@@ -195,7 +195,8 @@ def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: Support
     q = np.asarray(pose, dtype=np.float64)
     corners = transform(q, np.array([part.footprint for part in parts]).reshape(-1, 4, 2))
     if surface.is_convex:
-        # Beyond one edge are all four corners: the least of them counts, at the best edge.
+        # A footprint hangs over an edge as far as its innermost corner does; the edge counts at
+        # which that is farthest.
         beyond = corners @ surface.edge_normals.T - surface.edge_offsets
         return np.asarray(beyond.min(axis=1).max(axis=1))
     footprints = shapely.polygons(corners)
