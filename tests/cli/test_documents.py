@@ -177,7 +177,7 @@ def test_the_importer_is_one(tmp_path, block, monkeypatch):
 
 
 def test_the_method_is_one(monkeypatch):
-    method = run_fragment(5, monkeypatch)["Powell"]()
+    method = run_fragment(6, monkeypatch)["Powell"]()
     made = make_pushed_block()
     found = run_search(
         method, made.obj, made.log, made.start, Bounds.around(made.obj, made.start), budget=60, seed=0,
@@ -204,7 +204,7 @@ def test_every_block_is_tried_somewhere():
         (
             "docs/extending.md",
             "{code-block} python",
-        ): 6,  # a law, its entry, an importer, its entry, a second identifier, a method
+        ): 7,  # a law, its use, an importer, its entry, a second identifier, a world's use, a method
         (
             "docs/extending.md",
             "yaml",
