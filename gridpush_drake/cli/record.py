@@ -82,7 +82,8 @@ def record(
     """Cut a long recording of poses into pushes, and write them as a push log.
 
     The recording holds where the tip of the pusher and the object were, many times a second. A push
-    begins when the tip is down and the object begins to move, and ends when both are at rest.
+    goes on while the tip is down and moves. It has ended when the tip has stopped and then lifts,
+    moves on, or stands still for a second.
 
     Example: gridpush record stream.csv --object object.yaml --out pushes.csv
     """

@@ -4,6 +4,7 @@ import csv
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -177,51 +178,83 @@ def track(
     else:
         followed = _follow_outline(video, seen_by, obj, tall, radius, find_tip)
 
-    # Go through the video. Only the first and the last picture are kept, for they are large
-    rows: list[tuple[float, Array, Array]] = []
-    pictures: list[tuple[Frame, Array]] = []
-    for frame, pose in followed:
-        rows.append((frame.t, find_tip(frame), pose))
-        if np.isfinite(pose).all():
-            pictures = [*pictures[:1], (frame, pose)]
-    find_tip.check(video, rows)
-    t = np.array([row[0] for row in rows])
-    tips = np.array([row[1] for row in rows])
-    poses = np.array([row[2] for row in rows])
-    lost = int((~np.isfinite(poses).all(axis=1)).sum())
+    seen_all = _watch(followed, find_tip, video)
+    frames = len(seen_all.t)
+    lost = int((~np.isfinite(seen_all.poses).all(axis=1)).sum())
 
     # Write what was seen, also if there should be no push in it
-    samples = make_samples(t, tips, calc_velocities(t, tips), poses)
+    velocities = calc_velocities(seen_all.t, seen_all.tips)
+    samples = make_samples(seen_all.t, seen_all.tips, velocities, seen_all.poses)
     if stream is not None:
         # a tag on the pusher is seen in the same pictures as the object; another clock may be off
         same_clock = 0.0 if find_tip.tag is not None else None
         write_stream_csv(samples, stream, force, same_clock)
-    if picture is not None and pictures:
-        write_picture(picture, _draw_outlines(seen_by, obj, tall, pictures), force)
+    if picture is not None and seen_all.pictures:
+        write_picture(picture, _draw_outlines(seen_by, obj, tall, seen_all.pictures), force)
 
     recording = record_pushes(samples, obj, radius, source=str(video))
     log = recording.log
     if not len(log):
         raise PushLogError(
             f"{video}: holds no whole push: {_explain_no_push(recording)}; the object was seen in "
-            f"{len(t) - lost} of {len(t)} frames"
+            f"{frames - lost} of {frames} frames"
         )
     log.write_csv(out, force)
     if json:
-        print_json(
-            {
-                "object": obj.name,
-                "frames": len(t),
-                "lost": lost,
-                "pushes": len(log),
-                "written": str(out),
-            }
-        )
+        found = {"object": obj.name, "frames": frames, "lost": lost, "pushes": len(log)}
+        print_json({**found, "written": str(out)})
     else:
         count = count_noun(len(log), "push")
         print_line(
-            f"{count} in {len(t)} frames, in {lost} of which the object was not found. Wrote {out}."
+            f"{count} in {frames} frames, in {lost} of which the object was not found. Wrote {out}."
         )
+
+
+@dataclass(frozen=True)
+class _Watched:
+    """What was seen in a video.
+
+    Attributes:
+        t: times (K,) of the pictures, s.
+        tips: places (K, 3) of the tip, world frame, m; NaN where it was not found.
+        poses: poses (K, 3) of the object; NaN where it was not found.
+        pictures: the first and the last picture in which the object was found, with its pose.
+    """
+
+    t: Array
+    tips: Array
+    poses: Array
+    pictures: list[tuple[Frame, Array]]
+
+
+def _watch(
+    followed: Iterator[tuple[Frame, Array]], find_tip: "_TipFinder", video: Path
+) -> _Watched:
+    """Goes through a video, picture by picture.
+
+    Args:
+        followed: yields each picture and the object's pose in it.
+        find_tip: finds the tip in a picture.
+        video: the video, for messages.
+
+    Raises:
+        TagError: the tip's tag is in no picture.
+        PushLogError: the file with the tip's places is of another time than the video.
+    """
+    rows: list[tuple[float, Array, Array]] = []
+    # only two pictures are kept, for they are large
+    pictures: list[tuple[Frame, Array]] = []
+    for frame, pose in followed:
+        rows.append((frame.t, find_tip(frame), pose))
+        if np.isfinite(pose).all():
+            pictures = [*pictures[:1], (frame, pose)]
+    find_tip.check(video, rows)
+    return _Watched(
+        t=np.array([row[0] for row in rows]),
+        tips=np.array([row[1] for row in rows]),
+        poses=np.array([row[2] for row in rows]),
+        pictures=pictures,
+    )
 
 
 def _check_camera(path: Path, camera: Camera, tag_height: float | None) -> None:
