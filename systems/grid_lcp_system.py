@@ -2,10 +2,9 @@
 
 With q = (x, y, theta) the pose X_WB and nu = (vx, vy, w) the velocity of B's origin,
 
-    (q, nu)[n+1] = step(q[n], nu[n]; m, mu, mu_c, h, patch; p_WP(t_n), v_WP(t_n), W(t_n)),     t_n =
-    n dt
+    (q, nu)[n+1] = step(q[n], nu[n]; m, mu, mu_c, h, patch; p_WP(t_n), v_WP(t_n), W(t_n))
 
-with h the height at which the pusher acts.
+with t_n = n dt the time of step n, and h the height at which the pusher acts.
 
 The pusher is where its port says when the step begins, and moves on through the step at the
 velocity that its port says then. Where the true motion bends within a step, the next step begins at

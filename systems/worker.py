@@ -5,9 +5,8 @@ then is state, too. What is asked is a pure function of frozen arguments, so tha
 cloned, or come back later, with a request under way: two clones share one calculation, and one that
 is gone is made again.
 
-    request = worker.ask(partial(decide, now, seen), time)      # in one update
-    answer = worker.take(request, time)                         # in later ones; None while there is
-    none
+    request = worker.ask(partial(decide, now, seen), time)  # in one update
+    answer = worker.take(request, time)  # in later ones; None while there is no answer yet
 """
 
 import sys

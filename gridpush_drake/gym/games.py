@@ -223,8 +223,9 @@ def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
     push, J its exact derivative by z and R its noise, it makes one step of the extended Kalman
     filter, taken twice, the second time at the new mean:
 
-        K = S J^T (J S J^T + R)^-1,   mean' = mean - K (r + J (mean - at)),   S' = (I - K J) S (I -
-        K J)^T + K R K^T
+        K     = S J^T (J S J^T + R)^-1
+        mean' = mean - K (r + J (mean - at))
+        S'    = (I - K J) S (I - K J)^T + K R K^T
     """
     before = model.require_posterior()
     end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])

@@ -5,10 +5,9 @@ than their derivatives there: a cell that bears next to nothing has next to no d
 would be noticed if it bore much. Therefore the pushes are simulated with a draw z = mean + dz
 itself. Its excess
 
-    E(dz) = 2 sum_p rho(W_p r_p(z)) - 2 sum_p rho(W_p r_p(mean)),    rho Huber's loss, W_p the
-    push's whitening
+    E(dz) = 2 sum_p rho(W_p r_p(z)) - 2 sum_p rho(W_p r_p(mean)),
 
-is at most a chi square of three numbers a push. A draw whose excess is more than that can be is
+with rho Huber's loss, r_p the residuals of push p and W_p its whitening, is at most a chi square of three numbers a push. A draw whose excess is more than that can be is
 shortened, dz <- c dz, until it is not, six times at most (`docs/theory/identification.md`, section
 6).
 """

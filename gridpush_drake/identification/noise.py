@@ -2,8 +2,8 @@
 
 A push's residuals share their errors,
 
-    Sigma = s² (sigma² K/K_eff I + sigma_tip² J_start J_start^T + sigma_mu² J_mu J_mu^T) + t²
-    sigma_c² J_c J_c^T
+    Sigma = s² (sigma² K/K_eff I + sigma_tip² J_start J_start^T + sigma_mu² J_mu J_mu^T)
+            + t² sigma_c² J_c J_c^T
 
 with K_eff = sqrt(K) of K observations, J_c the derivatives by a shift of the load's center, and s
 and t what the pushes make of the stated deviations (`docs/theory/identification.md`, section 4).

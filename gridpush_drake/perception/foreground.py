@@ -3,8 +3,8 @@
 The table's color is a smooth polynomial over the picture, fitted to what is certainly table:
 neither high nor, in later rounds, foreground. What a pixel's color c and height h say adds up:
 
-    s = clip((|chroma(c) - table|^2/sigma^2 + (light(c) - table)^2/tau^2 - 9)/2) + clip(1.5
-    (h/sigma_h - 3))
+    s = clip((|chroma(c) - table|^2/sigma^2 + (light(c) - table)^2/tau^2 - 9)/2)
+        + clip(1.5 (h/sigma_h - 3))
 
 with a wide tau where the pixel is darker than the table: that may be a shadow. Depth images miss
 edges by some pixels, so that along them color speaks louder. The boundary of what is left is then

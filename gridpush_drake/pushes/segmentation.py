@@ -4,10 +4,11 @@ A push is going on while the tip is down (below `engaged_below`) and moves over 
 over when the tip has stopped and then lifts, moves on, or simply stands. The object moves only when
 pushed, so that what is observed between two pushes is one pose, many times.
 
-    waiting --- down and moving ---> moving --- slow, or lifted ---> settling --- lifted, `settle`
-    over ---> waiting
-                                       ^  (shorter stops than `pause`) |  moving again: the next
-                                       push +-------------------------------+
+    waiting  --- down and moving --------------------------------> moving
+    moving   --- slow, or lifted --------------------------------> settling
+    settling --- moving again before `pause` is over, not lifted > moving, the same push
+    settling --- moving again later, or after it was lifted -----> moving, the next push
+    settling --- `settle`, or `settle_lifted`, is over ----------> waiting
 
 Of a push's entry, the first pose is the mean of the observations of the object at rest before it,
 the last one that of those after it; between them a few single observations are kept, evenly spread

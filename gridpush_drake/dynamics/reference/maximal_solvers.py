@@ -3,8 +3,8 @@
 The LCP is the KKT system of a convex QP, so its velocities are unique and two unrelated solvers
 must agree on them:
 
-    min 1/2 |xdot - xdot_t|²_M - dt F·xdot + sum_j bound_j max(0, -(J_f xdot)_j)    s.t.  J_e xdot =
-    0
+    min 1/2 |xdot - xdot_t|²_M - dt F·xdot + sum_j bound_j max(0, -(J_f xdot)_j)
+    s.t.  J_e xdot = 0
 
 They share a dimensionless form, an exact linear solve, and the residuals. With e the largest entry
 of the momentum without friction, y = M^(1/2) xdot / e and lam_f = D(bound) s, the LCP reads

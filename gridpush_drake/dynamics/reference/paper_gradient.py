@@ -12,15 +12,15 @@ after the step, differentiate
 
 Solve the first line for dxdot, insert it in the second, and eliminate dlam:
 
-    dxdot = -X11 [dM (xdot - xdot_t) - J_f^T D_s dbound],    X11 = M^-1 - M^-1 C^T (C M^-1 C^T)^-1 C
-    M^-1.
+    dxdot = -X11 [dM (xdot - xdot_t) - J_f^T D_s dbound],
+    X11 = M^-1 - M^-1 C^T (C M^-1 C^T)^-1 C M^-1.
 
 J_f's rows point against the motion, so more friction slows: -J_f^T is the direction of motion. X11
 maps an impulse to the velocity that it gives the rigid body, so with xdot = T nu and M_B = T^T M T,
 
-    X11 = T X_B T^T,    X_B = M_B^-1  where nothing sticks, else, with J = J_f T of the sticking
-    rows,
-                        X_B = M_B^-1 - M_B^-1 J^T (J M_B^-1 J^T)^+ J M_B^-1.
+    X11 = T X_B T^T,
+    X_B = M_B^-1                                        where nothing sticks,
+    X_B = M_B^-1 - M_B^-1 J^T (J M_B^-1 J^T)^+ J M_B^-1    else, with J = J_f T of sticking rows.
 
 A cell's mass enters M as (s²/6, 1, 1) dm_i and the bounds as dbound/dm_i = bound/m_i; its friction
 enters the bounds as (m_i g dt, c s m_i g dt) dmu_i. (The paper writes both as one mu diag(M) of 3n

@@ -5,8 +5,8 @@ observed places. The paper holds x_t and xdot_t constant in each step's derivati
 rule through the steps of the LCP there remains the sum of their own terms, each by the closed form
 of one step (`dynamics.reference.paper_gradient`),
 
-    dloss/dM = sum_tau dloss/dq_tau · sum_{t < tau} dq_{t+1}/dM |_{x_t, xdot_t, F constant},
-    dloss/dmu likewise.
+    dloss/dM  = sum_tau dloss/dq_tau · sum_{t < tau} dq_{t+1}/dM  |_{x_t, xdot_t, F constant}
+    dloss/dmu = sum_tau dloss/dq_tau · sum_{t < tau} dq_{t+1}/dmu |_{x_t, xdot_t, F constant}
 
 The loss descended is that of the paper's own model, whatever the regime asked for: inertial, with
 the friction directions of the step before.
