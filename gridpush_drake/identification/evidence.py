@@ -7,9 +7,9 @@ itself. Its excess
 
     E(dz) = 2 sum_p rho(W_p r_p(z)) - 2 sum_p rho(W_p r_p(mean)),
 
-with rho Huber's loss, r_p the residuals of push p and W_p its whitening, is at most a chi square of three numbers a push. A draw whose excess is more than that can be is
-shortened, dz <- c dz, until it is not, six times at most (`docs/theory/identification.md`, section
-6).
+with rho Huber's loss, r_p the residuals of push p and W_p its whitening, is at most a chi square of
+three numbers a push. A draw whose excess is more than that can be is shortened, dz <- c dz, until
+it is not, six times at most (`docs/theory/identification.md`, section 6).
 """
 
 from math import sqrt
