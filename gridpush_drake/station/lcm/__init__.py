@@ -1,4 +1,4 @@
-"""A real robot, or its twin, over LCM: the station, the link to the robot, the twin, and what tracks the object."""
+"""A real robot, or its twin, over LCM: station, link, twin, and the tracker of pictures."""
 
 import lazy_loader
 

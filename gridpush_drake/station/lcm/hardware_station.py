@@ -1,4 +1,8 @@
-"""`MakeHardwareStation`: a station whose robot is a real one, or its twin, on LCM."""
+"""`MakeHardwareStation`: the station of a real robot, or of its twin, on LCM.
+
+In the place of a simulated plant there are messages and a guard. What moves the station's time on
+by the robot's clock is `HardwareLink`.
+"""
 
 from dataclasses import dataclass
 
@@ -10,7 +14,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import DifferentialInverseKinematicsIntegrator
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointActuatorIndex
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import Multiplexer
 from shapely.geometry.base import BaseGeometry
 
@@ -45,17 +49,18 @@ from gridpush_drake.systems.object_watch import ObjectWatch
 from gridpush_drake.systems.pusher_state_sensor import ArmTipSensor
 
 MAX_TILT = 0.1
-"""Of the finger from where it points when a run begins, rad."""
+"""A run begins only if the finger is turned by less than this from pointing down, rad."""
 
 DEGREES = 180 / np.pi
+"""Degrees in a radian."""
 
 MIN_OBJECT_NOISE = 0.01
-"""How far a point of an object at rest may seem to move, m, whatever the camera's noise. In healthy
-runs with the twin it was 4 mm."""
+"""Distance that a point of an object at rest may seem to move, m, however little noise the camera
+has. In runs with the twin in which nothing was wrong it was up to 4 mm."""
 
 OBJECT_NOISE_DEVIATIONS = 8.0
-"""How many standard deviations of an ideal camera's noise a point of an object at rest may seem to
-move, where that is more."""
+"""Distance that a point of an object at rest may seem to move, in standard deviations of an ideal
+camera's noise, if that is more than `MIN_OBJECT_NOISE`."""
 
 OBJECT_MESSAGE_TIME = 0.05
 """Longest time that a pose takes from the tracker to the guard, s."""
@@ -63,12 +68,12 @@ OBJECT_MESSAGE_TIME = 0.05
 
 @dataclass(frozen=True, eq=False)
 class TipBounds:
-    """Where the finger's tip may be; what an `ArmGuard` takes as `validator`.
+    """Bounds of where the finger's tip may be; an `ArmGuard` takes it as `validator`.
 
     Attributes:
-        box: seen from above, a polygon in W, m.
-        table_top: the table's, a polygon in W, m; over it the tip stays above the table.
-        top: greatest height above the table, m.
+        box: where the tip may be, seen from above, a polygon in W, m.
+        table_top: the table's top, a polygon in W, m. Over it the tip stays above the table.
+        top: greatest height of the tip above the table, m.
     """
 
     box: BaseGeometry
@@ -76,40 +81,45 @@ class TipBounds:
     top: float
 
     def __call__(self, p_WP: Array) -> str | None:
-        """None where the tip may be at p_WP (3,), m, else a sentence."""
+        """Says in a sentence why the tip may not be at p_WP (3,), m; None if it may."""
         x, y, z = p_WP.tolist()
         where = f"the finger's tip is at ({x:.3f}, {y:.3f}, {z:.3f}) m"
         if not self.box.covers(shapely.Point(x, y)):
-            near, far = self.box.bounds[:2], self.box.bounds[2:]
-            return f"{where}; it may be at x {near[0]:g} to {far[0]:g} m and y {near[1]:g} to {far[1]:g} m"
+            x_min, y_min, x_max, y_max = self.box.bounds
+            return (
+                f"{where}; it may be at x {x_min:g} to {x_max:g} m and y {y_min:g} to {y_max:g} m"
+            )
         if z < 0.0 and self.table_top.covers(shapely.Point(x, y)):
             return f"{where}, in the table"
-        return f"{where}; it may be {self.top:.2f} m high" if z > self.top else None
+        if z > self.top:
+            return f"{where}; it may be {self.top:.2f} m high"
+        return None
 
 
 def make_bounds(setting: Setting) -> TipBounds:
-    """Where the tip may be by a scenario: its workspace, home, and what lies between, with a margin around them."""
-    scenario, (x, y, z) = setting.scenario, setting.home
-    margin, workspace = scenario.safety.margin, scenario.workspace
-    box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1]).union(
+    """Makes the tip's bounds: a box around the scenario's workspace and home, with a margin."""
+    scenario = setting.scenario
+    margin = scenario.safety.margin
+    workspace = scenario.workspace
+    x, y, z = setting.home
+    used = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1]).union(
         shapely.Point(x, y)
     )
+    box = shapely.box(*used.envelope.buffer(margin, join_style="mitre").bounds)
     top = max(z, scenario.finger.travel_height) + scenario.pregrasp.lift + margin
-    return TipBounds(
-        shapely.box(*box.envelope.buffer(margin, join_style="mitre").bounds), setting.table_top, top
-    )
+    return TipBounds(box=box, table_top=setting.table_top, top=top)
 
 
 def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardLimits:
-    """What a scenario's guard allows the robot of a control plant."""
-    safety, n = scenario.safety, control_plant.num_positions()
+    """Makes the limits of a guard from a scenario's `safety` and a robot's control plant."""
+    safety = scenario.safety
     actuators = map(JointActuatorIndex, range(control_plant.num_actuators()))
     effort = np.array(
         [control_plant.get_joint_actuator(index).effort_limit() for index in actuators]
     )
     return GuardLimits(
         speed=control_plant.GetVelocityUpperLimits(),
-        acceleration=np.full(n, safety.acceleration),
+        acceleration=np.full(control_plant.num_positions(), safety.acceleration),
         torque=safety.torque_share * effort,
         force=safety.force,
         status_age=safety.status_age,
@@ -122,13 +132,15 @@ def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardL
 
 
 def make_object_watch(setting: Setting) -> ObjectWatch:
-    """What the motion of a scenario's object is judged by, as the scenario's camera sees it."""
-    scenario, outline = setting.scenario, setting.obj.outline
+    """Makes the judge of whether a scenario's object moves as the finger moves it."""
+    scenario = setting.scenario
+    outline = setting.obj.outline
     camera = scenario.camera
     noise = MIN_OBJECT_NOISE
     if camera.kind == "ideal":
-        reach = float(np.hypot(*np.abs(shapely.get_coordinates(outline)).T).max())
-        deviation = camera.position_noise + reach * camera.angle_noise
+        # The point of the outline that is farthest from B's origin seems to move most.
+        radius = float(np.hypot(*np.abs(shapely.get_coordinates(outline)).T).max())
+        deviation = camera.position_noise + radius * camera.angle_noise
         noise = max(noise, OBJECT_NOISE_DEVIATIONS * deviation)
     return ObjectWatch(
         outline=outline,
@@ -140,9 +152,9 @@ def make_object_watch(setting: Setting) -> ObjectWatch:
 
 
 class HardwareStation(Station):
-    """The station of a real robot: LCM and a guard in the place of the plant.
+    """The station of a real robot: LCM and a guard in the place of a simulated plant.
 
-    Beside the ports of every `Station` it has these.
+    It has the ports of every `Station`, and the following.
 
     .. pydrake_system::
 
@@ -154,9 +166,12 @@ class HardwareStation(Station):
         - guard.position
         - pusher.force
 
-    - ``stop``: (1,) see `ArmGuard`; need not be connected.
-    - ``guard.status``: abstract `GuardStatus`; ``guard.position``: (n,) as sent to the robot, rad.
-    - ``pusher.force``: (3,) on the finger's tip, from the torques on the joints, N.
+    - ``stop``: vector of 1, whether the arm is to be stopped, and by whom, see `ArmGuard`. It need
+      not be connected.
+    - ``guard.status``: abstract `GuardStatus`, how the guard stands.
+    - ``guard.position``: vector of n, joint positions as they are sent to the robot, rad.
+    - ``pusher.force``: vector of 3, force on the finger's tip in W, calculated from the torques on
+      the joints, N.
     """
 
     __slots__ = NO_SLOTS
@@ -168,20 +183,24 @@ class HardwareStation(Station):
         control: RobotControl,
         messages: IiwaMessages,
     ) -> None:
-        """Takes over a builder's systems; `MakeHardwareStation` calls it."""
-        super().__init__(builder, setting, control, None)
-        self._setting, self._control, self._messages = setting, control, messages
+        """Builds the Diagram of a builder's systems; `MakeHardwareStation` calls it."""
+        super().__init__(builder, setting, control, truth=None)
+        self._setting = setting
+        self._control = control
+        self._messages = messages
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
-        """Begins where the arm is measured to be: the finger goes up from there, and then to work.
+        """Makes a fresh Context begin with the arm where it is measured to be.
+
+        From there the finger goes up first, and then to work.
 
         Args:
-            root_context: of the station, or of the Diagram it is part of; a status of the robot has
-                come in.
+            root_context: Context of the station, or of the Diagram that the station is part of. A
+                status of the robot has come in.
             seed: has no effect: nothing here is random.
 
         Raises:
-            StationError: the finger does not point down there, or its tip is where it may not be.
+            StationError: the finger does not point down, or its tip is where it may not be.
         """
         context = self.GetMyMutableContextFromRoot(root_context)
         q = np.array(self.GetOutputPort(f"{self.robot.arm_model}.position_measured").Eval(context))
@@ -193,22 +212,28 @@ class HardwareStation(Station):
         self.RequestStop(root_context, 0.0)
 
     def RequestStop(self, root_context: Context, stop: float) -> None:
-        """Gives ``stop`` a value, in a Context in which nothing is connected to it."""
+        """Sets the input ``stop`` in a Context in which nothing is connected to it."""
         context = self.GetMyMutableContextFromRoot(root_context)
         self.GetInputPort("stop").FixValue(context, [stop])
 
     def PublishCommand(self, root_context: Context) -> None:
-        """Sends the arm's present command: one for every status, however the two sides' periods lie."""
+        """Sends the arm's present command.
+
+        The link calls it once for every status of the robot. By a period of its own the publisher
+        would sometimes send two commands between two statuses, and sometimes none.
+        """
         publisher = self.GetSubsystemByName(f"{self._messages.command}_publisher")
         publisher.ForcedPublish(publisher.GetMyContextFromRoot(root_context))
 
     def _check_start(self, q: Array, X_WP: RigidTransform) -> None:
+        """Checks that a run can begin with joints q (n,), rad, and the tip at X_WP."""
         home = np.round(self._setting.q_start, 3).tolist()
         tilt = X_WP.rotation().InvertAndCompose(R_WP_DOWN).ToAngleAxis().angle()
         if abs(tilt) > MAX_TILT:
             raise StationError(
-                f"the finger is turned by {DEGREES * abs(tilt):.0f} degrees from where it points down; at most "
-                f"{DEGREES * MAX_TILT:.0f} will do: bring the arm's joints to about {home} rad"
+                f"the finger is turned by {DEGREES * abs(tilt):.0f} degrees from where it points "
+                f"down; at most {DEGREES * MAX_TILT:.0f} will do: bring the arm's joints to about "
+                f"{home} rad"
             )
         breach = make_bounds(self._setting)(X_WP.translation())
         if breach:
@@ -227,32 +252,37 @@ def MakeHardwareStation(
     """Makes the station of a robot on LCM.
 
     The messages that it reads must be whole: Drake ends the process over one that is not.
-    `HardwareLink` lets only such ones through, and moves the station's time on by the robot's.
+    `HardwareLink` lets only whole messages through, and moves the station's time on by the robot's
+    clock.
 
     Args:
-        scenario: what stands where, resolved or not; the object's truth and the simulation's settings have no
-            effect.
+        scenario: the scenario, resolved or not. Its truth and its simulation have no effect.
         meshcat: has no effect: nothing is simulated that could be shown.
-        lcm: on which the robot is.
+        lcm: LCM on which the robot is.
         show_object: has no effect.
-        learning: what is learned from; the first `scenario.pokes.count` pushes by default.
-        name: of the station in a Diagram.
+        learning: which pushes are learned from; None for the first `scenario.pokes.count`.
+        name: name of the station in a Diagram.
 
     Returns:
         The station. Call its `SetStart` on each new Context.
 
     Raises:
         ScenarioError: the scenario makes no sense, or has several objects.
-        StationError: the arm cannot take the posture of its home.
+        StationError: the messages of the robot's driver are not known.
     """
     resolved = resolve(scenario)
-    scenario, robot, obj = resolved.scenario, resolved.robot, resolved.obj
+    scenario = resolved.scenario
+    robot = resolved.robot
     check_tracked(scenario)
-    if scenario.camera.kind == "rgbd" and obj.height:  # as the tracker found it
-        scenario = scenario.model_copy(update={"object_height": obj.height})
+    if scenario.camera.kind == "rgbd" and resolved.obj.height:
+        # The height is the one that the tracker found, and wrote into the object's file.
+        scenario = scenario.model_copy(update={"object_height": resolved.obj.height})
     setting = MakeSetting(resolved, scenario, resolved.scene.plant)
-    n, messages = len(setting.q_start), find_arm_messages(robot)
+    n = len(setting.q_start)
+    messages = find_arm_messages(robot)
     builder = DiagramBuilder()
+
+    # What the messages tell: the arm's joints, and from them the tip; the object; the gripper.
     status = messages.AddStatusReceiver(builder, lcm, n)
     tip = builder.AddNamedSystem(
         "tip_sensor", ArmTipSensor(setting.control_plant, robot.finger.tip_frame)
@@ -261,11 +291,20 @@ def MakeHardwareStation(
         builder.Connect(status[port], tip.GetInputPort(port))
     pose_age = calc_pose_age(scenario.camera)
     object_pose, newest_pose = AddObjectReceiver(builder, lcm, status["time_measured"], pose_age)
-    pusher_state = tip.GetOutputPort("pusher_state")
-    gripper_state, gripper = (
-        (None, None) if robot.gripper is None else AddGripperMessages(builder, lcm)
+    gripper_state = None
+    gripper = None
+    if robot.gripper is not None:
+        gripper_state, gripper = AddGripperMessages(builder, lcm)
+
+    # What commands the robot, as in the simulation; and between it and the arm, the guard.
+    control = AddRobotControl(
+        builder,
+        setting,
+        learning,
+        pusher_state=tip.GetOutputPort("pusher_state"),
+        object_pose=object_pose,
+        gripper_state=gripper_state,
     )
-    control = AddRobotControl(builder, setting, learning, pusher_state, object_pose, gripper_state)
     if control.grasping is not None and gripper is not None:
         builder.Connect(
             control.grasping.GetOutputPort("gripper_position"), gripper.GetInputPort("position")
@@ -274,11 +313,37 @@ def MakeHardwareStation(
             control.grasping.GetOutputPort("gripper_force_limit"),
             gripper.GetInputPort("force_limit"),
         )
-    posture = ArmPosture(setting.control_plant, robot)
-    guard = builder.AddNamedSystem(
+    guard = _AddGuard(builder, setting, control, status, tip)
+    builder.Connect(newest_pose, guard.GetInputPort("object_pose"))
+    builder.Connect(guard.GetOutputPort("position"), messages.AddCommandSender(builder, lcm, n))
+
+    _ExportArmPorts(builder, status, robot.arm_model, n)
+    station = HardwareStation(builder, setting, control, messages)
+    station.set_name(name)
+    return station
+
+
+def _AddGuard(
+    builder: DiagramBuilder,
+    setting: Setting,
+    control: RobotControl,
+    status: dict[str, OutputPort],
+    tip: ArmTipSensor,
+) -> ArmGuard:
+    """Adds the guard behind what commands the arm, and exports its ports and the tip's force.
+
+    Args:
+        builder: the builder that has the other systems.
+        setting: robot and scene.
+        control: the systems that command the robot.
+        status: ports with the arm's status, by the names that a `SimIiwaDriver` uses.
+        tip: measures the finger's tip.
+    """
+    posture = ArmPosture(setting.control_plant, setting.robot)
+    guard: ArmGuard = builder.AddNamedSystem(
         "guard",
         ArmGuard(
-            make_limits(scenario, setting.control_plant),
+            make_limits(setting.scenario, setting.control_plant),
             calc_tip=lambda q: posture.calc_tip_pose(q).translation(),
             validator=make_bounds(setting),
             period=ARM_PERIOD,
@@ -294,20 +359,22 @@ def MakeHardwareStation(
     )
     for port in ("position_measured", "torque_external", "time_measured"):
         builder.Connect(status[port], guard.GetInputPort(port))
-    builder.Connect(pusher_state, guard.GetInputPort("pusher_state"))
+    builder.Connect(tip.GetOutputPort("pusher_state"), guard.GetInputPort("pusher_state"))
     builder.Connect(tip.GetOutputPort("force"), guard.GetInputPort("force"))
-    builder.Connect(newest_pose, guard.GetInputPort("object_pose"))
-    builder.Connect(guard.GetOutputPort("position"), messages.AddCommandSender(builder, lcm, n))
     builder.ExportInput(guard.GetInputPort("stop"), "stop")
     ExportOutputs(builder, guard, "guard", ("status", "position"))
     ExportOutputs(builder, tip, "pusher", ("force",))
+    return guard
+
+
+def _ExportArmPorts(
+    builder: DiagramBuilder, status: dict[str, OutputPort], arm_model: str, n: int
+) -> None:
+    """Exports the status of an arm of n joints by the names that the simulated station has."""
     state = builder.AddNamedSystem("arm_state", Multiplexer([n, n]))
-    for index, port in enumerate(("position_measured", "velocity_estimated")):
-        builder.Connect(status[port], state.get_input_port(index))
-    builder.ExportOutput(state.get_output_port(), f"{robot.arm_model}.state_estimated")
+    builder.Connect(status["position_measured"], state.get_input_port(0))
+    builder.Connect(status["velocity_estimated"], state.get_input_port(1))
+    builder.ExportOutput(state.get_output_port(), f"{arm_model}.state_estimated")
     for port in DRIVER_OUTPUTS:
         if port in status:
-            builder.ExportOutput(status[port], f"{robot.arm_model}.{port}")
-    station = HardwareStation(builder, setting, control, messages)
-    station.set_name(name)
-    return station
+            builder.ExportOutput(status[port], f"{arm_model}.{port}")

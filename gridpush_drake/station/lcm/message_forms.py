@@ -1,9 +1,9 @@
-"""What an LCM message of each kind must look like to be used.
+"""The form that an LCM message of each type must have to be used.
 
-Every message that this package reads is looked at here before anything else sees it: a number that
-is not finite, or larger than anything that can be measured, would end in an assertion of Drake's or
-in a simulation of NaN. Whether a message is *right* is not decided here; that is what `ArmGuard` is
-for. Pictures are judged in `picture_messages`, where they are decoded.
+Every message that this package reads is checked here before anything else sees it. A number that is
+not finite, or larger than anything that can be measured, would end in an assertion of Drake's or in
+a simulation of NaN. Whether a message is *true* is not decided here: that is what `ArmGuard` is
+for. Pictures are checked in `picture_messages`, where they are decoded.
 """
 
 import math
@@ -26,18 +26,19 @@ from pydrake.manipulation import PandaControlMode
 from gridpush_drake.errors import StationError
 
 FindFault = Callable[[Any], str]
-"""Of a message: why it cannot be used, in words that are the same for all such messages; empty where it can."""
+"""A function that says why a message cannot be used; empty if it can. Its words are the same for
+all messages with the same fault, so that these can be counted."""
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """What the numbers in a field of a message may be.
+    """Bounds of the numbers in a field of a message.
 
     Attributes:
         largest: greatest magnitude, in the field's own unit.
-        unit: of the field, for the message to the user.
-        per_joint: whether there is one for each of the arm's joints.
-        optional: whether there may be none at all instead.
+        unit: unit of the field, for the words to the user.
+        per_joint: whether the field has one number for each of the arm's joints.
+        optional: whether a field with a number for each joint may be empty instead.
         unknown: whether NaN may stand for what the sender does not know.
     """
 
@@ -62,7 +63,8 @@ PLACE = Numbers(1e3, "m", unknown=True)
 TURN = Numbers(1e4, "rad", unknown=True)
 SPEED = Numbers(1e3, "m/s", unknown=True)
 TURN_SPEED = Numbers(1e4, "rad/s", unknown=True)
-"""Far beyond what any robot or table has, and small enough for every calculation with it."""
+"""Kinds of numbers in messages. The greatest magnitudes are far beyond those of any robot or table,
+and small enough for every calculation with them."""
 
 FORMS: Mapping[type, Mapping[str, Numbers]] = {
     lcmt_iiwa_status: {
@@ -104,21 +106,22 @@ FORMS: Mapping[type, Mapping[str, Numbers]] = {
     },
     lcmt_schunk_wsg_command: {"target_position_mm": OPENING, "force": FORCE},
 }
-"""The numbers of each kind of message, by the names of their fields; `utime` is looked at by `Channel`."""
+"""Kinds of the numbers in each type of message, by the fields' names. `Channel` checks `utime`."""
 
 
 MODES: Mapping[type, tuple[str, int]] = {
     lcmt_panda_command: ("control_mode_expected", int(PandaControlMode.kPosition)),
 }
-"""Kinds of messages that say in which mode the arm is moved: the field, and the mode that is spoken here."""
+"""Types of messages that say in which mode the arm is moved: the field, and the one mode that is
+understood here."""
 
 
 def decode_message(kind: Any, channel: str, data: bytes) -> Any:
     """Decodes a message of a channel.
 
     Raises:
-        StationError: it is of another kind, is cut short, or has more bytes than its fields; Drake
-            ends the process over one such.
+        StationError: the message is of another type, is cut short, or has more bytes than its
+            fields. Drake's own subscribers would end the process over it.
     """
     stream = BytesIO(data)
     try:
@@ -134,12 +137,12 @@ def find_form_fault(message: Any, channel: str, joints: int = 0) -> str:
     """Says what is wrong with the form of a message.
 
     Args:
-        message: of one of the kinds in `FORMS`.
-        channel: that it came on.
-        joints: of the arm, where it speaks of one.
+        message: a message of one of the types in `FORMS`.
+        channel: name of the channel on which it came.
+        joints: number of the arm's joints, if the message is about an arm.
 
     Returns:
-        The first field that is not what it should be, and what was expected; empty where all are.
+        The first field that is not what it should be, and what was expected; empty if all are.
     """
     if message.utime < 0:
         return f"{channel}: utime is negative; expected the sender's clock in microseconds"
@@ -156,6 +159,7 @@ def find_form_fault(message: Any, channel: str, joints: int = 0) -> str:
 
 
 def _find_number_fault(values: Sequence[float], numbers: Numbers, joints: int) -> str:
+    """Says what is wrong with the numbers in a field; empty if nothing is."""
     missing = numbers.optional and not values
     if numbers.per_joint and len(values) != joints and not missing:
         return f"is of another number of joints; expected {joints}"

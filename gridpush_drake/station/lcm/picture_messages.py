@@ -1,7 +1,8 @@
-"""Color and depth pictures as Drake's LCM message `lcmt_image_array`, of whatever camera says them.
+"""Color and depth pictures as Drake's LCM message `lcmt_image_array`: made of a frame, and read.
 
-Drake's own `LcmImageArrayToImages` knows neither JPEG nor PNG, and a raw or zlib-compressed pair of
-640 x 480 pixels is too large for the buffers that a computer has for LCM's UDP by default.
+Drake's own `LcmImageArrayToImages` is not used, for it reads neither JPEG nor PNG. Without these, a
+raw or zlib-compressed pair of 640 x 480 pixels is too large for the buffers that a computer has for
+LCM's UDP by default. Messages of any camera's driver are read, in all forms that Drake defines.
 """
 
 import warnings
@@ -30,7 +31,7 @@ MAX_DEPTH = 2**16 - 1
 """Greatest depth that 16 bit hold, mm."""
 
 FARTHEST = 1e3
-"""Greatest depth that counts as measured, m; beyond it, and below 0, the depth of a pixel is not known."""
+"""Greatest depth that counts as measured, m. Beyond it, and below 0, a pixel's depth is unknown."""
 
 CHANNELS = {
     lcmt_image.PIXEL_FORMAT_RGB: (3, [0, 1, 2]),
@@ -38,53 +39,64 @@ CHANNELS = {
     lcmt_image.PIXEL_FORMAT_BGR: (3, [2, 1, 0]),
     lcmt_image.PIXEL_FORMAT_BGRA: (4, [2, 1, 0]),
 }
-"""How many values a pixel has, and where red, green and blue are, by the formats of colors."""
+"""The number of values of a pixel, and the places of red, green and blue, for each color format."""
 
 DEPTHS = {lcmt_image.CHANNEL_TYPE_UINT16: "u2", lcmt_image.CHANNEL_TYPE_FLOAT32: "f4"}
-"""NumPy's names of the types that depth comes in: mm in 16 bit, m in 32."""
+"""NumPy's names of the types in which depth may come: mm in 16 bit, m in 32 bit."""
 
 FILES = {lcmt_image.COMPRESSION_METHOD_JPEG: "JPEG", lcmt_image.COMPRESSION_METHOD_PNG: "PNG"}
-"""What `data` is where it is an image file, as Pillow names it."""
+"""Pillow's names of the kinds of image files that an image's `data` may be."""
 
-EXPECTED = "expected a color image (RGB, RGBA, BGR or BGRA of 8 bit) and none or one of depth (16 bit, mm, or 32, m)"
+EXPECTED = (
+    "expected a color image (RGB, RGBA, BGR or BGRA of 8 bit) "
+    "and none or one of depth (16 bit, mm, or 32, m)"
+)
+"""What a message should hold, in an error's words."""
+
+JPEG_OPTIONS = [
+    cv2.IMWRITE_JPEG_QUALITY,
+    JPEG_QUALITY,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+]
+"""OpenCV's options for a color picture, in pairs of name and value. Colors have the full
+resolution: a tag's or an object's edge is found in them."""
 
 
 def encode_frame(frame: Frame, count: int = 0) -> lcmt_image_array:
     """Makes a message of a frame: color as JPEG, depth as PNG of 16 bit, mm.
 
     Args:
-        frame: color, with depth or not, and when it was taken.
-        count: of the frames before it.
+        frame: color, with or without depth, and the time when it was taken.
+        count: number of frames before it.
 
     Returns:
-        The message; its `utime`, and that of each image, is the frame's time.
+        The message. Its `utime`, and that of each image, is the frame's time.
     """
     header = lcmt_header()
-    header.utime, header.seq = round(MICROSECONDS * frame.t), count
+    header.utime = round(MICROSECONDS * frame.t)
+    header.seq = count
     bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
-    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-               cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]  # fmt: skip
-    images = [
-        _make_image(
-            header, frame.color, _encode(".jpg", bgr, options), lcmt_image.COMPRESSION_METHOD_JPEG
-        )
-    ]
+    data = _encode(".jpg", bgr, JPEG_OPTIONS)
+    images = [_make_image(header, frame.color, data, lcmt_image.COMPRESSION_METHOD_JPEG)]
     if frame.depth is not None:
         meters = np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0)
         depth = np.clip(np.rint(MILLIMETERS * meters), 0, MAX_DEPTH).astype(np.uint16)
         data = _encode(".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
         images.append(_make_image(header, depth, data, lcmt_image.COMPRESSION_METHOD_PNG))
     message = lcmt_image_array()
-    message.header, message.num_images, message.images = header, len(images), images
+    message.header = header
+    message.num_images = len(images)
+    message.images = images
     return message
 
 
 def decode_frame(message: lcmt_image_array, camera: Camera) -> Frame:
-    """Makes a frame of a message; labels and what else is in it are left out.
+    """Makes a frame of a message's color and depth; other images, such as labels, are ignored.
 
     Args:
-        message: raw, or compressed as zlib, JPEG or PNG.
-        camera: that took it.
+        message: the message; its images are raw, or compressed as zlib, JPEG or PNG.
+        camera: the camera that took them.
 
     Returns:
         The frame; its time is that of the color image.
@@ -103,29 +115,45 @@ def decode_frame(message: lcmt_image_array, camera: Camera) -> Frame:
         )
     color = _decode_color(colors[0], camera)
     depth = _decode_depth(depths[0], camera) if depths else None
-    return Frame(color, depth, (colors[0].header.utime or message.header.utime) / MICROSECONDS)
+    # Some drivers leave the images' own headers empty.
+    utime = colors[0].header.utime or message.header.utime
+    return Frame(color, depth, utime / MICROSECONDS)
 
 
 def _make_image(header: lcmt_header, pixels: NDArray[Any], data: bytes, method: int) -> lcmt_image:
+    """Makes one image of a message of its compressed data.
+
+    Args:
+        header: its header.
+        pixels: color (height, width, 3) of 8 bit, or depth (height, width) of 16 bit.
+        data: the pixels, compressed.
+        method: how they are compressed.
+    """
     image = lcmt_image()
-    image.header, image.height, image.width = header, *pixels.shape[:2]
+    image.header = header
+    image.height, image.width = pixels.shape[:2]
     image.row_stride = pixels.strides[0]
-    image.size, image.data, image.compression_method = len(data), data, method
-    is_color = pixels.ndim > 2
-    image.pixel_format = lcmt_image.PIXEL_FORMAT_RGB if is_color else lcmt_image.PIXEL_FORMAT_DEPTH
-    image.channel_type = (
-        lcmt_image.CHANNEL_TYPE_UINT8 if is_color else lcmt_image.CHANNEL_TYPE_UINT16
-    )
+    image.size = len(data)
+    image.data = data
+    image.compression_method = method
+    if pixels.ndim > 2:
+        image.pixel_format = lcmt_image.PIXEL_FORMAT_RGB
+        image.channel_type = lcmt_image.CHANNEL_TYPE_UINT8
+    else:
+        image.pixel_format = lcmt_image.PIXEL_FORMAT_DEPTH
+        image.channel_type = lcmt_image.CHANNEL_TYPE_UINT16
     return image
 
 
 def _encode(ending: str, pixels: NDArray[Any], options: list[int]) -> bytes:
+    """Compresses pixels as the file of an ending would hold them."""
     done, data = cv2.imencode(ending, pixels, options)
     assert done
     return bytes(data.tobytes())
 
 
 def _decode_color(image: lcmt_image, camera: Camera) -> Color:
+    """Reads a color image of a message; raises ImageError where that cannot be done."""
     if image.channel_type != lcmt_image.CHANNEL_TYPE_UINT8:
         raise ImageError(f"the color image's channel_type is {image.channel_type}; {EXPECTED}")
     if image.compression_method in FILES:
@@ -138,6 +166,7 @@ def _decode_color(image: lcmt_image, camera: Camera) -> Color:
 
 
 def _decode_depth(image: lcmt_image, camera: Camera) -> Depth:
+    """Reads a depth image of a message, in m; raises ImageError where that cannot be done."""
     if image.channel_type not in DEPTHS:
         raise ImageError(f"the depth image's channel_type is {image.channel_type}; {EXPECTED}")
     kind = np.dtype(DEPTHS[image.channel_type])
@@ -145,7 +174,8 @@ def _decode_depth(image: lcmt_image, camera: Camera) -> Depth:
         pixels = _read_file(image, "depth", camera, cv2.IMREAD_UNCHANGED)
         if pixels.ndim != 2 or pixels.dtype != kind:
             raise ImageError(
-                f"the depth image's file holds {pixels.dtype} in shape {pixels.shape}; expected {kind}"
+                f"the depth image's file holds {pixels.dtype} in shape {pixels.shape}; "
+                f"expected {kind}"
             )
     else:
         pixels = _read_rows(image, "depth", camera, kind, 1)[..., 0]
@@ -155,11 +185,14 @@ def _decode_depth(image: lcmt_image, camera: Camera) -> Depth:
 
 
 def _read_file(image: lcmt_image, what: str, camera: Camera, flags: int) -> NDArray[Any]:
-    """Decodes an image file, whose size is looked at first."""
+    """Decodes the image file that an image's data are.
+
+    Its size is read first: a small file may unpack to more than the memory holds.
+    """
     kind = FILES[image.compression_method]
     try:
         with warnings.catch_warnings():
-            # a size that Pillow warns of is refused below
+            # A size that Pillow warns of is refused below.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             size = Image.open(BytesIO(image.data), formats=[kind]).size
     except Exception as error:  # whatever Pillow makes of the bytes
@@ -177,13 +210,14 @@ def _read_file(image: lcmt_image, what: str, camera: Camera, flags: int) -> NDAr
 def _read_rows(
     image: lcmt_image, what: str, camera: Camera, kind: np.dtype[Any], channels: int
 ) -> NDArray[Any]:
-    """The pixels (height, width, channels) of data that are raw, or raw but for zlib."""
+    """Reads the pixels (height, width, channels) of data that are raw, or compressed by zlib."""
     _check_size((image.width, image.height), what, camera)
     used = image.width * channels * kind.itemsize
     stride = image.row_stride or used
     data = bytes(image.data)
     if image.compression_method == lcmt_image.COMPRESSION_METHOD_ZLIB:
         try:
+            # One byte more than expected is enough to tell that there are too many.
             data = zlib.decompressobj().decompress(data, image.height * stride + 1)
         except zlib.error as error:
             raise ImageError(f"the {what} image's data are not compressed by zlib") from error
@@ -203,8 +237,10 @@ def _read_rows(
 
 
 def _check_size(size: tuple[int, int], what: str, camera: Camera) -> None:
+    """Checks that an image, (width, height), is as large as its camera's."""
     if size != (camera.width, camera.height):
         width, height = size
         raise ImageError(
-            f"the {what} image is {width} x {height} pixels; expected {camera.width} x {camera.height}, as the camera's"
+            f"the {what} image is {width} x {height} pixels; "
+            f"expected {camera.width} x {camera.height}, as the camera's"
         )

@@ -1,11 +1,12 @@
-"""`PictureTracker`: finds an object in a camera's pictures on LCM, and says where it is, for a `HardwareStation`.
+"""`PictureTracker`: finds an object in a camera's pictures on LCM, and says on LCM where it is.
 
-It is a process of its own beside the controller's, which therefore waits for no picture. What the
-arm hides it knows by rendering the arm where the camera is, with the joints as the robot's status
-has them; what else stands high is told by depth.
+It runs in a process of its own beside that of the controller, which is a `HardwareStation` and
+waits for no picture. To know what the arm hides, it renders the arm as the camera sees it, with the
+joints as they are in the robot's status. Whatever else hides the object is told by depth.
 
 Messages that cannot be used are left out and counted, see `Channel`. The pictures' times are by the
-robot's clock: a picture from the future, or one that no status was sent near to, is left out, too.
+robot's clock. A picture from the future is left out, too, and so is one without a status of the
+robot at about the same time.
 """
 
 from collections import Counter, deque
@@ -46,19 +47,34 @@ from gridpush_drake.station.scene import AddScene
 from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS, make_status
 
+MILLISECONDS = 1e3
+"""Milliseconds in a second."""
+
 STATUSES = 1000
 """Number of the arm's last statuses that are remembered: some seconds."""
 
 MAX_LAG = 0.5
-"""Longest time between a picture and the arm's status nearest to it, s. A picture further away is by
-another clock than the robot's, and left out."""
+"""Longest time between a picture and the arm's status nearest to it, s. If it is longer, the
+picture's time is by another clock than the robot's, and the picture is left out."""
 
 
 class RobotSilhouette:
-    """Where a scenario's robot is in the pictures of its camera."""
+    """Tells which pixels of a camera's pictures show the robot.
+
+    Attributes:
+        plant: the scene without the object.
+        camera: intrinsics and pose of the scenario's camera.
+        table_top: the table's top, a polygon in W, m.
+        num_joints: number of the arm's joints.
+    """
 
     def __init__(self, resolved: ResolvedScenario) -> None:
-        """Makes the scene without the object; see `TwinCamera` for what may be raised."""
+        """Makes the scene and a camera before it.
+
+        Raises:
+            ScenarioError: the camera makes no sense.
+            StationError: nothing can be rendered on this computer.
+        """
         scenario = resolved.scenario
         builder = DiagramBuilder()
         self.plant, scene_graph = AddMultibodyPlantSceneGraph(
@@ -68,18 +84,20 @@ class RobotSilhouette:
         self.plant.Finalize()
         self.table_top = resolved.table_top
         rgbd = AddRgbdCamera(builder, self.plant, scene_graph, scenario, None)
-        self.camera, self._labels, self._sensor = rgbd.camera, list(rgbd.hidden_by), rgbd.sensor
+        self.camera = rgbd.camera
+        self._labels = list(rgbd.hidden_by)
+        self._sensor = rgbd.sensor
         self._robot = GetRobotInPlant(self.plant, resolved.robot)
         self.num_joints = self.plant.num_positions(self._robot.arm)
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
 
     def find(self, joints: Sequence[float], opening: float | None) -> NDArray[np.bool_]:
-        """The pixels (height, width) that show the robot.
+        """Finds the pixels (height, width) that show the robot.
 
         Args:
-            joints: the arm's positions, rad.
-            opening: the gripper's, m; None where it is not known, or there is none.
+            joints: positions of the arm's joints, rad.
+            opening: opening of the gripper, m; None if it is not known, or there is no gripper.
         """
         context = self.plant.GetMyMutableContextFromRoot(self._context)
         self.plant.SetPositions(context, self._robot.arm, np.asarray(joints))
@@ -107,19 +125,22 @@ class TrackerReport:
     left_out: Counter[str] = field(default_factory=Counter)
 
     def describe(self) -> str:
-        """The report in a sentence."""
-        text = f"{self.pictures} pictures, the object seen in {self.seen} of them, {self.skipped} skipped"
+        """Returns the report in words."""
+        text = (
+            f"{self.pictures} pictures, the object seen in {self.seen} of them, "
+            f"{self.skipped} skipped"
+        )
         return text + "".join(f"; {count} left out: {why}" for why, count in self.left_out.items())
 
 
 class PictureTracker:
-    """Looks at pictures as they come, and says where the object is: `PLANAR_MANIPULAND_STATUS`.
+    """Looks at pictures as they come, and says where the object is on `OBJECT_STATUS`.
 
     Attributes:
         obj: the object that is followed; None until it is found.
-        detected: what was found; None where the object was given.
-        message: why the object was not found in the last picture; empty where it was.
-        report: how it went.
+        detected: what the detector found; None if the object was given, or is not found yet.
+        message: why the object was not found in the last picture; empty if it was.
+        report: what the tracker did.
     """
 
     def __init__(
@@ -132,32 +153,41 @@ class PictureTracker:
         """Listens from now on.
 
         Args:
-            scenario: robot, table and camera, resolved or not; which object lies there only says a name and what is
-                known beforehand.
-            lcm: on which pictures and the arm's status come, and the pose is said.
-            obj: to follow; None for what the detector finds.
-            clock: by which messages arrive, s.
+            scenario: robot, table and camera, resolved or not. Of its object only name and prior
+                are used, for the object that is found.
+            lcm: LCM on which pictures and the arm's status come, and on which the pose is said.
+            obj: the object to follow; None to follow what the detector finds.
+            clock: returns the time by which messages arrive, s.
 
         Raises:
             ScenarioError: the camera makes no sense, or there are several objects.
-            StationError: nothing can be rendered here, or nobody knows what the robot's driver
-                speaks.
+            StationError: nothing can be rendered on this computer, or the messages of the robot's
+                driver are not known.
         """
         resolved = resolve(scenario)
-        scenario, robot = resolved.scenario, resolved.robot
+        scenario = resolved.scenario
+        robot = resolved.robot
         check_tracked(scenario)
-        self._told = resolved.obj
-        self.obj, self.message = obj, ""
+        self.obj = obj
         self.detected: DetectedObject | None = None
+        self.message = ""
         self.report = TrackerReport()
-        self._scenario, self._lcm, self._messages = scenario, lcm, find_arm_messages(robot)
+        self._scenario = scenario
+        self._named_after = resolved.obj
+        self._lcm = lcm
+        self._clock = clock
+        self._clock_jump = scenario.safety.clock_jump
+        self._messages = find_arm_messages(robot)
         self._silhouette = RobotSilhouette(resolved)
         self._off_table = find_off_table(self._silhouette.camera, self._silhouette.table_top)
+        # What the robot last said: time, us, and joints, rad, of each status; and the opening, m.
         self._statuses: deque[tuple[int, Sequence[float]]] = deque(maxlen=STATUSES)
         self._opening: float | None = None
-        self._clock, self._clock_jump = clock, scenario.safety.clock_jump
+        # The newest picture that was not looked at yet, and its arrival, s.
         self._picture: tuple[bytes, float] | None = None
+        # Time of the last picture that was looked at, us.
         self._last = -1
+        # What follows the object once it is found.
         self._tracker: PoseTracker | None = None
         self._state: TrackerState | None = None
         self._arm = Channel(
@@ -182,19 +212,25 @@ class PictureTracker:
             lcm.Subscribe(GRIPPER_STATUS, self._take_gripper)
 
     def step(self, timeout: float = 0.0) -> TrackedPose | None:
-        """Waits for messages for so long, s, and looks at the newest picture.
+        """Waits for messages, and looks at the newest picture.
+
+        Args:
+            timeout: longest time to wait, s.
 
         Returns:
-            What it told; None where there was none, or it could not be used.
+            The pose that was found and said; None if there was no picture that could be used.
         """
-        self._lcm.HandleSubscriptions(round(1e3 * timeout))
-        picture, self._picture = self._picture, None
+        self._lcm.HandleSubscriptions(round(MILLISECONDS * timeout))
+        picture = self._picture
+        self._picture = None
         if picture is None or not self._statuses:
             return None
-        frame = self._read_frame(*picture)
+        data, arrival = picture
+        frame = self._read_frame(data, arrival)
         if frame is None:
             return None
-        utime = self._last = round(MICROSECONDS * frame.t)
+        utime = round(MICROSECONDS * frame.t)
+        self._last = utime
         _, joints = self._find_nearest(utime)
         tracked = self._look(frame, self._silhouette.find(joints, self._opening))
         self.report.pictures += 1
@@ -203,7 +239,7 @@ class PictureTracker:
         return tracked
 
     def find_obstacle(self) -> str:
-        """Says why no pose is told yet; empty where one is."""
+        """Says why there is no pose yet; empty if the object was found in the last picture."""
         if not self._statuses:
             return f"no status of the robot on {self._messages.status}"
         if self._last < 0:
@@ -212,7 +248,7 @@ class PictureTracker:
         return self.message
 
     def _look(self, frame: Frame, hidden: NDArray[np.bool_]) -> TrackedPose:
-        """Finds the object in a picture, at first anywhere."""
+        """Finds the object: at first anywhere, by the detector; then near its last pose."""
         guess = None
         if self.obj is None:
             found = self._detect(frame, hidden)
@@ -221,9 +257,13 @@ class PictureTracker:
             guess = found.X_WB
         assert self.obj is not None
         if self._tracker is None:
-            height = self.obj.height or self._scenario.object_height
-            camera, table_top = self._silhouette.camera, self._silhouette.table_top
-            self._tracker = PoseTracker(self.obj.outline, height, camera, LIVE, table_top)
+            self._tracker = PoseTracker(
+                self.obj.outline,
+                self.obj.height or self._scenario.object_height,
+                self._silhouette.camera,
+                options=LIVE,
+                table_top=self._silhouette.table_top,
+            )
         try:
             state = self._state or self._tracker.start(frame, guess, hidden)
         except PerceptionError as error:
@@ -234,10 +274,16 @@ class PictureTracker:
         return tracked
 
     def _detect(self, frame: Frame, hidden: NDArray[np.bool_]) -> DetectedObject | None:
-        naming = ObjectNaming(self._told.name, self._told.prior, self._scenario.object_pose[2])
-        unseen = (self._off_table, hidden)
+        """Looks for an object anywhere in a picture; the one that is found is then followed."""
+        named_after = self._named_after
+        naming = ObjectNaming(named_after.name, named_after.prior, self._scenario.object_pose[2])
         found = find_in_frame(
-            frame, self._silhouette.camera, None, naming, unseen, self._scenario.seed
+            frame,
+            self._silhouette.camera,
+            None,
+            naming=naming,
+            unseen=(self._off_table, hidden),
+            seed=self._scenario.seed,
         )
         if isinstance(found, str):
             self.message = found
@@ -246,7 +292,12 @@ class PictureTracker:
         return self.detected
 
     def _read_frame(self, data: bytes, arrival: float) -> Frame | None:
-        """Decodes a picture that arrived at a time, s; None, and counted, where it cannot be used."""
+        """Decodes a picture; one that cannot be used is counted, and None is returned.
+
+        Args:
+            data: the message as it came.
+            arrival: when it came, s, by this process's clock.
+        """
         try:
             message = decode_message(lcmt_image_array, PICTURES, data)
             frame = decode_frame(message, self._silhouette.camera)
@@ -254,7 +305,8 @@ class PictureTracker:
             self.leave_out(str(error))
             return None
         utime = round(MICROSECONDS * frame.t)
-        why, (nearest, _) = "", self._find_nearest(utime)
+        nearest, _ = self._find_nearest(utime)
+        why = ""
         if utime <= self._last:
             why = "a picture was not newer than the one before"
         elif self._arm.clock.calc_advance(frame.t, arrival) > self._clock_jump:
@@ -266,36 +318,41 @@ class PictureTracker:
             )
         if why:
             self.leave_out(why)
-        return None if why else frame
+            return None
+        return frame
 
     def _find_nearest(self, utime: int) -> tuple[int, Sequence[float]]:
-        """The time, us, and the joints of the status nearest to a picture's time, us."""
+        """Returns time, us, and joints, rad, of the status nearest to a picture's time, us."""
         return min(self._statuses, key=lambda status: abs(status[0] - utime))
 
     def _find_arm_fault(self, message: Any) -> str:
+        """Says why a status of the arm cannot be used; empty if it can."""
         joints = self._silhouette.num_joints
         fault = self._messages.find_fault(message, joints)
         return fault or find_form_fault(message, self._messages.status, joints)
 
     def _take_picture(self, data: bytes) -> None:
+        """Keeps a picture for the next `step`, in place of one that was not looked at."""
         self.report.skipped += self._picture is not None
         self._picture = (data, self._clock())
 
     def _take_status(self, data: bytes) -> None:
+        """Remembers a status of the arm."""
         changes = self._arm.clock_changes
         if not self._arm.take(data):
             return
         if self._arm.clock_changes != changes:
-            # the times before the clock jumped say nothing about pictures after it
+            # Times before the robot's clock jumped say nothing about pictures after it.
             self._statuses.clear()
             self._last = -1
         message = self._arm.message
         self._statuses.append((message.utime, self._messages.read_joints(message)))
 
     def _take_gripper(self, data: bytes) -> None:
+        """Remembers the gripper's opening."""
         if self._gripper.take(data):
             self._opening = self._gripper.message.actual_position_mm / MILLIMETERS
 
     def leave_out(self, why: str) -> None:
-        """Counts what came and cannot be used, by why."""
+        """Counts a message that cannot be used."""
         count_reason(self.report.left_out, why)

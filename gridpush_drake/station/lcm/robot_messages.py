@@ -1,7 +1,8 @@
-"""The LCM messages that robots and this package exchange: which, on which channel, how often; and what makes them.
+"""The LCM messages that robots and this package exchange: their types, channels and periods.
 
-An arm's driver says which messages it speaks (`ARM_MESSAGES`); gripper and tracked object have
-messages of their own.
+Functions add the systems that make them and read them, for either side: for the station that
+commands a robot, and for a twin that behaves like the robot. An arm's messages depend on its driver
+(`ARM_MESSAGES`); gripper and tracked object have messages of their own.
 """
 
 from collections.abc import Sequence
@@ -60,35 +61,43 @@ from gridpush_drake.systems.planar_manipuland_status import (
 )
 
 ARM_PERIOD = 0.005
-"""Between two statuses of an arm, and between two commands, s: what drake-iiwa-driver keeps."""
+"""Time between two statuses of an arm, and between two commands, s; drake-iiwa-driver keeps it."""
 
 GRIPPER_PERIOD = 0.05
-"""Between two statuses of a gripper, and between two commands, s."""
+"""Time between two statuses of a gripper, and between two commands, s."""
 
-GRIPPER_STATUS, GRIPPER_COMMAND = "SCHUNK_WSG_STATUS", "SCHUNK_WSG_COMMAND"
+GRIPPER_STATUS = "SCHUNK_WSG_STATUS"
+"""Channel of a gripper's status, `lcmt_schunk_wsg_status`, as Drake's driver names it."""
+
+GRIPPER_COMMAND = "SCHUNK_WSG_COMMAND"
+"""Channel of a gripper's command, `lcmt_schunk_wsg_command`, as Drake's driver names it."""
 
 OBJECT_STATUS = "PLANAR_MANIPULAND_STATUS"
-"""Channels, as Drake's drivers name them; that of the object is this package's."""
+"""Channel of the object's pose, `lcmt_planar_manipuland_status`; the name is this package's own."""
 
 PICTURES = "DRAKE_RGBD_CAMERA_IMAGES"
 """Channel of a camera's color and depth, `lcmt_image_array`, as Drake's examples name it."""
 
 OBJECT_MAX_AGE = 0.5
-"""Since the last message of the object, after which it is not seen, s."""
+"""If the last message about the object is older than this, the object is not seen, s."""
 
 POSITION_MODE = PandaControlMode.kPosition
+"""The mode in which a Panda is commanded: by joint positions."""
 
 FROM_OPENING = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
-"""From a gripper's opening, m, and its velocity to its fingers' positions and velocities."""
+"""(4, 2) matrix from a gripper's opening, m, and its rate, m/s, to the positions of the left and
+right finger and their velocities."""
 
 
 @dataclass(frozen=True)
 class IiwaMessages:
-    """What drake-iiwa-driver speaks.
+    """The messages that drake-iiwa-driver speaks.
 
     Attributes:
-        status: channel of `lcmt_iiwa_status`.
-        command: channel of `lcmt_iiwa_command`.
+        status: channel of the arm's status.
+        command: channel of the arm's command.
+        status_type: type of the status.
+        command_type: type of the command.
     """
 
     status: str = "IIWA_STATUS"
@@ -97,13 +106,13 @@ class IiwaMessages:
     command_type: Any = lcmt_iiwa_command
 
     def count_joints(self, message: Any) -> int:
-        """How many joints a status speaks of."""
+        """Returns the number of joints in a status."""
         return int(message.num_joints)
 
     def find_fault(self, message: Any, n: int) -> str:
-        """Says that a status is of another robot than one of n joints; empty where it is not.
+        """Says that a status is of another robot than one of n joints; empty if it is not.
 
-        What else may be wrong with its form is told by `find_form_fault`.
+        Whatever else may be wrong with its form is found by `find_form_fault`.
         """
         joints = self.count_joints(message)
         if joints == n:
@@ -111,17 +120,21 @@ class IiwaMessages:
         return f"{self.status} speaks of {joints} joints; expected {n}, as the scenario's robot has"
 
     def read_joints(self, message: Any) -> Sequence[float]:
-        """The measured positions in a status, rad."""
+        """Returns the measured joint positions in a status, rad."""
         return tuple(message.joint_position_measured)
 
     def is_finite(self, command: Any) -> bool:
-        """Whether a command is one: all its numbers are finite, and it has some."""
+        """Returns whether a command has joint positions, all of them finite."""
         return len(command.joint_position) > 0 and bool(np.isfinite(command.joint_position).all())
 
     def AddStatusReceiver(
         self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
     ) -> dict[str, OutputPort]:
-        """Adds what reads the status of n joints; returns its ports by the names that a `SimIiwaDriver` uses."""
+        """Adds the system that reads the status of an arm of n joints.
+
+        Returns:
+            Its output ports, by the names that Drake's `SimIiwaDriver` uses.
+        """
         receiver = builder.AddNamedSystem("arm_status_receiver", IiwaStatusReceiver(n))
         _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
         return {
@@ -132,7 +145,7 @@ class IiwaMessages:
     def AddCommandSender(
         self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
     ) -> InputPort:
-        """Adds what sends commands; returns the port for the positions of the n joints."""
+        """Adds the system that sends commands; returns its input for n joint positions, rad."""
         sender = builder.AddNamedSystem("arm_command_sender", IiwaCommandSender(n))
         _Publish(
             builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD
@@ -147,9 +160,17 @@ class IiwaMessages:
         driver: dict[str, OutputPort],
         ramp: CommandRamp,
     ) -> None:
-        """Adds what a robot's driver does: makes statuses of its ports, by name, and feeds a ramp with commands.
+        """Adds what the driver of a real arm does, to a simulated one.
 
-        Until the first command the arm stays where it is.
+        It makes statuses of the arm's measurements, and passes commands to a ramp. Until the first
+        command the arm stays where it is.
+
+        Args:
+            builder: the builder that has the arm's driver.
+            lcm: LCM on which the arm speaks.
+            n: number of the arm's joints.
+            driver: output ports of the simulated arm's driver, by name.
+            ramp: brings the arm to rest when commands stop coming.
         """
         commands = builder.AddNamedSystem("arm_command_receiver", IiwaCommandReceiver(n))
         builder.Connect(commands.GetOutputPort("time"), ramp.GetInputPort("time_sent"))
@@ -164,6 +185,7 @@ class IiwaMessages:
         commands: System,
         status: System,
     ) -> None:
+        """Connects the system that reads commands and the system that makes statuses."""
         _Subscribe(
             builder,
             lcm,
@@ -182,12 +204,12 @@ class IiwaMessages:
 
 
 PANDA_NAMES = {"velocity_measured": "velocity_estimated"}
-"""Names that an iiwa's ports have, by those that a Panda's have where they differ."""
+"""Names of an iiwa's ports by those of a Panda's, for the ports whose names differ."""
 
 
 @dataclass(frozen=True)
 class PandaMessages(IiwaMessages):
-    """What drake-franka-driver speaks, in its mode of positions; see `IiwaMessages`."""
+    """The messages that drake-franka-driver speaks, commanded by positions; see `IiwaMessages`."""
 
     status: str = "PANDA_STATUS"
     command: str = "PANDA_COMMAND"
@@ -195,15 +217,18 @@ class PandaMessages(IiwaMessages):
     command_type: Any = lcmt_panda_command
 
     def read_joints(self, message: Any) -> Sequence[float]:
-        """The measured positions in a status, rad."""
+        """Returns the measured joint positions in a status, rad."""
         return tuple(message.joint_position)
 
     def AddStatusReceiver(
         self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
     ) -> dict[str, OutputPort]:
-        """Adds what reads the status of n joints; returns its ports by the names that a `SimIiwaDriver` uses.
+        """Adds the systems that read the status of an arm of n joints.
 
-        Drake's receiver has no port for the time of the status, which is read from the message.
+        Drake's receiver has no port for the time of the status; a `MessageClock` reads it.
+
+        Returns:
+            Their output ports, by the names that Drake's `SimIiwaDriver` uses.
         """
         receiver = builder.AddNamedSystem("arm_status_receiver", PandaStatusReceiver(n))
         _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
@@ -215,7 +240,7 @@ class PandaMessages(IiwaMessages):
     def AddCommandSender(
         self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
     ) -> InputPort:
-        """Adds what sends commands; returns the port for the positions of the n joints."""
+        """Adds the system that sends commands; returns its input for n joint positions, rad."""
         sender = builder.AddNamedSystem("arm_command_sender", PandaCommandSender(n, POSITION_MODE))
         _Publish(
             builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD
@@ -230,9 +255,9 @@ class PandaMessages(IiwaMessages):
         driver: dict[str, OutputPort],
         ramp: CommandRamp,
     ) -> None:
-        """Adds what a robot's driver does, see `IiwaMessages.AddRobotSide`.
+        """Adds what the driver of a real arm does, see `IiwaMessages.AddRobotSide`.
 
-        Drake's receiver has no port for the time of the command, which is read from the message.
+        Drake's receiver has no port for the time of the command; a `MessageClock` reads it.
         """
         commands = builder.AddNamedSystem(
             "arm_command_receiver", PandaCommandReceiver(n, POSITION_MODE)
@@ -253,14 +278,14 @@ class MessageClock(LeafSystem):
         output_ports:
         - time
 
-    * message: abstract, of the kind it was made for, with a `utime`, us.
-    * time: vector of 1, that, s.
+    * message: abstract LCM message of the type that the system was made for, with a `utime`, us.
+    * time: vector of 1, the time in the message, s.
     """
 
     __slots__ = NO_SLOTS
 
     def __init__(self, kind: Any) -> None:
-        """Takes messages of a kind."""
+        """Declares the system for messages of a type."""
         super().__init__()
         self._message = self.DeclareAbstractInputPort("message", AbstractValue.Make(kind()))
         self.DeclareVectorOutputPort("time", 1, weakly(self._calc), {self._message.ticket()})
@@ -270,15 +295,21 @@ class MessageClock(LeafSystem):
 
 
 ARM_MESSAGES: dict[str, IiwaMessages] = {"iiwa": IiwaMessages(), "panda": PandaMessages()}
-"""By what an arm's robot.yaml says of its `messages`."""
+"""Messages of the drivers that are known, by what an arm's robot.yaml says in `messages`."""
 
 
 def find_arm_messages(robot: Robot) -> IiwaMessages:
-    """What a robot's driver speaks. Raises StationError where nobody knows, or there is a hand that none can move."""
+    """Finds the messages that a robot's driver speaks.
+
+    Raises:
+        StationError: the robot.yaml names none, or the robot has a gripper for which there are no
+            messages.
+    """
     kind = robot.arm.messages
     if kind is None:
         raise StationError(
-            f"robot.yaml of {robot.arm_model} has no messages; expected one of {', '.join(ARM_MESSAGES)} for LCM"
+            f"robot.yaml of {robot.arm_model} has no messages; "
+            f"expected one of {', '.join(ARM_MESSAGES)} for LCM"
         )
     if kind != "iiwa" and robot.gripper is not None:
         raise StationError(
@@ -290,11 +321,12 @@ def find_arm_messages(robot: Robot) -> IiwaMessages:
 def AddGripperMessages(
     builder: DiagramBuilder, lcm: DrakeLcmInterface
 ) -> tuple[OutputPort, SchunkWsgCommandSender]:
-    """Adds what reads a gripper's status and sends its commands.
+    """Adds the systems that read a gripper's status and send its commands.
 
     Returns:
-        The fingers' positions, left and right, m, and velocities, m/s, (4,); and the sender, with
-        the input ports `position`, the opening, m, and `force_limit`, N.
+        An output port with the positions of the left and right finger, m, and their velocities,
+        m/s, (4,); and the sender, with the input ports `position`, the opening, m, and
+        `force_limit`, N.
     """
     receiver = builder.AddNamedSystem("gripper_status_receiver", SchunkWsgStatusReceiver())
     _Subscribe(builder, lcm, GRIPPER_STATUS, lcmt_schunk_wsg_status, receiver.get_input_port())
@@ -319,14 +351,14 @@ def AddGripperSide(
     state: OutputPort,
     opening: float,
 ) -> None:
-    """Adds what a gripper's driver does, for a simulated one.
+    """Adds what the driver of a real gripper does, to a simulated one.
 
     Args:
-        builder: the gripper's controller is in it.
-        lcm: on which it speaks.
-        controller: moves the gripper.
-        state: (4,) of the fingers.
-        opening: until the first command, m.
+        builder: the builder that has the gripper's controller.
+        lcm: LCM on which the gripper speaks.
+        controller: moves the simulated gripper.
+        state: (4,) positions of its fingers, m, and their velocities, m/s.
+        opening: opening until the first command, m.
     """
     commands = builder.AddNamedSystem("gripper_command_receiver", SchunkWsgCommandReceiver(opening))
     _Subscribe(
@@ -358,16 +390,17 @@ def AddGripperSide(
 def AddObjectReceiver(
     builder: DiagramBuilder, lcm: DrakeLcmInterface, time: OutputPort, delay: float
 ) -> tuple[OutputPort, OutputPort]:
-    """Adds what reads where the object is.
+    """Adds the systems that read where the object is.
 
     Args:
-        builder: the time's system is in it.
-        lcm: on which it is said.
-        time: by the clock of the messages, s.
-        delay: how old a pose is told, s.
+        builder: the builder that has the time's system.
+        lcm: LCM on which the object's pose is said.
+        time: (1,) time by the clock of the messages, s.
+        delay: age of the pose that the executor and the identifier get, s; always the same, so that
+            the identifier knows it.
 
     Returns:
-        The ports with its pose (3,) so long ago, and with the newest, m and rad.
+        Output ports with the pose (3,) of that age, and with the newest pose, m and rad.
     """
     receiver = builder.AddNamedSystem(
         "camera", PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE, delay)
@@ -382,14 +415,14 @@ def AddObjectReceiver(
 def AddObjectSender(
     builder: DiagramBuilder, lcm: DrakeLcmInterface, pose: OutputPort, period: float, offset: float
 ) -> None:
-    """Adds what says where an object is seen.
+    """Adds the systems that say where the object is seen.
 
     Args:
-        builder: the camera is in it.
-        lcm: on which it is said.
-        pose: (3,) of the object as seen, m and rad.
-        period: between two messages, s.
-        offset: of the first, s.
+        builder: the builder that has the camera.
+        lcm: LCM on which the pose is said.
+        pose: (3,) X_WB of the object as seen, m and rad.
+        period: time between two messages, s.
+        offset: time of the first message, s.
     """
     sender = builder.AddNamedSystem("object_status_sender", PlanarManipulandStatusSender())
     builder.Connect(pose, sender.get_input_port())
@@ -407,7 +440,7 @@ def AddObjectSender(
 def _AddClock(
     builder: DiagramBuilder, lcm: DrakeLcmInterface, name: str, channel: str, kind: Any
 ) -> OutputPort:
-    """Adds what reads the time of a channel's messages, s."""
+    """Adds the systems that read the time of a channel's messages, s."""
     clock = builder.AddNamedSystem(name, MessageClock(kind))
     subscriber = builder.AddNamedSystem(
         f"{name}_subscriber", LcmSubscriberSystem.Make(channel, kind, lcm)
@@ -419,6 +452,7 @@ def _AddClock(
 def _Subscribe(
     builder: DiagramBuilder, lcm: DrakeLcmInterface, channel: str, kind: Any, port: InputPort
 ) -> None:
+    """Has a channel's messages, of Drake's own type `kind`, come in at a port."""
     subscriber = LcmSubscriberSystem.Make(channel, kind, lcm, use_cpp_serializer=True)
     builder.AddNamedSystem(f"{channel}_subscriber", subscriber)
     builder.Connect(subscriber.get_output_port(), port)
@@ -432,6 +466,7 @@ def _Publish(
     port: OutputPort,
     period: float,
 ) -> None:
+    """Has what is on a port published on a channel, as messages of Drake's own type `kind`."""
     publisher = LcmPublisherSystem.Make(
         channel, kind, lcm, publish_period=period, use_cpp_serializer=True
     )

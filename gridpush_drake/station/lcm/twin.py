@@ -1,4 +1,7 @@
-"""`MakeTwin`: a simulated robot that speaks what a real one's drivers speak, and what tells the pose it sees."""
+"""`MakeTwin`: a simulated robot with the LCM messages of a real one's drivers.
+
+An ideal camera beside it says where the object is, as a tracker of a real object would.
+"""
 
 import numpy as np
 from pydrake.lcm import DrakeLcmInterface
@@ -28,18 +31,24 @@ TORQUE = "torque_external"
 """Name of the port of an arm's driver with the torques from outside."""
 
 ESTIMATION_TIME = 0.03
-"""Time constant with which an arm's estimate of the torques from outside follows them, s. In the
-simulation a knock lasts one time step, and is as much stronger."""
+"""Time constant of an arm's estimate of the torques from outside, s. Without it a knock in the
+simulation, which lasts one time step, would seem far stronger than a real one."""
 
 
 def check_tracked(scenario: PushScenario) -> None:
-    """Raises ScenarioError where a scenario has what cannot be told over LCM: several objects."""
+    """Checks that a scenario has one object only: there is no LCM message for several.
+
+    Raises:
+        ScenarioError: the scenario has other objects.
+    """
     if scenario.others:
         raise ScenarioError("others: over LCM one object's pose is told; expected an empty list")
 
 
 def _AddCommandRamp(builder: DiagramBuilder, setting: Setting) -> CommandRamp:
-    safety, speed = setting.scenario.safety, setting.control_plant.GetVelocityUpperLimits()
+    """Adds what brings the arm to rest when commands stop coming, as a real arm's driver does."""
+    safety = setting.scenario.safety
+    speed = setting.control_plant.GetVelocityUpperLimits()
     acceleration = np.full_like(speed, safety.acceleration)
     ramp = builder.AddNamedSystem(
         "command_ramp", CommandRamp(speed, acceleration, safety.command_age, ARM_PERIOD)
@@ -49,10 +58,19 @@ def _AddCommandRamp(builder: DiagramBuilder, setting: Setting) -> CommandRamp:
 
 
 def _AddLowPass(builder: DiagramBuilder, port: OutputPort, period: float) -> OutputPort:
-    """The torques from outside as an arm estimates them: a knock is spread over some time."""
-    keep, size = np.exp(-period / ESTIMATION_TIME), port.size()
-    A, B = keep * np.eye(size), (1 - keep) * np.eye(size)
-    low_pass = LinearSystem(A=A, B=B, C=np.eye(size), D=np.zeros((size, size)), time_period=period)
+    """Adds an arm's estimate of the torques from outside, which spreads a knock over some time.
+
+    It is x' = keep x + (1 - keep) u in each period, s, with keep = exp(-period / ESTIMATION_TIME).
+    """
+    keep = np.exp(-period / ESTIMATION_TIME)
+    size = port.size()
+    low_pass = LinearSystem(
+        A=keep * np.eye(size),
+        B=(1 - keep) * np.eye(size),
+        C=np.eye(size),
+        D=np.zeros((size, size)),
+        time_period=period,
+    )
     builder.AddNamedSystem("torque_estimator", low_pass)
     builder.Connect(port, low_pass.get_input_port())
     return low_pass.get_output_port()
@@ -67,27 +85,28 @@ class Twin(Diagram):
         output_ports:
         - driver.status
 
-    - ``driver.status``: abstract `GuardStatus` of its `CommandRamp`.
+    - ``driver.status``: abstract `GuardStatus` of its `CommandRamp`, how the arm's driver stands.
 
     Attributes:
-        world: plant, robot, object and table.
+        world: the simulated plant with robot, object and table.
     """
 
     __slots__ = NO_SLOTS
 
     def __init__(self, builder: DiagramBuilder, world: World, camera: StationCamera) -> None:
-        """Takes over a builder's systems; `MakeTwin` calls it."""
+        """Builds the Diagram of a builder's systems; `MakeTwin` calls it."""
         super().__init__()
-        self.world, self._camera = world, camera
+        self.world = world
+        self._camera = camera
         builder.BuildInto(self)
 
     def GetPositions(self, root_context: Context) -> Array:
-        """All positions of the world's plant, as `TwinCamera` takes them."""
+        """Returns all positions of the world's plant in a Context, as `TwinCamera` takes them."""
         plant = self.world.plant
         return np.array(plant.GetPositions(plant.GetMyContextFromRoot(root_context)))
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
-        """Puts arm and object where the scenario has them, at rest; see `PushStation.SetStart`."""
+        """Puts arm and object at rest where the scenario has them; see `PushStation.SetStart`."""
         self.world.SetStart(self, root_context, seed)
         if seed is not None:
             self._camera.SetSeed(root_context, seed)
@@ -96,59 +115,70 @@ class Twin(Diagram):
 def MakeTwin(
     scenario: PushScenario | ResolvedScenario, lcm: DrakeLcmInterface, *, listens: bool = True
 ) -> Twin:
-    """Makes the twin: plant, driver, gripper and camera of a scenario, with LCM in the place of what commands them.
+    """Makes the twin: plant, driver, gripper and camera of a scenario, commanded over LCM.
 
-    An ideal camera says the object's pose; pictures of an rgbd one are taken beside it, see
-    `TwinCamera`.
+    An ideal camera says the object's pose. Pictures of a color and depth camera are taken in
+    another process, see `TwinCamera`.
 
     Args:
-        scenario: what stands where, resolved or not, and what the object truly weighs.
-        lcm: on which it speaks.
-        listens: whether it hears what came whenever its time moves; what comes must then be whole,
-            for Drake ends the process over a command that is not. On a network that others are on,
-            the caller has a `TwinLink` between that and the twin, and none of this. Drake 1.58
-            cannot call Python from within an `LcmInterfaceSystem`.
+        scenario: the scenario, resolved or not.
+        lcm: LCM on which the twin speaks.
+        listens: whether the twin reads by itself what came whenever its time moves. All that comes
+            must then be whole, for Drake ends the process over a command that is not. On a network
+            with others, set it to False, and put a `TwinLink` between network and twin. (Drake 1.58
+            cannot call Python from within an `LcmInterfaceSystem`.)
 
     Returns:
         The twin. Call its `SetStart` on each new Context.
 
     Raises:
         ScenarioError: the scenario makes no sense, or has several objects.
-        StationError: the arm cannot take the posture in which it begins.
+        StationError: the messages of the robot's driver are not known.
     """
     resolved = resolve(scenario)
     scenario = resolved.scenario
     check_tracked(scenario)
     builder = DiagramBuilder()
     world = AddWorld(builder, resolved)
-    setting, plant = world.setting, world.plant
-    robot, instances = setting.robot, world.robot_in_plant
+    setting = world.setting
+    plant = world.plant
+    robot = setting.robot
+    instances = world.robot_in_plant
     if listens:
         builder.AddNamedSystem("lcm", LcmInterfaceSystem(lcm))
+
+    # The arm, and what its driver does.
     driver = AddArmDriver(builder, plant, robot, instances.arm, setting.control_plant)
     messages = find_arm_messages(robot)
-    ramp, ports = (
-        _AddCommandRamp(builder, setting),
-        {name: driver.GetOutputPort(name) for name in DRIVER_OUTPUTS},
-    )
+    ramp = _AddCommandRamp(builder, setting)
     builder.Connect(ramp.GetOutputPort("position"), driver.GetInputPort("position"))
+    ports = {name: driver.GetOutputPort(name) for name in DRIVER_OUTPUTS}
     ports[TORQUE] = _AddLowPass(builder, ports[TORQUE], scenario.simulation.time_step)
     messages.AddRobotSide(builder, lcm, len(setting.q_start), ports, ramp)
+
+    # The gripper, and what its driver does.
     if robot.gripper is not None:
         controller = AddGripperController(builder, plant, instances.gripper, robot.gripper)
         state = plant.get_state_output_port(instances.gripper)
         AddGripperSide(builder, lcm, controller, state, robot.gripper.opening)
+
+    # The camera, and what a tracker does.
     camera = AddSensors(
-        builder, world.scene_graph, setting.scenario, robot, world.object_in_plant, None
+        builder,
+        world.scene_graph,
+        scenario=setting.scenario,
+        robot=robot,
+        part=world.object_in_plant,
+        found=None,
     ).camera
     if scenario.camera.kind == "ideal":
-        time_step = scenario.simulation.time_step  # after which a pose is on its port
         AddObjectSender(
             builder,
             lcm,
             camera.source.GetOutputPort("object_pose"),
-            1 / scenario.camera.rate,
-            time_step,
+            period=1 / scenario.camera.rate,
+            # A pose is on the camera's port one time step after it was taken.
+            offset=scenario.simulation.time_step,
         )
     twin = Twin(builder, world, camera)
     twin.set_name("twin")

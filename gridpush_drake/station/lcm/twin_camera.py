@@ -1,7 +1,7 @@
-"""`TwinCamera`: the pictures of a twin's color and depth camera, and the process that says them on a network.
+"""`TwinCamera`: a twin's color and depth camera, and the process that sends its pictures.
 
-A pair of pictures takes longer to render than the arm's period of 5 ms. So it is rendered
-elsewhere: the twin hands on where all joints and the object are, and goes on.
+A pair of pictures takes longer to render than the arm's period of 5 ms. So it is rendered in
+another process: the twin tells that process where all joints and the object are, and goes on.
 """
 
 import multiprocessing
@@ -30,27 +30,34 @@ ENDS_WITHIN = 5.0
 """Longest time that the process may take to end once nothing is asked of it any more, s."""
 
 TWINS_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
-"""Signals that go to the twin as well, which then closes the pipe; Windows has no SIGHUP."""
+"""Names of the signals that the process ignores. They reach the twin as well, which then closes the
+pipe, and the process ends in good order. Windows has no SIGHUP."""
 
 
 class TwinCamera:
-    """The camera of a scenario, before a world whose positions it is told; nothing moves by itself."""
+    """A scenario's camera before a world that is told its positions; nothing moves by itself."""
 
     def __init__(self, scenario: PushScenario) -> None:
         """Makes the world and the camera.
 
         Args:
-            scenario: with a color and depth camera, which is not changed.
+            scenario: a scenario with a color and depth camera; it is not changed.
 
         Raises:
-            ScenarioError: it makes no sense.
-            StationError: nothing can be rendered here.
+            ScenarioError: the scenario makes no sense.
+            StationError: nothing can be rendered on this computer.
         """
         builder = DiagramBuilder()
         world = AddWorld(builder, resolve(scenario.model_copy(deep=True)))
-        setting, part = world.setting, world.object_in_plant
-        camera = AddRgbdCamera(builder, world.plant, world.scene_graph, setting.scenario, part)
-        self._plant, self._noise = world.plant, camera.noise
+        camera = AddRgbdCamera(
+            builder,
+            world.plant,
+            world.scene_graph,
+            scenario=world.setting.scenario,
+            part=world.object_in_plant,
+        )
+        self._plant = world.plant
+        self._noise = camera.noise
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
         self._count = 0
@@ -59,8 +66,8 @@ class TwinCamera:
         """Takes the picture of a moment.
 
         Args:
-            t: when, s.
-            q: (n,) positions of the twin's plant.
+            t: time, s.
+            q: (n,) positions of the twin's plant at this time.
 
         Returns:
             Color and depth, with the camera's noise, which depends on the scenario's seed and on t.
@@ -68,14 +75,12 @@ class TwinCamera:
         self._context.SetTime(t)
         self._plant.SetPositions(self._plant.GetMyMutableContextFromRoot(self._context), q)
         own = self._noise.GetMyContextFromRoot(self._context)
-        color, depth = (
-            self._noise.GetOutputPort(name).Eval(own).data
-            for name in ("color_image", "depth_image")
-        )
+        color = self._noise.GetOutputPort("color_image").Eval(own).data
+        depth = self._noise.GetOutputPort("depth_image").Eval(own).data
         return Frame(color[..., :3].copy(), depth[..., 0].copy(), t)
 
     def make_message(self, t: float, q: ArrayLike) -> lcmt_image_array:
-        """The picture of a moment, see `take`, as a message."""
+        """Takes the picture of a moment, see `take`, and makes an LCM message of it."""
         self._count += 1
         return encode_frame(self.take(t, q), self._count - 1)
 
@@ -87,12 +92,11 @@ class PictureProcess:
         """Starts the process.
 
         Args:
-            scenario: of the twin.
-            open_bus: opens, in that process, what the pictures are said on; it can be pickled.
+            scenario: the twin's scenario.
+            open_bus: opens the bus of the pictures in that process; it can be pickled.
         """
-        context = multiprocessing.get_context(
-            "spawn"
-        )  # pydrake has threads, which a fork would not survive
+        # Not a fork, which would leave out pydrake's threads.
+        context = multiprocessing.get_context("spawn")
         listener, self._asks = context.Pipe(duplex=False)
         work = (format_scenario(scenario), open_bus, listener)
         self._process = context.Process(target=_take_pictures, args=work, daemon=True)
@@ -100,7 +104,11 @@ class PictureProcess:
         listener.close()
 
     def ask(self, t: float, q: Array) -> None:
-        """Wants the picture of a moment; one that it comes too late for is left out.
+        """Asks for the picture of a moment, which is left out if a newer one is asked for in time.
+
+        Args:
+            t: time, s.
+            q: (n,) positions of the twin's plant at this time.
 
         Raises:
             StationError: the process has ended.
@@ -119,15 +127,22 @@ class PictureProcess:
 
 
 def _take_pictures(scenario: str, open_bus: Callable[[], Bus], asks: Connection) -> None:
-    """Answers the newest of what is asked, until nobody can ask any more; the scenario is YAML."""
+    """Takes pictures until the pipe is closed: the work of a `PictureProcess`.
+
+    Args:
+        scenario: text of the scenario's YAML file.
+        open_bus: opens the bus on which the pictures are said.
+        asks: the end of the pipe from which times and positions come.
+    """
     for name in TWINS_SIGNALS:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    bus, camera = open_bus(), TwinCamera(parse_scenario(Path("scenario.yaml"), scenario))
+    bus = open_bus()
+    camera = TwinCamera(parse_scenario(Path("scenario.yaml"), scenario))
     try:
         while True:
             t, q = asks.recv()
-            while asks.poll():
+            while asks.poll():  # only the newest is answered
                 t, q = asks.recv()
             bus.Publish(PICTURES, camera.make_message(t, q).encode())
     except EOFError:

@@ -1,8 +1,8 @@
-"""`TwinLink`: between a twin and the LCM that it is on.
+"""`TwinLink`: passes messages between a twin and the LCM network, but for bad commands.
 
-Commands that cannot be used are left out and counted before the twin's systems see them: Drake ends
-the process over a command that is not whole, and a gripper told to go to NaN ends the simulation.
-Which commands come too late, or were overtaken, is decided by the twin's `CommandRamp`.
+Commands that cannot be used are left out and counted before the twin's systems see them. Drake ends
+the process over a command that is not whole, and a gripper that is told to go to NaN ends the
+simulation. Which commands come too late, or were overtaken, is decided by the twin's `CommandRamp`.
 """
 
 from collections import Counter
@@ -38,13 +38,15 @@ class TwinLink:
 
         Args:
             lcm: the network.
-            robot: how many joints it has, what its driver speaks, and whether there is a gripper.
+            robot: the robot, whose joints, driver and gripper say which messages there are.
         """
-        self.bus, self.left_out = DrakeLcm("memq://"), Counter[str]()
+        self.bus = DrakeLcm("memq://")
+        self.left_out = Counter[str]()
         self._lcm = lcm
-        messages, joints = find_arm_messages(robot), len(robot.arm.posture)
+        messages = find_arm_messages(robot)
+        # Channels out of the twin; and channels into it, with their type and number of joints.
         statuses = [messages.status, OBJECT_STATUS]
-        commands = {messages.command: (messages.command_type, joints)}
+        commands = {messages.command: (messages.command_type, len(robot.arm.posture))}
         if robot.gripper is not None:
             statuses.append(GRIPPER_STATUS)
             commands[GRIPPER_COMMAND] = (lcmt_schunk_wsg_command, 0)
@@ -54,12 +56,15 @@ class TwinLink:
             lcm.Subscribe(name, self._make_taker(name, kind, count))
 
     def exchange(self) -> None:
-        """Passes on what has come from either side since the last call; call it at least every `ARM_PERIOD`."""
+        """Passes on what has come from either side since the last call.
+
+        Call it at least every `ARM_PERIOD`.
+        """
         self._lcm.HandleSubscriptions(0)
         self.bus.HandleSubscriptions(0)
 
     def describe_left_out(self) -> str:
-        """What could not be used, in words; empty for nothing."""
+        """Says how many commands were left out, and why; empty if none were."""
         return "; ".join(f"{count} left out: {why}" for why, count in self.left_out.items())
 
     def leave_out(self, why: str) -> None:
@@ -67,9 +72,12 @@ class TwinLink:
         count_reason(self.left_out, why)
 
     def _make_sender(self, name: str) -> Callable[[bytes], None]:
+        """Makes a function that passes a channel's messages to the network."""
         return lambda data: self._lcm.Publish(name, data)
 
     def _make_taker(self, name: str, kind: Any, joints: int) -> Callable[[bytes], None]:
+        """Makes a function that passes a channel's usable messages to the twin."""
+
         def take(data: bytes) -> None:
             try:
                 why = find_form_fault(decode_message(kind, name, data), name, joints)
