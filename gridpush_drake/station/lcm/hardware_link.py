@@ -86,7 +86,8 @@ NOTED = 10
 """The log tells when a pause happened for the first so many of each kind; all are counted."""
 
 STOPPING_TIME = 2.0
-"""Time within which any arm has been brought to rest, s."""
+"""Time within which any arm has braked, and was measured at rest or not, s; beside the time for which
+it goes back after a collision."""
 
 ROUNDING = 1e-9
 """Times that differ by less than this are the same, s."""
@@ -349,10 +350,13 @@ class HardwareLink:
             self.note(f"left out: {why}")
 
     def _finish_by_guard(self, simulator: Simulator) -> None:
-        """Goes on until the guard holds the arm."""
-        end = simulator.get_context().get_time() + STOPPING_TIME
+        """Goes on until the guard holds the arm, for as long as the arm may go back from a collision."""
+        begin = simulator.get_context().get_time()
         while self._said.mode == GuardMode.STOPPING or not self._said.stopped:
-            if simulator.get_context().get_time() > end or self._said.mode == GuardMode.WAITING:
+            # until the arm has braked nobody knows how long its way back is
+            latest = np.nanmax([begin, self._said.back_at]) + STOPPING_TIME
+            late = simulator.get_context().get_time() > latest
+            if late or self._said.mode == GuardMode.WAITING:
                 break
             self._step(simulator)
 
