@@ -349,8 +349,8 @@ CONTACT_FRICTION_RANGE = (0.35, 0.65)
 NO_BOUND = (0.01, 10.0)
 """Frictions that the unbounded ablation may believe in."""
 
-DEPTH = 0.03
-"""m of a part that must hang over: the fingers' depth."""
+DEPTH = Gripper.finger_depth
+"""Depth of the gripper's fingers by default, m: so much of a part must hang over."""
 
 MAX_ARM = 0.06
 """m that the grasp may be from where the center of mass is believed: held farther off, the object

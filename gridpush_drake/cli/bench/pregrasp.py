@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from gridpush_drake.bench.pregrasp.experiments import MASS_SETS, SEEDS, run
+from gridpush_drake.bench.pregrasp.experiments import DEPTH, MASS_SETS, SEEDS, run
 from gridpush_drake.bench.table import Table
 from gridpush_drake.cli.bench.common import Masks, Objects, run_as_bench
 
@@ -21,7 +21,7 @@ def pregrasp(
     ] = None,
     depth: Annotated[
         float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")
-    ] = 0.03,
+    ] = DEPTH,
     experiment: Annotated[
         Literal["all", "sliding", "exploring", "materials", "bounds"],
         typer.Option(

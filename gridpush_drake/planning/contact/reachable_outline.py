@@ -68,25 +68,24 @@ class ReachableOutline:
         return np.column_stack([self.tangent[:, 1], -self.tangent[:, 0]])
 
     def find_nearest(self, arc_length: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
-        """Finds the nearest reachable places, where the outline begins again after the perimeter.
+        """Finds the nearest reachable places.
 
         Args:
-            arc_length: (...,) m.
+            arc_length: (...,) m; the outline begins again after its perimeter.
 
         Returns:
             The nearest reachable arc lengths (...,), m, and the pieces (...,) that they are on.
         """
         s = np.mod(np.asarray(arc_length, dtype=np.float64), self.perimeter)[..., None]
         turns = np.array([-1.0, 0.0, 1.0]) * self.perimeter
-        # Each arc length, also a turn less and a turn more, clipped to every piece: (..., P, 3).
+        # How far each arc length, or a turn less or more, is from every piece: (..., P, 3).
         shifted = s[..., None] + turns
         clipped = np.clip(shifted, self.low[:, None], self.high[:, None])
-        gap = np.abs(clipped - shifted).min(axis=-1)
-        piece = gap.argmin(axis=-1)
-        best = np.take_along_axis(
-            np.abs(clipped - shifted).argmin(axis=-1), piece[..., None], axis=-1
-        )[..., 0]
-        return np.clip(s[..., 0] + turns[best], self.low[piece], self.high[piece]), piece
+        distance = np.abs(clipped - shifted)
+        # The nearest piece, and the turn by which it is nearest.
+        piece = distance.min(axis=-1).argmin(axis=-1)
+        turn = np.take_along_axis(distance.argmin(axis=-1), piece[..., None], axis=-1)[..., 0]
+        return np.clip(s[..., 0] + turns[turn], self.low[piece], self.high[piece]), piece
 
     def spread(self, spacing: float) -> tuple[Array, NDArray[np.int64]]:
         """Spreads places evenly over all pieces, which are taken together.

@@ -273,7 +273,14 @@ def choose_push(
         rules: how it is pushed.
         robustness: cuts pushes short; None makes them as planned.
     """
-    search = _PushSearch(obj, params, pose, cost_to_go, rules, robustness)
+    search = _PushSearch(
+        obj=obj,
+        params=params,
+        pose=pose,
+        cost_to_go=cost_to_go,
+        rules=rules,
+        robustness=robustness,
+    )
     first = search.find_first("gradient")
     good_enough = bool(first) and first[0].cost <= rules.tolerance
     if good_enough or rules.horizon < 2:
