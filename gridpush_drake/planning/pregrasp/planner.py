@@ -89,9 +89,9 @@ class PreGraspOptions:
     Attributes:
         gripper: the gripper.
         pad_force: force with which both its jaws press on an object that they take from the side,
-            N. With it, what is narrow nowhere is taken by its rim, as far as the pads hold it, and
-            a heavy object by a narrow part near its center of mass only. None if only narrow parts
-            are to be taken, however heavy the object is.
+            N. If it is given, an object that is narrow nowhere is taken by its rim, as far as the
+            pads hold it; and a heavy object only by a narrow part near its center of mass. If it is
+            None, only narrow parts are taken, however heavy the object is.
         goal: how goals are sought, and what counts as safe.
         slide: how pushes of the slide are chosen.
         poke: what pokes may be chosen from.
@@ -168,12 +168,14 @@ class PreGraspDecision:
 
     Attributes:
         action: "poke" and "slide" are pushes to make; "grasp" and "fail" end the task.
-        reason: in a sentence.
-        goal: that the slide goes to, or the present pose where it can be grasped; None where there
-            is none.
-        push: to make; None at the end.
-        expected_pose: (3,) of the object after a slide; None otherwise.
-        forecast: of a poke; None otherwise.
+        reason: why, in half a sentence.
+        goal: the goal that the slide goes to; the present pose, if the object can be grasped where
+            it lies; the best goal that there is, even if it is not safe, before a poke or a
+            failure. None where there is none.
+        push: the push to make; None at the end.
+        expected_pose: (3,) pose in which a slide is predicted to leave the object, X_WB, m and rad;
+            None otherwise.
+        forecast: what a poke is expected to bring; None otherwise.
     """
 
     action: Action
@@ -510,12 +512,12 @@ class PreGraspPlan:
         status: "ready": at the end of the pushes a part can be grasped; "poke_first": no goal is
             safe enough yet, and a poke would help; "failed".
         message: the status in a sentence.
-        pushes: of the slide; empty where the object can be grasped where it lies, and where there
-            is no safe way.
-        poses: (P+1, 3) predicted before and after each push, X_WB, m and rad.
-        goal: what hangs over at the end; where nothing is safe enough, the safest goal; None where
-            there is none.
-        poke: that would help most, where one would.
+        pushes: the P pushes of the slide; none where the object can be grasped where it lies, and
+            where there is no safe way.
+        poses: (P+1, 3) poses predicted before and after each push, X_WB, m and rad.
+        goal: the goal that is reached at the end; where nothing is safe enough, the safest goal;
+            None where there is none.
+        poke: the poke that would help most, where one would; None otherwise.
     """
 
     status: PreGraspPlanStatus

@@ -85,7 +85,7 @@ class PreGraspStatus:
         pokes: number of pokes asked for so far and not refused.
         slides: number of slides asked for so far and not refused.
         grasps: number of grasps asked for so far.
-        goal: that it slides to or grasps at; None where there is none.
+        goal: the goal that the object is slid to, or grasped at; None where there is none.
         expected_pose: (x, y, theta) where the push under way is expected to leave the object, m and
             rad; None without.
         margin: stability margin of the goal at the worst, m; NaN without one.
