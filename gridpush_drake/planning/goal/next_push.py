@@ -439,7 +439,7 @@ class _PushSearch:
 
 
 def make_waypoints(obj: GridObject, pose: Array, goal: Array) -> list[Array]:
-    """Makes poses (3,) that a first of two pushes may have to make for.
+    """Makes poses (3,) to which the first of two pushes may bring the object.
 
     They are the object where it lies, turned as at the goal, or half as far.
     """

@@ -201,7 +201,7 @@ def find_stop_reason(
 def check_ends(
     obj: GridObject, start: Array, goal: Array, constraints: PushConstraints, radius: float
 ) -> PushPlanStatus | None:
-    """Finds what the rules have against the two ends of a way.
+    """Checks that the object may lie at both ends of its way.
 
     Args:
         obj: the object.

@@ -333,9 +333,10 @@ class PadLimit:
         return np.asarray(self.calc_shares(p_BG, headings, centers) <= USED_SHARE)
 
     def describe_best(self, p_BG: Array, headings: Array, centers: Array) -> str:
-        """Why the pads hold the object at none of some places, by the one that asks least of them.
+        """Says why the pads can hold the object at none of some places.
 
-        Arguments as of `calc_shares`.
+        It gives the figures of the place that asks least of the pads. Arguments as of
+        `calc_shares`.
         """
         shares = self.calc_shares(p_BG, headings, centers)
         best = int(np.argmin(shares))

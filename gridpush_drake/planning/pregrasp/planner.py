@@ -371,9 +371,9 @@ class PreGraspPlanner:
     def _poke_or_give_up(
         self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart], pokes: int
     ) -> PreGraspDecision:
-        """Decides where there is no goal with `parts`.
+        """Decides what to do where none of `parts` allows a goal.
 
-        It pokes if the center of mass may turn out to be near narrow parts that allow a goal.
+        It pokes if the center of mass may turn out to be near other narrow parts that allow one.
         """
         if any(isinstance(part, FlatPart) for part in parts):
             why = (
