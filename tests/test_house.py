@@ -93,7 +93,6 @@ identification     10.1        35     11     1.0      1    13
 multibody           9.1         0     11     1.4     10    51
 objects            10.8         0     16     0.3      6    36
 perception         11.1        60      0     0.0      0     0
-planning            9.8        30      1     0.3      0     1
 pushes             10.9         0     16     2.0      3    37
 report              9.7         0     30     1.3      6    35
 station             8.8         0     29     2.9      7    39

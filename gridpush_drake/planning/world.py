@@ -218,7 +218,7 @@ class TrackedWorld(ABC):
 
     @abstractmethod
     def do_put(self, pose: Array) -> Array:
-        """Puts the object down at a pose (3,), m and rad; returns the pose in which it comes to rest."""
+        """Puts the object down at a pose (3,), m and rad; returns the pose in which it rests."""
 
     @abstractmethod
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
@@ -334,7 +334,7 @@ class SimulatedWorld(TrackedWorld):
         )
 
     def do_put(self, pose: Array) -> Array:
-        """Returns the pose (3,) itself: the object has no other state, and rests wherever it lies."""
+        """Returns the pose (3,) itself: the object rests wherever it lies."""
         return pose
 
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
