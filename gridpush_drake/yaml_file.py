@@ -154,17 +154,46 @@ class _StrictLoader(_Parser, yaml.constructor.SafeConstructor, _CoreResolver):
 
     def construct_whole(self, node: yaml.ScalarNode) -> int:
         """A whole number, decimal but for 0o17 and 0x1F."""
-        text: str = self.construct_scalar(node)
+        text = self._construct_form(node, "int", "a whole number")
         return int(text, _BASES.get(text[:2], 10))
 
     def construct_number(self, node: yaml.ScalarNode) -> float:
         """A number, infinite or none, too."""
-        text: str = self.construct_scalar(node).lower()
+        text = self._construct_form(node, "(?:int|float)", "a number").lower()
         return float(text.replace(".inf", "inf").replace(".nan", "nan"))
 
+    def construct_truth(self, node: yaml.ScalarNode) -> bool:
+        """True or false."""
+        return self._construct_form(node, "bool", "true or false").lower() == "true"
 
-_StrictLoader.add_constructor("tag:yaml.org,2002:int", _StrictLoader.construct_whole)
-_StrictLoader.add_constructor("tag:yaml.org,2002:float", _StrictLoader.construct_number)
+    def refuse_tag(self, node: yaml.Node) -> Any:
+        """Raises an error: the tag is of YAML 1.1, and YAML 1.2's core schema has none of its name."""
+        name = node.tag.removeprefix(_CORE_TAG)
+        problem = f"the tag !!{name} is not known; expected a plain value"
+        raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+
+    def _construct_form(self, node: yaml.ScalarNode, tags: str, expected: str) -> str:
+        """The text of a value that may have its tag because it was given, not because of its form."""
+        text: str = self.construct_scalar(node)
+        forms = [form for tag, form, _ in _FORMS if re.fullmatch(tags, tag)]
+        if not any(re.fullmatch(form, text) for form in forms):
+            name = node.tag.removeprefix(_CORE_TAG)
+            problem = f"!!{name} stands before {text[:MAX_SHOWN]!r}; expected {expected}"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return text
+
+
+_CORE_TAG = "tag:yaml.org,2002:"
+"""How the full names of tags begin that are written with two exclamation marks."""
+
+for _name, _constructor in (
+    ("int", _StrictLoader.construct_whole),
+    ("float", _StrictLoader.construct_number),
+    ("bool", _StrictLoader.construct_truth),
+):
+    _StrictLoader.add_constructor(_CORE_TAG + _name, _constructor)
+for _name in ("timestamp", "binary", "omap", "pairs", "set"):
+    _StrictLoader.add_constructor(_CORE_TAG + _name, _StrictLoader.refuse_tag)
 
 
 class _StrictDumper(yaml.SafeDumper):

@@ -24,7 +24,7 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import LoopOptions, Pose
-from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushStatus
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.worker import Request, Worker, make_worker
@@ -60,7 +60,7 @@ class RandomPokeOptions:
     distance: tuple[float, float] = (0.06, 0.10)
     speed: float = 0.03
     slant: float = radians(30)
-    tip_radius: float = DEFAULT_RADIUS
+    tip_radius: float = DEFAULT_PUSHER_RADIUS
     clearance: float = 0.008
     min_motion: float = 0.01
     candidates: int = 100

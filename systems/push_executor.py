@@ -18,7 +18,7 @@ from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.systems.messages import (
     PUSH_COMMAND_SIZE,
     GraspStatus,
@@ -55,7 +55,7 @@ class PushTrajectoryOptions:
     push_acceleration: float = 0.5
     max_push_speed: float = 0.2
     settle_time: float = 0.3
-    tip_radius: float = DEFAULT_RADIUS
+    tip_radius: float = DEFAULT_PUSHER_RADIUS
     clearance: float = 0.0
     period: float = 0.005
 

@@ -23,8 +23,14 @@ SCALARS = {
 
 REFUSED = {
     "a: 1\na: 2": "line 2, column 1: is not valid YAML: key 'a' occurs twice",
-    "x: !!int '1:30'": "is not valid YAML",
-    "x: !!float '1:30'": "is not valid YAML",
+    "x: !!int '1:30'": "line 1, column 4: is not valid YAML: !!int stands before '1:30'; expected a whole number",
+    "x: !!float '1:30'": "!!float stands before '1:30'; expected a number",
+    "x: !!bool maybe": "line 1, column 4: is not valid YAML: !!bool stands before 'maybe'; expected true or false",
+    "!!timestamp x": "line 1, column 1: is not valid YAML: the tag !!timestamp is not known; expected a plain value",
+    "x: !!timestamp 2001-01-01": "the tag !!timestamp is not known",
+    "x: !!binary '@'": "the tag !!binary is not known",
+    "x: !!set {a, b}": "the tag !!set is not known",
+    "x: !!omap [a: 1]": "the tag !!omap is not known",
     "x: !!python/object/apply:os.system [true]": "is not valid YAML: could not determine",
     "x: &a [*a]": "an alias stands within what it names",
     "x: " + "1" * 401: "a number has 401 characters; expected at most 400",

@@ -91,6 +91,16 @@ Json = Annotated[
     ),
 ]
 
+PusherRadius = Annotated[
+    float | None,
+    typer.Option(
+        "--radius",
+        metavar="M",
+        help="Radius of the pusher, which is a disc, m.",
+        show_default=f"what the object's file says, else {DEFAULT_PUSHER_RADIUS:g}",
+    ),
+]
+
 LargestPiece = Annotated[
     bool,
     typer.Option(
@@ -387,6 +397,14 @@ def load_log(path: Path, obj: GridObject, *, require_final: bool = True) -> Push
         )
         return log
     return log.with_radius(obj.prior.pusher_radius)
+
+
+def choose_radius(radius: float | None, obj: GridObject) -> float:
+    """The pusher's radius, m: as given, else as in the object's file, else the shipped finger's."""
+    if radius is not None:
+        return radius
+    known = obj.prior.pusher_radius
+    return DEFAULT_PUSHER_RADIUS if known is None else known
 
 
 def describe_overhanging(names: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
 from gridpush_drake.files import write_whole
-from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS, ContactOptions
+from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_plan import (
     PushPlan,
@@ -61,14 +61,7 @@ def plan(
             metavar="M", help="How far the object may hang over the table's edge on the way, m."
         ),
     ] = 0.0,
-    radius: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M",
-            help="Radius of the pusher, which is a disc, m.",
-            show_default="what the object's file says, else 0.008",
-        ),
-    ] = None,
+    radius: options.PusherRadius = None,
     speed: Annotated[float, typer.Option(metavar="M/S", help="Speed of the pusher, m/s.")] = 0.03,
     tolerance: Annotated[
         float,
@@ -119,8 +112,7 @@ def plan(
     surface = None if table is None else options.parse_shape("--table", table)
     obstacles = [options.parse_shape("--obstacle", text).polygon for text in obstacle or ()]
     target = options.load_target(model, largest_piece)
-    if radius is None:
-        radius = target.obj.prior.pusher_radius or DEFAULT_RADIUS
+    radius = options.choose_radius(radius, target.obj)
     # a plan's pushes are all of one speed, so that the regime is decided by it, not by the model's
     rules = GoalRules(
         PushConstraints(surface, tuple(obstacles), edge_margin=-overhang),

@@ -15,7 +15,6 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.planning.support_surface import stayed_supported
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.pose_delay import choose_delay
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
 from gridpush_drake.pushes.stream import (
     DELAY,
@@ -91,7 +90,7 @@ def record(
     _check_numbers(engaged_below, pose_delay)
     surface = None if table is None else options.parse_shape("--table", table)
     obj = options.load_object(object_file)
-    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    radius = options.choose_radius(None, obj)
     segmenter = SegmenterOptions(engaged_below=engaged_below)
     read = read_stream_csv(stream)
     samples = read.samples

@@ -14,7 +14,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate as simulate_push
 from gridpush_drake.files import write_whole
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.report.draw import to_png
 from gridpush_drake.report.figures import draw_motion
 
@@ -38,14 +38,7 @@ def simulate(
         ),
     ],
     duration: Annotated[float, typer.Option(metavar="S", help="How long the pusher moves, s.")],
-    radius: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M",
-            help="Radius of the pusher, which is a disc, m.",
-            show_default="what the object's file says, else 0.005",
-        ),
-    ] = None,
+    radius: options.PusherRadius = None,
     pose: Annotated[
         str,
         typer.Option(
@@ -94,12 +87,11 @@ def simulate(
     """
     options.check_outputs(force, out, picture, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
-    finger = loaded.obj.prior.pusher_radius if radius is None else radius
     push = Push(
         options.parse_numbers("--start", start, "x,y"),
         options.parse_numbers("--velocity", velocity, "vx,vy"),
         duration,
-        DEFAULT_PUSHER_RADIUS if finger is None else finger,
+        options.choose_radius(radius, loaded.obj),
     )
     pose_W = options.parse_numbers("--pose", pose, "x,y,theta")
     params = loaded.params if mass_seed is None else CellParameters.random(loaded.obj, mass_seed)

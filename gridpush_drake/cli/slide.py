@@ -12,7 +12,6 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found, to_json
 from gridpush_drake.files import write_whole
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, find_held_grasps
@@ -77,14 +76,7 @@ def slide(
             "stay, wherever its center of mass may be.",
         ),
     ] = 0.003,
-    radius: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M",
-            help="Radius of the pusher, which is a disc, m.",
-            show_default="what the object's file says, else 0.008",
-        ),
-    ] = None,
+    radius: options.PusherRadius = None,
     friction: Annotated[
         str | None,
         typer.Option(
@@ -137,8 +129,7 @@ def slide(
     if friction is not None:
         low, high = options.parse_numbers("--friction", friction, "min,max")
         bounds = (low, high)
-    if radius is None:
-        radius = target.obj.prior.pusher_radius or DEFAULT_RADIUS
+    radius = options.choose_radius(radius, target.obj)
     gripper = Gripper(opening=opening, level_opening=opening, finger_depth=depth)
     limits = ANY_ARM
     if pad_force is not None:

@@ -34,7 +34,6 @@ from gridpush_drake.perception import (
 )
 from gridpush_drake.perception.camera import NOT_KNOWN
 from gridpush_drake.perception.frames import Color
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.pushes.segmentation import SegmenterOptions
 from gridpush_drake.pushes.stream import (
     Recording,
@@ -170,7 +169,7 @@ def track(
         raise options.OptionError(
             f"--by: is 'tag', but {object_file} names no tag; expected auto or outline"
         )
-    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    radius = options.choose_radius(None, obj)
     tall = height if height is not None else obj.height or 0.0
     find_tip = _TipFinder(tip, seen_by, tag_size, np.array(offset), tag_height)
     if tag is not None and by != "outline":

@@ -260,6 +260,8 @@ def _take_bias(heights: Array) -> tuple[Array, float]:
     deviation = 0.0
     for _ in range(REFINEMENTS):
         near = np.abs(off) < limit
+        # A[near] is copied twice on purpose: of one array with itself NumPy makes the product by
+        # another BLAS function, and the last bits of all heights would no longer be what they were.
         bias = np.linalg.solve(A[near].T @ A[near], A[near].T @ some[near])
         off = some - A @ bias
         scatter = TO_DEVIATION * float(np.median(np.abs(off[near])))

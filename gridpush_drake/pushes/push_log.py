@@ -35,8 +35,9 @@ from gridpush_drake.files import check_writable, read_text, write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.notebook import MM, count, describe_move, make_page, make_table
 
-DEFAULT_PUSHER_RADIUS = 0.005
-"""The disc's radius where neither the reader's caller nor the object's file gives one, m."""
+DEFAULT_PUSHER_RADIUS = 0.008
+"""Radius of a pusher where neither the caller nor the object's file gives one, m: that of the shipped
+finger, `models/fingers/rod`. Learning and planning take the same one."""
 
 TIP = ("tip_x", "tip_y")
 POSE = ("object_x", "object_y", "object_theta")

@@ -2,9 +2,13 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushError, PushLogError
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.pushes.push_log import (
     DEFAULT_PUSHER_RADIUS,
     ObservedPush,
@@ -112,6 +116,13 @@ def test_radius_is_replaced_in_every_push():
 def test_a_log_made_in_code_has_its_radius():
     assert PushLog((observed(),)).radius_given
     assert DEFAULT_PUSHER_RADIUS > 0
+
+
+def test_the_radius_that_is_assumed_is_the_shipped_finger_s_in_learning_and_planning():
+    models = find_shipped_object("claw_hammer").parents[1]
+    finger = models / "fingers" / "rod" / "finger.yaml"
+    assert yaml.safe_load(finger.read_text())["tip_radius"] == DEFAULT_PUSHER_RADIUS
+    assert ContactOptions().radius == PokeOptions().radius == DEFAULT_PUSHER_RADIUS
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 0, 1, 7])

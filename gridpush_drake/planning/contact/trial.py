@@ -38,6 +38,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
 from gridpush_drake.planning.push_constraints import PushChecker
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +86,6 @@ def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
     return np.asarray(np.hypot(difference[..., 0], difference[..., 1]).mean(axis=-1))
 
 
-DEFAULT_RADIUS = 0.008
-"""Radius of a finger of which nothing else is known, m: that of `models/fingers/rod`."""
-
 RECORD_EVERY = 4
 """Number of steps of a motion from one recorded Jacobian to the next."""
 
@@ -123,7 +121,7 @@ class ContactOptions:
         PlanningError: a value is out of range.
     """
 
-    radius: float = DEFAULT_RADIUS
+    radius: float = DEFAULT_PUSHER_RADIUS
     clearance: float = 0.002
     speed: float = 0.03
     distance_range: tuple[float, float] = (0.005, 0.3)

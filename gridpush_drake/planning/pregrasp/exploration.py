@@ -33,10 +33,9 @@ from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
-from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class PokeOptions:
         PlanningError: a value is out of range.
     """
 
-    radius: float = DEFAULT_RADIUS
+    radius: float = DEFAULT_PUSHER_RADIUS
     speed: float = 0.03
     distance: float = 0.04
     clearance: float = 0.002
