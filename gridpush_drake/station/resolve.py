@@ -95,7 +95,7 @@ class ResolvedScenario:
             StationError: nothing can be rendered on this computer.
         """
         scene = self.scene
-        if self.scenario.camera.kind == "ideal" or scene.object_in_plant is None:
+        if scene.builder is None or scene.object_in_plant is None:
             return None
         poses = [config.pose for config in self.scenario.others]
         photographed = PhotographedScene(
@@ -118,14 +118,16 @@ class CheckedScene:
     no collision geometry.
 
     Attributes:
-        builder: holds the plant and its scene graph, and nothing else.
+        builder: holds the plant and its scene graph, and nothing else, for the camera to be added;
+            None with an ideal camera. The Diagram is built then, because Drake's Python bindings
+            keep a builder, and all that was added to it, for ever if its Diagram is never built.
         plant: robot, table and whatever else the scenario's directives add.
         scene_graph: the plant's scene graph.
         object_in_plant: the object that is pushed; None with an ideal camera.
         others: the other objects, in the scenario's order; empty with an ideal camera.
     """
 
-    builder: DiagramBuilder
+    builder: DiagramBuilder | None
     plant: MultibodyPlant
     scene_graph: SceneGraph
     object_in_plant: GridObjectInPlant | None
@@ -261,8 +263,11 @@ def _MakeScene(
             AddSeenVisual(plant, scene_graph, other_in_plant)
             others_in_plant.append(other_in_plant)
     plant.Finalize()
+    photographs = object_in_plant is not None
+    if not photographs:
+        builder.Build()
     return CheckedScene(
-        builder=builder,
+        builder=builder if photographs else None,
         plant=plant,
         scene_graph=scene_graph,
         object_in_plant=object_in_plant,

@@ -64,7 +64,7 @@ def test_says_which_radius_it_takes(gridpush, block, pushes, tmp_path):
     ]
     assert said == [
         "",
-        "block: its file has no pusher.radius; the pusher's radius is assumed to be 0.005 m\n",
+        "block: its file has no pusher.radius; the pusher's radius is assumed to be 0.008 m\n",
     ]
 
 

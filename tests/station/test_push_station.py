@@ -1,10 +1,12 @@
 import gc
+from collections import Counter
 from threading import Thread
 from weakref import ref
 
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder, System
 
 from gridpush_drake.display.server import StartMeshcatServer
 from gridpush_drake.errors import ScenarioError
@@ -122,6 +124,23 @@ def test_a_scenario_that_makes_no_sense_is_refused():
     scenario.object_pose = [3.0, 0.0, 0.0]
     with pytest.raises(ScenarioError, match="object_pose"):
         MakePushStation(scenario)
+
+
+def count_drake_objects():
+    """How many systems, builders and contexts of Drake there are, by their types' names."""
+    gc.collect()
+    kinds = (System, DiagramBuilder, Context)
+    return Counter(type(one).__name__ for one in gc.get_objects() if isinstance(one, kinds))
+
+
+def test_stations_that_are_dropped_leave_nothing_of_drake():
+    MakePushStation(PushScenario())  # what is made once, and kept
+    before = count_drake_objects()
+    for _ in range(2):
+        station = MakePushStation(PushScenario())
+        station.SetStart(station.CreateDefaultContext())
+        del station
+    assert count_drake_objects() - before == Counter()
 
 
 def test_a_station_that_another_thread_collects_leaves_its_server_to_this_one():
