@@ -25,9 +25,9 @@ Jacobian counts as one simulation. The theory is in `docs/theory/planning.md`, s
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.motion import MotionStatus
+from gridpush_drake.dynamics.motion import Motion, MotionStatus
 from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
@@ -279,15 +279,7 @@ class TrialRunner:
         )
         if not gradient:
             return trial
-        # dq/dx at the recorded step nearest to it; dq/dd by the poses before and after.
-        row = int(np.argmin(np.abs(record - best)))
-        k = int(record[row])
-        J = motion.jacobian
-        assert J.contact_location is not None
-        after = min(k + 1, len(times) - 1)
-        before = max(k - 1, 0)
-        dq_dd = (motion.poses[after] - motion.poses[before]) / (traveled[after] - traveled[before])
-        dq_dx = np.column_stack([J.contact_location[row], J.direction[row], dq_dd])
+        dq_dx = _calc_pose_derivatives(motion, traveled, record, best)
         slope, H = calc_cost_derivatives(self.obj, trial.pose, self.goal, dq_dx)
         # A distance that cannot change, for the range or a rule ends here, is no unknown.
         if best in (first, usable - 1):
@@ -323,6 +315,31 @@ class TrialRunner:
             cost=trial.cost,
             simulations=simulations,
         )
+
+
+def _calc_pose_derivatives(
+    motion: Motion, traveled: Array, record: NDArray[np.int64], step: int
+) -> Array:
+    """Calculates dq/dx of a motion about a step: at the nearest one with a recorded Jacobian.
+
+    Args:
+        motion: of T steps.
+        traveled: (T+1,) length of the pusher's path up to each step, m.
+        record: (R,) steps whose Jacobian was recorded.
+        step: the given one.
+
+    Returns:
+        (3, 3) derivatives of the pose by x = (s, phi, d).
+    """
+    row = int(np.argmin(np.abs(record - step)))
+    k = int(record[row])
+    J = motion.jacobian
+    assert J.contact_location is not None
+    # dq/dd by the poses before and after.
+    after = min(k + 1, len(traveled) - 1)
+    before = max(k - 1, 0)
+    dq_dd = (motion.poses[after] - motion.poses[before]) / (traveled[after] - traveled[before])
+    return np.column_stack([J.contact_location[row], J.direction[row], dq_dd])
 
 
 def calc_cost_derivatives(

@@ -72,6 +72,9 @@ are known from points along the overhang's boundary only."""
 STEP = 0.005
 """Greatest distance between lines of grasp points, m."""
 
+DISTANCE_DIGITS = 6
+"""Grasps whose distances from the aim agree in so many decimals, of m, count as equally near."""
+
 MIN_DISTANCE = 0.01
 """Two grasps whose points are this far apart, m, count as different."""
 
@@ -155,7 +158,7 @@ def find_side_grasps(
     distance = np.linalg.norm(p_BG - target, axis=1)
     clearance = shapely.distance(gripper.swept_jaw.place(points, angles), surface.polygon)
     # Distances are rounded, so that round-off does not decide between grasps that are as near.
-    order = np.lexsort((-clearance, np.round(distance, 6)))
+    order = np.lexsort((-clearance, np.round(distance, DISTANCE_DIGITS)))
     return [
         SideGrasp(
             p_WG=points[i].copy(),
