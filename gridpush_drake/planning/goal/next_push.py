@@ -159,16 +159,16 @@ class Robustness:
         checker = rules.start_at(self.obj, pose, self.contact.radius)
         # The number of steps that every model allows.
         usable = len(times)
-        poses_by_model = None
+        model_poses = None
         for params in self.models:
             motion = simulate(self.obj, params, planned.push, pose, times=times, physics=physics)
             self.simulations += 1
-            if poses_by_model is None:
-                poses_by_model = motion.poses  # of the model itself, which is the first
+            if model_poses is None:
+                model_poses = motion.poses  # of the model itself, which is the first
             allowed = checker.count_allowed(motion.tip, motion.poses)
             usable = min(usable, allowed, self._count_supported(params, motion.poses))
         distance = self.contact.speed * times[usable - 1] if usable else 0.0
-        if poses_by_model is None or distance < self.contact.distance_range[0]:
+        if model_poses is None or distance < self.contact.distance_range[0]:
             return None
         if usable == len(times):
             return planned
@@ -184,7 +184,7 @@ class Robustness:
             planned,
             distance=float(distance),
             push=push,
-            pose=poses_by_model[usable - 1].copy(),
+            pose=model_poses[usable - 1].copy(),
         )
 
     def _count_supported(self, params: CellParameters, poses: Array) -> int:
