@@ -6,12 +6,15 @@ from typing import Annotated, Literal
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_found, print_notice
+from gridpush_drake.cli.console import MM, count_noun, print_found, print_notice
 from gridpush_drake.multibody.mjcf import WriteMjcf
 from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 
 Format = Literal["sdf", "urdf", "mjcf"]
 """A format that can be written."""
+
+MAX_SAMPLES = 10_000
+"""Most draws that are written at once."""
 
 SUFFIXES: dict[str, Format] = {".sdf": "sdf", ".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}
 """The formats by the endings of files' names."""
@@ -39,6 +42,18 @@ def export(
         ),
     ] = "free",
     height: options.Height = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=MAX_SAMPLES,
+            metavar="N",
+            help="Write N draws of what the masses may be, by all that the pushes said, instead of the estimate:"
+            " files that are numbered, such as block_1.sdf, for simulations that must work with each of them."
+            " Needs a learned model.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the draws, with --samples.")] = 0,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
@@ -58,16 +73,27 @@ def export(
         raise options.OptionError(
             f"--base: is 'planar', which only --format sdf can hold; expected 'free' with {chosen}"
         )
-    options.check_outputs(force, out, inputs=(target,))
+    outs = [out] if samples is None else name_samples(out, samples)
+    options.check_outputs(force, *outs, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
     obj = loaded.obj
     mass = loaded.params.total_mass
     height = options.choose_height(height, obj)
-    if chosen == "sdf":
-        WriteSdf(obj, loaded.params, out, force, base=base, height=height)
+    if samples is None:
+        drawn = [loaded.params]
+    elif loaded.model is None:
+        raise options.OptionError(
+            f"--samples: {target} is an object, of which nothing was learned; expected a model.yaml "
+            "that gridpush identify wrote"
+        )
     else:
-        write = WriteUrdf if chosen == "urdf" else WriteMjcf
-        write(obj, loaded.params, out, force, height=height)
+        drawn = loaded.model.samples(samples, seed)
+    for params, path in zip(drawn, outs, strict=True):
+        if chosen == "sdf":
+            WriteSdf(obj, params, path, force, base=base, height=height)
+        else:
+            write = WriteUrdf if chosen == "urdf" else WriteMjcf
+            write(obj, params, path, force, height=height)
     if obj.prior.total_mass is None:
         print_notice(f"{obj.name}: its file has no total_mass; {mass:.3g} kg is assumed")
     source = "learned model" if loaded.model else "object, mass and friction spread evenly"
@@ -78,10 +104,22 @@ def export(
         "format": chosen,
         "base": base,
         "height": height,
-        "written": [str(out)],
+        "samples": samples,
+        "seed": None if samples is None else seed,
+        "written": [str(path) for path in outs],
     }
     line = (
         f"{obj.name} ({source}): {obj.n} cells, {mass:.3g} kg, {height * MM:.3g} mm high, "
         f"{base} base"
     )
-    print_found(found, [line, *options.describe_written(out)], json)
+    written = options.describe_written(out)
+    if samples is not None:
+        line += f", {count_noun(samples, 'draw')} of seed {seed}"
+        written = [f"Wrote {outs[0]} to {outs[-1].name}." if samples > 1 else f"Wrote {outs[0]}."]
+    print_found(found, [line, *written], json)
+
+
+def name_samples(out: Path, count: int) -> list[Path]:
+    """Names the files of draws: block.sdf becomes block_01.sdf, block_02.sdf and so on."""
+    digits = len(str(count))
+    return [out.with_name(f"{out.stem}_{i:0{digits}}{out.suffix}") for i in range(1, count + 1)]

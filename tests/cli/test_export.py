@@ -89,3 +89,33 @@ def test_refuses_what_makes_no_sense(refuses, block, tmp_path):
     refuses("export", "claw_hamer", out, says=["claw_hamer"])
     refuses("export", tmp_path / "nothing.yaml", out, says=["nothing.yaml"])
     assert not out.exists()
+
+
+def test_draws_of_a_model(gridpush, model, tmp_path):
+    out = tmp_path / "block.sdf"
+    told = gridpush("export", model, out, "--samples", "12", "--seed", "3", "--json")
+    assert told.code == 0, told.err
+    document = json.loads(told.out)
+    names = [f"block_{i:02}.sdf" for i in range(1, 13)]
+    assert document["written"] == [str(tmp_path / name) for name in names]
+    assert (document["samples"], document["seed"]) == (12, 3)
+    assert not out.exists()
+    found = make_identification()
+    for name, params in zip(names, found.samples(12, seed=3), strict=True):
+        plant, _ = parse_sdf(tmp_path / name)
+        body = plant.GetBodyByName("block")
+        assert body.default_mass() == pytest.approx(params.total_mass, rel=1e-6)
+        center = params.center_of_mass(found.obj)
+        assert body.default_com()[:2] == pytest.approx(center, abs=1e-6)
+    centers = {
+        parse_sdf(tmp_path / name)[0].GetBodyByName("block").default_com()[0] for name in names
+    }
+    assert len(centers) == 12
+    one = gridpush("export", model, tmp_path / "one.xml", "--samples", "1")
+    assert f"Wrote {tmp_path / 'one_1.xml'}." in " ".join(one.out.split())
+
+
+def test_draws_want_a_model_and_replace_nothing(refuses, model, block, tmp_path):
+    refuses("export", block, tmp_path / "b.sdf", "--samples", "2", says=["--samples", "model.yaml"])
+    (tmp_path / "b_2.sdf").write_text("mine")
+    refuses("export", model, tmp_path / "b.sdf", "--samples", "3", says=["b_2.sdf", "--force"])
