@@ -48,9 +48,9 @@ def export(
             min=1,
             max=MAX_SAMPLES,
             metavar="N",
-            help="Write N draws of what the masses may be, by all that the pushes said, instead of the estimate:"
-            " files that are numbered, such as block_1.sdf, for simulations that must work with each of them."
-            " Needs a learned model.",
+            help="Instead of the estimate, write N draws of what the masses may be by all that the "
+            "pushes said: numbered files, such as block_1.sdf, for simulations that must work with "
+            "each of them. Needs a learned model.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draws, with --samples.")] = 0,
@@ -83,8 +83,8 @@ def export(
         drawn = [loaded.params]
     elif loaded.model is None:
         raise options.OptionError(
-            f"--samples: {target} is an object, of which nothing was learned; expected a model.yaml "
-            "that gridpush identify wrote"
+            f"--samples: {target} is an object, of which nothing was learned; expected a "
+            "model.yaml that gridpush identify wrote"
         )
     else:
         drawn = loaded.model.samples(samples, seed)
