@@ -82,8 +82,8 @@ AIM = Figures(nodes=10.0, comments=25.0, pairs=2.0, packed=0.0, vague=0.0, long=
 ROOMS = """
 room              nodes  comments  pairs  packed  vague  long
 (files)            11.1         0     20     0.3      8    43
-bench              10.2         0     36     6.2     12    41
-cli                 6.7         9      0     0.0      0     6
+bench               9.5         5      9     1.4      3    18
+cli                 6.8         9      0     0.0      0     6
 display            10.0         0     10     0.3      3    44
 dynamics           10.3        25      2     1.8      0     2
 dynamics/kernels   11.1        25      2     0.5      0     1

@@ -1,7 +1,11 @@
-"""`gridpush bench drake`: the whole station learning, judged by pushes held out, and the speed of `GridLcpSystem`."""
+"""`gridpush bench drake`: the whole station learning, and the speed of `GridLcpSystem`.
+
+What the station learns is judged by pushes that are held out. Beside it, Drake's plant is compared
+with the grid LCP (`bench.plant`), and single updates of the station's Diagram are timed.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter, sleep, thread_time
 from typing import Any
 
@@ -14,8 +18,9 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from gridpush_drake.bench import plant
 from gridpush_drake.bench.campaign import calc_center_error
-from gridpush_drake.bench.jobs import QUIET, Execution, Report, count_steps, run_jobs
+from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
+from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, MS, Table, Value
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
 from gridpush_drake.geometry.se2 import Array
@@ -29,8 +34,52 @@ from gridpush_drake.station.scenario_camera import RGBD_RATE, CameraKind
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
 
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
-SEEDS = (0, 1, 2)
+"""Shipped objects that the station learns."""
+
+SEEDS = 3
+"""Number of hidden truths and noises of each object."""
+
 IDEAL: CameraKind = "ideal"
+"""The camera that sees poses, with noise."""
+
+RGBD: CameraKind = "rgbd"
+"""The camera that sees colors and depths, from which poses are found."""
+
+SEEN_BY = {
+    IDEAL: "pose noise 0.5 mm and 0.2°",
+    RGBD: "object and poses from a rendered color and depth camera",
+}
+"""How the object is seen by each camera, in words."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        camera: the camera of the station. With RGBD there is only the station, which learns from as
+            many ideal poses a second, too.
+        objects: names of the shipped objects that the station learns.
+        seeds: number of hidden truths and noises of each of them.
+        plant_objects: names of the shipped objects that are pushed in Drake's plant.
+        plant_pushes: number of pushes of each of them.
+        updates: whether single updates of the station's Diagram are timed.
+    """
+
+    camera: CameraKind = option(
+        IDEAL,
+        "rgbd: only the station, which learns from a color and depth camera, and from ideal poses.",
+    )
+    objects: tuple[str, ...] = OBJECTS
+    seeds: int = SEEDS
+    plant_objects: tuple[str, ...] = plant.OBJECTS
+    plant_pushes: int = plant.PUSHES
+    updates: bool = True
+
+    @property
+    def cameras(self) -> tuple[CameraKind, ...]:
+        """The cameras that the station is run with."""
+        return (IDEAL,) if self.camera == IDEAL else (IDEAL, self.camera)
 
 
 @dataclass(frozen=True)
@@ -38,8 +87,8 @@ class Job:
     """One experiment in the station.
 
     Attributes:
-        name: of a shipped object.
-        seed: of all that is hidden or random.
+        name: name of a shipped object.
+        seed: seed of all that is hidden or random.
         camera: what sees the object.
         rate: poses a second, Hz; the scenario's where None.
     """
@@ -52,12 +101,23 @@ class Job:
 
 @dataclass(frozen=True)
 class StationScore:
-    """What came of one experiment; lengths in m.
+    """What came of one experiment.
 
-    Mean cell errors of the held-out pushes are with the uniform model, as learned, and with the
-    true parameters; center of mass errors with the first two. `share` is the greatest of joint
-    position, velocity and torque limits; `touched` counts pairs of bodies that should not have
-    touched; `rate` is of the poses, Hz.
+    Attributes:
+        name: name of the object.
+        seed: seed of all that was hidden or random.
+        status: how the experiment ended.
+        pushes: number of pushes that were learned from.
+        held_out: number of pushes that were held out.
+        error: mean cell errors of the held-out pushes, m: with the uniform model, as learned, and
+            with the true parameters.
+        center_of_mass_error: errors of the center of mass, m: of the uniform model, and as learned.
+        tracking_error: greatest distance of the finger from its path, m.
+        share: greatest share of a joint's position, velocity or torque limit that was used.
+        touched: number of pairs of bodies that touched and should not have.
+        duration: simulated time, s.
+        camera: what saw the object.
+        rate: poses a second, Hz.
     """
 
     name: str
@@ -75,35 +135,43 @@ class StationScore:
     rate: float = 30.0
 
 
-def run(
-    seed: int = 0, execution: Execution = QUIET, *, quick: bool = False, camera: CameraKind = IDEAL
-) -> list[Table]:
-    """Measures all: the LCP system, single updates, the plant beside the model (`bench.plant`), and the station.
-
-    No single updates, and of the rest the first object only, with two pushes and one seed, where
-    `quick`. With a camera only the station, which learns from as many ideal poses a second, too.
-    """
-    count = 1 if quick else None
-    if camera != IDEAL:
-        return _run_station((IDEAL, camera), seed, count, execution)
-    tables = [run_lcp_system(execution.report), *([] if quick else [run_updates(execution.report)])]
-    pushes = plant.calc_scores(
-        plant.OBJECTS[:count], 2 if quick else plant.PUSHES, seed=seed, execution=execution
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant: the first objects, one seed, two pushes, no updates."""
+    return replace(
+        options,
+        objects=options.objects[:1],
+        seeds=1,
+        plant_objects=options.plant_objects[:1],
+        plant_pushes=2,
+        updates=False,
     )
-    return [*tables, plant.make_table(pushes), *_run_station((IDEAL,), seed, count, execution)]
 
 
-def _run_station(
-    cameras: Sequence[CameraKind], seed: int, count: int | None, execution: Execution
-) -> list[Table]:
-    """A table for each camera, of the first objects and seeds only where there is a count."""
-    rate = RGBD_RATE if len(cameras) > 1 else None
-    cases = [(name, seed + each) for name in OBJECTS[:count] for each in SEEDS[:count]]
-    jobs = [Job(*case, camera, rate) for case in cases for camera in cameras]
-    scores = run_jobs(
-        run_job, jobs, lambda job: f"{job.name}, seed {job.seed}, {job.camera} camera", execution
-    )
-    return [make_table([score for score in scores if score.camera == camera]) for camera in cameras]
+def measure(options: Options, report: Report | None) -> list[Table]:
+    """Times the LCP system, and single updates of the station."""
+    if options.camera != IDEAL:
+        return []
+    tables = [run_lcp_system(report)]
+    if options.updates:
+        tables.append(run_updates(report))
+    return tables
+
+
+def make_jobs(options: Options) -> list[plant.PlantJob | Job]:
+    """Makes the pushes in Drake's plant, and the experiments in the station."""
+    pushes: list[plant.PlantJob] = []
+    if options.camera == IDEAL:
+        pushes = plant.make_jobs(
+            options.plant_objects, options.plant_pushes, plant.BASES, options.seed
+        )
+    rate = RGBD_RATE if len(options.cameras) > 1 else None
+    experiments = [
+        Job(name=name, seed=options.seed + i, camera=camera, rate=rate)
+        for name in options.objects
+        for i in range(options.seeds)
+        for camera in options.cameras
+    ]
+    return [*pushes, *experiments]
 
 
 def run_job(job: Job) -> StationScore:
@@ -113,106 +181,151 @@ def run_job(job: Job) -> StationScore:
     scenario.camera.rate = job.rate or scenario.camera.rate
     record = IdentifyTask(scenario).run()
     assert record.truth is not None  # of a simulated object it is known
-    obj, truth, limits, held_out = (
-        record.obj,
-        record.truth,
-        record.limit_report,
-        record.held_out_log,
-    )
+    obj = record.obj
+    limits = record.limit_report
+    held_out = record.held_out_log
     uniform = CellParameters.uniform(obj)
-    learned = record.estimates[-1].params if record.estimates else uniform
+    learned = uniform
     physics = QUASI_STATIC
     if record.estimates:
+        learned = record.estimates[-1].params
         physics = record.estimates[-1].physics
     before, after, floor = (
-        calc_mean_cell_error(obj, params, held_out, physics) for params in (uniform, learned, truth)
+        calc_mean_cell_error(obj, params, held_out, physics)
+        for params in (uniform, learned, record.truth)
     )
-    gaps = [calc_center_error(record, params) for params in (uniform, learned)]
     return StationScore(
-        job.name, job.seed, record.status, len(record.training_log), len(held_out), (before, after, floor),
-        (gaps[0], gaps[1]), limits.tracking_error,
-        max(limits.position_share, limits.velocity_share, limits.torque_share), len(limits.touched),
-        record.duration, job.camera, scenario.camera.rate,
-    )  # fmt: skip
+        name=job.name,
+        seed=job.seed,
+        status=record.status,
+        pushes=len(record.training_log),
+        held_out=len(held_out),
+        error=(before, after, floor),
+        center_of_mass_error=(
+            calc_center_error(record, uniform),
+            calc_center_error(record, learned),
+        ),
+        tracking_error=limits.tracking_error,
+        share=max(limits.position_share, limits.velocity_share, limits.torque_share),
+        touched=len(limits.touched),
+        duration=record.duration,
+        camera=job.camera,
+        rate=scenario.camera.rate,
+    )
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates the pushes in the plant, and the experiments by camera."""
+    pushes = [score for scores in done.of(plant.TASK) for score in scores]
+    experiments = done.of(STATION)
+    tables = [plant.make_table(pushes)] if pushes else []
+    for camera in options.cameras:
+        tables.append(make_table([score for score in experiments if score.camera == camera]))
+    return tables
 
 
 def make_table(scores: Sequence[StationScore]) -> Table:
-    """A row a score, and one of their means."""
+    """Makes a row for each experiment, and one of their means."""
     rows: list[list[Value]] = [
-        [f"{score.name}, {score.seed}", score.status, *_figures(score)] for score in scores
+        [f"{score.name}, {score.seed}", score.status, *_list_figures(score)] for score in scores
     ]
     if len(scores) > 1:
-        rows.append(
-            ["mean", "", *np.nanmean([_figures(score) for score in scores], axis=0).tolist()]
-        )
+        means = np.nanmean([_list_figures(score) for score in scores], axis=0)
+        rows.append(["mean", "", *means.tolist()])
     touched = sum(score.touched for score in scores)
-    seen = {
-        IDEAL: "pose noise 0.5 mm and 0.2°",
-        "rgbd": "object and poses from a rendered color and depth camera",
-    }
     notes = [
-        f"An iiwa with a finger, free base, {seen[scores[0].camera]}, at {scores[0].rate:g} Hz; "
+        f"An iiwa with a finger, free base, {SEEN_BY[scores[0].camera]}, at {scores[0].rate:g} Hz; "
         "held-out pushes of 10 cm by the same robot.",
         f"Greatest share of a joint's limits used: {max(score.share for score in scores):.2f}; "
         f"forbidden contacts: {touched}.",
     ]
     columns = (
-        "object, seed", "status", "pushes", "held out", "uniform, mm", "learned, mm", "truth, mm", "learned/uniform",
-        "CoM uniform, mm", "CoM learned, mm", "tracking, mm",
-    )  # fmt: skip
-    return Table(
-        "Learning in the full station: mean cell error of held-out pushes", columns, rows, notes
+        "object, seed",
+        "status",
+        "pushes",
+        "held out",
+        "uniform, mm",
+        "learned, mm",
+        "truth, mm",
+        "learned/uniform",
+        "CoM uniform, mm",
+        "CoM learned, mm",
+        "tracking, mm",
     )
+    title = "Learning in the full station: mean cell error of held-out pushes"
+    return Table(title, columns, rows, notes)
 
 
-def _figures(score: StationScore) -> list[float]:
+def _list_figures(score: StationScore) -> list[float]:
+    """Lists the numbers of a row of the table."""
     before, after, floor = score.error
     uniform, learned = score.center_of_mass_error
     return [
-        score.pushes, score.held_out, before * MM, after * MM, floor * MM, after / before, uniform * MM, learned * MM,
+        score.pushes,
+        score.held_out,
+        before * MM,
+        after * MM,
+        floor * MM,
+        after / before,
+        uniform * MM,
+        learned * MM,
         score.tracking_error * MM,
-    ]  # fmt: skip
+    ]
 
 
 UPDATE = 0.005
-"""s of the station's shortest control period, which one update of the Diagram is."""
+"""Simulated time of one update of the Diagram, s: the station's shortest control period."""
 
 UPDATE_MODES = {"in the same update": 0.0, "beside the Diagram, in real time": None}
-"""How what takes long is answered: `simulation.answer_delay`."""
+"""Ways in which learning and choosing, which take long, are done, with the scenario's
+`simulation.answer_delay`, s."""
 
-UPDATE_POKES, UPDATE_LIMIT, UPDATE_RATE = 3, 120.0, 1.0
-"""Simulated s after which it is given up, and simulated seconds a second, at most."""
+UPDATE_POKES = 3
+"""Number of pokes during which updates are timed."""
+
+UPDATE_LIMIT = 120.0
+"""Simulated time after which the pokes are given up, s."""
+
+UPDATE_RATE = 1.0
+"""Greatest number of simulated seconds in a second."""
 
 
 def run_updates(report: Report | None = None) -> Table:
-    """Times each update of the station's Diagram while the robot pokes and learns: a row for each way of learning."""
+    """Times each update of the station's Diagram while the robot pokes and learns."""
     rows: list[list[Value]] = []
     announce = count_steps(report, len(UPDATE_MODES))
     for words, delay in UPDATE_MODES.items():
         announce(words)
         times, busy, learned = time_updates(delay)
         for when, chosen in (("at rest", times[~busy]), ("meanwhile", times[busy])):
-            middle, worst = (
-                (np.median(chosen, axis=0) * MS).tolist(),
-                (chosen.max(axis=0) * MS).tolist(),
-            )
+            middle = (np.median(chosen, axis=0) * MS).tolist()
+            worst = (chosen.max(axis=0) * MS).tolist()
             rows.append(
                 [f"{words}; {when}", learned, len(chosen), middle[0], worst[0], middle[1], worst[1]]
             )
     columns = (
-        "learning and choosing", "pushes learned from", "updates", "an update, ms", "worst, ms",
-        "its own processor time, ms", "worst, ms of it",
-    )  # fmt: skip
+        "learning and choosing",
+        "pushes learned from",
+        "updates",
+        "an update, ms",
+        "worst, ms",
+        "its own processor time, ms",
+        "worst, ms of it",
+    )
     notes = [
-        f"An update is {UPDATE * MS:g} ms of the station with its plant, at most {UPDATE_RATE:g} times real time; "
-        "meanwhile: while the identifier or the policy is at work. By the clock on the wall and, apart from what else "
-        "the computer does, by the processor time of the thread that the Diagram runs in."
+        f"An update is {UPDATE * MS:g} ms of the station with its plant, at most {UPDATE_RATE:g} "
+        "times real time; meanwhile: while the identifier or the policy is at work. By the clock on "
+        "the wall and, apart from what else the computer does, by the processor time of the thread "
+        "that the Diagram runs in."
     ]
     return Table("Single updates of the station's Diagram", columns, rows, notes)
 
 
 def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], int]:
-    """Lets the station poke a hammer; `answer_delay` is as of the scenario.
+    """Lets the station poke a hammer, and times its updates.
+
+    Args:
+        answer_delay: the scenario's `simulation.answer_delay`, s.
 
     Returns:
         (U, 2) each update's time by the clock on the wall and by that of the thread's processor, s;
@@ -225,7 +338,8 @@ def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], 
     context = task.simulator.get_mutable_context()
     task.station.SetStart(context)
     systems = (task.station.GetSubsystemByName("identifier"), task.controller)
-    times, busy = [], []
+    times = []
+    busy = []
 
     def remember() -> list[Any]:
         return [
@@ -237,11 +351,14 @@ def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], 
         task.read("executor.status").executed < UPDATE_POKES
         or any(one.request for one in remember())
     ):
-        before, begin, own = remember(), perf_counter(), thread_time()
+        before = remember()
+        begin = perf_counter()
+        own = thread_time()
         task.simulator.AdvanceTo(context.get_time() + UPDATE)
         times.append((perf_counter() - begin, thread_time() - own))
         sleep(max(0.0, UPDATE / UPDATE_RATE - times[-1][0]))
         after = remember()
+        # A learner that answers within the update has no request before or after it.
         answered = (
             after[0].considered != before[0].considered or after[1].command != before[1].command
         )
@@ -250,13 +367,17 @@ def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], 
 
 
 LCP_OBJECTS = ("claw_hammer", "toolbox")
+"""Shipped objects that are pushed by the LCP system."""
+
 LCP_REGIMES: tuple[Regime, ...] = ("inertial", "quasi_static")
+"""Regimes in which the LCP system is timed."""
+
 LCP_RUNS = 10
-"""Of each push."""
+"""Number of runs of each push."""
 
 
 def run_lcp_system(report: Report | None = None) -> Table:
-    """Times the push of the speed benchmark in a Simulator: a row an object and regime."""
+    """Times the push of the speed benchmark in a Simulator, by object and regime."""
     rows: list[list[Value]] = []
     announce = count_steps(report, len(LCP_OBJECTS) * len(LCP_REGIMES))
     for name in LCP_OBJECTS:
@@ -269,13 +390,15 @@ def run_lcp_system(report: Report | None = None) -> Table:
                 [f"{name}, {regime}", obj.n, median * MS, float(times[0]) * MS, DURATION / median]
             )
     notes = [
-        f"A push of {DURATION:g} s in steps of {DT * MS:g} ms, {LCP_RUNS} runs, with Drake's Simulator and logging."
+        f"A push of {DURATION:g} s in steps of {DT * MS:g} ms, {LCP_RUNS} runs, with Drake's "
+        "Simulator and logging."
     ]
     columns = ("object, regime", "cells", "median, ms", "least, ms", "times real time")
     return Table("GridLcpSystem in a Simulator", columns, rows, notes)
 
 
 def _time_pushes(obj: GridObject, regime: Regime) -> list[float]:
+    """Times LCP_RUNS pushes, s; one more is made before, which warms up."""
     push = make_bench_push(obj)
     builder = DiagramBuilder()
     lcp = builder.AddSystem(
@@ -295,3 +418,23 @@ def _time_pushes(obj: GridObject, regime: Regime) -> list[float]:
         simulator.AdvanceTo(DURATION)
         times.append(perf_counter() - begin)
     return times[1:]
+
+
+STATION = Task(
+    job=Job,
+    run=run_job,
+    describe=lambda job: f"{job.name}, seed {job.seed}, {job.camera} camera",
+)
+"""What is done with an experiment in the station."""
+
+STUDY = Study(
+    name="drake",
+    help="Set Drake's plant beside the grid LCP, time the LCP system, and let the whole station learn.",
+    options=Options,
+    shorten=shorten,
+    measure=measure,
+    make_jobs=make_jobs,
+    tasks=(plant.TASK, STATION),
+    tabulate=tabulate,
+)
+"""`gridpush bench drake`."""

@@ -1,9 +1,11 @@
-"""`gridpush bench grasp`: the whole story in the station; what is poked, slid to the edge, grasped, lifted and held.
+"""`gridpush bench grasp`: the whole story in the station.
 
-Its runs are episodes of a campaign with the shipped scenario.
+Objects are poked, slid to the table's edge, grasped, lifted and held. The runs are episodes of a
+campaign (`bench.campaign`) with the shipped scenario.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from gridpush_drake.bench.campaign import (
     DROPPED,
@@ -13,46 +15,74 @@ from gridpush_drake.bench.campaign import (
     EpisodeJob,
     run_episode,
 )
-from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, Table, by_object, calc_mean, count_of, mean_of
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.station.scenario_file import format_scenario, read_scenario
 from gridpush_drake.station.task import TaskStatus
 
-OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
-SEEDS = (0, 1, 2)
+NAMES = ("claw_hammer", "combination_wrench", "spray_bottle")
+"""Shipped objects that are grasped by default."""
+
+SEEDS = 3
+"""Number of hidden truths and noises of each object by default."""
 
 SCENARIO = "grasp"
-"""Name of the shipped scenario of its episodes."""
+"""Name of the shipped scenario of the episodes."""
 
 
-def run(
-    objects: Sequence[str] = OBJECTS,
-    seeds: Sequence[int] = SEEDS,
-    *,
-    quick: bool = False,
-    execution: Execution = QUIET,
-) -> list[Table]:
-    """Runs the whole story with every shipped object and seed; with the first of each only where `quick`.
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        objects: names of shipped objects.
+        seeds: number of hidden truths and noises of each object; the first one has the seed `seed`.
+    """
+
+    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    seeds: int = option(SEEDS, "Hidden truths and noises of each object.", least=1)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the objects."""
+        return NAMES if self.objects is None else self.objects
+
+
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant: the first object with the first seed."""
+    return replace(options, objects=options.names[:1], seeds=min(options.seeds, 1))
+
+
+def make_jobs(options: Options) -> list[EpisodeJob]:
+    """Makes an episode of each object and seed.
 
     Raises:
         ObjectError: an object is not shipped.
         GridPushError: there is no object, or no seed.
     """
-    if not objects or not seeds:
-        raise GridPushError(f"{'seeds' if objects else 'objects'}: none; expected at least one")
-    for name in objects:
+    if not options.names:
+        raise GridPushError("objects: none; expected at least one")
+    if options.seeds < 1:
+        raise GridPushError("seeds: none; expected at least one")
+    for name in options.names:
         find_shipped_object(name)
-    if quick:
-        objects, seeds = objects[:1], seeds[:1]
     scenario = format_scenario(read_scenario(SCENARIO))
-    jobs = [EpisodeJob(name, seed, scenario=scenario) for name in objects for seed in seeds]
-    return [tabulate(run_jobs(run_episode, jobs, EpisodeJob.describe, execution), objects)]
+    return [
+        EpisodeJob(object=name, seed=options.seed + i, scenario=scenario)
+        for name in options.names
+        for i in range(options.seeds)
+    ]
 
 
-def tabulate(episodes: Sequence[Episode], objects: Sequence[str]) -> Table:
-    """A row an object, one of all, and a note for each run that did not end with the object held."""
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates the episodes by object."""
+    return [tabulate_episodes(done.of(TASK), options.names)]
+
+
+def tabulate_episodes(episodes: Sequence[Episode], objects: Sequence[str]) -> Table:
+    """Makes a row for each object, one of all, and a note for each run that did not end well."""
     held = str(TaskStatus.HELD)
     columns = {
         "runs": len,
@@ -70,9 +100,10 @@ def tabulate(episodes: Sequence[Episode], objects: Sequence[str]) -> Table:
         "wall, s": mean_of("wall"),
     }
     notes = [
-        "An iiwa with a gripper, free base, pose noise; what an object weighs and how it rubs is hidden.",
-        "held: lifted and held. dropped: off the table. not lifted: the gripper went up without it. given up: "
-        "anything else, such as no safe way found.",
+        "An iiwa with a gripper, free base, pose noise; what an object weighs and how it rubs is "
+        "hidden.",
+        "held: lifted and held. dropped: off the table. not lifted: the gripper went up without it. "
+        "given up: anything else, such as no safe way found.",
         "pokes, slides, raised, CoM error, simulated, wall: means of all runs; raised of those held.",
     ]
     notes += [
@@ -82,3 +113,18 @@ def tabulate(episodes: Sequence[Episode], objects: Sequence[str]) -> Table:
     ]
     title = "The whole story in the station: poke, learn, slide, grasp, lift, hold"
     return Table.of(title, ("object",), by_object(episodes, objects, key="object"), columns, notes)
+
+
+TASK = Task(job=EpisodeJob, run=run_episode, describe=EpisodeJob.describe)
+"""What is done with an episode."""
+
+STUDY = Study(
+    name="grasp",
+    help="Let the whole station poke objects, slide them to the table's edge, grasp and lift them.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(TASK,),
+    tabulate=tabulate,
+)
+"""`gridpush bench grasp`."""

@@ -1,12 +1,13 @@
-"""`gridpush bench gym`: how many pushes a second the Gymnasium environments make, and how well players do in them.
+"""`gridpush bench gym`: the speed of the Gymnasium environments, and how well players do in them.
 
-The players are our own planner, one at random, and a small one that learns by trying: it rates each
-place of the outline, in each of some directions, by a weighted sum of what the observation says of
-it, takes the best, and pushes as far as another weighted sum says. CMA-ES finds the weights: it
-keeps those that earned most in episodes which are the same for all that it compares.
+The players are our own planner, one that plays at random, and a small one that learns by trying. The
+last one rates each place of the outline, in each of some directions, by a weighted sum of what the
+observation says of it. It takes the best one, and pushes as far as another weighted sum says. CMA-ES
+finds the weights: it keeps those that earned most in episodes which are the same for all that it
+compares.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter, process_time
 from typing import Any
@@ -15,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import sem
 
-from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
+from gridpush_drake.bench.jobs import Report, check_known
 from gridpush_drake.bench.pregrasp.world import is_over
 from gridpush_drake.bench.protocol import hide_parts, know_friction
 from gridpush_drake.bench.speed import one_core
+from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, Value, count_of, mean_of
 from gridpush_drake.errors import MissingExtraError
 from gridpush_drake.extras import import_extra
@@ -54,48 +56,103 @@ except ModuleNotFoundError as error:
 
 cma = import_extra("cma", "baselines")
 
-PLANNER, LEARNED, RANDOM = "planner", "learned", "random"
+PLANNER = "planner"
+"""Name of our own planner."""
+
+LEARNED = "learned"
+"""Name of the small player that is trained by CMA-ES."""
+
+RANDOM = "random"
+"""Name of the player that plays at random."""
+
 PLAYERS = (PLANNER, LEARNED, RANDOM)
-"""Our own planner, a small one trained by CMA-ES, and chance."""
+"""Names of the players."""
 
-EPISODES, QUICK_EPISODES = 20, 2
-"""That each player plays, the same for all."""
+EPISODES = 20
+"""Number of episodes of each game that each player plays, the same for all."""
 
-CANDIDATES, TRAINING_EPISODES = 12, 16
-"""Weights in a generation, and episodes that each of them plays."""
+QUICK_EPISODES = 2
+"""Number of episodes in the quick variant."""
+
+CANDIDATES = 12
+"""Number of weights that CMA-ES compares in a generation."""
+
+TRAINING_EPISODES = 16
+"""Number of episodes that each of them plays."""
 
 GENERATIONS = {"PushToGoal": 16, "SlideToEdge": 16, "Explore": 6}
-"""Of the training: about a minute on an idle core."""
+"""Number of generations of the training in each game: about a minute on an idle core."""
 
 QUICK_GENERATIONS = 1
+"""Number of generations in the quick variant."""
 
 SIDE_BY_SIDE = 64
-"""Episodes in the vector environment whose speed is measured."""
+"""Number of episodes in the vector environment whose speed is measured."""
 
-STEPS, QUICK_STEPS = {"PushToGoal": 60, "SlideToEdge": 60, "Explore": 8}, 2
-"""Of that environment, that are timed."""
+STEPS = {"PushToGoal": 60, "SlideToEdge": 60, "Explore": 8}
+"""Number of steps of that environment that are timed in each game."""
+
+QUICK_STEPS = 2
+"""Number of steps that are timed in the quick variant."""
 
 SIMULATIONS = {"Explore": 1 + ITERATIONS + HELD_OUT}
-"""Simulated pushes in a step, where there is more than the one that is made."""
-
+"""Number of simulated pushes in a step of the games in which that is not only the one that is
+made."""
 
 AIM = 0.8 * REACHED
-"""m of mean cell error as it is seen, at which the planner stops: it sees poses with noise."""
+"""Mean cell error as it is seen, at which the planner stops, m: it sees poses with noise."""
 
 SLIDE = SlideOptions(contact=replace(FINGER, starts=6, budget=24))
-"""The planner's slides: the environment's own pushes."""
+"""What the planner's slides are chosen from: pushes that the environment can make."""
 
 DIRECTIONS = (-0.5, 0.0, 0.5)
-"""That the learned player chooses from, as actions."""
+"""Directions that the learned player chooses from, as actions."""
 
-WEIGHTS, SPREAD = 11, 1.0
-"""Of the learned player: eight rate a place and a direction, three the distance; and the first
-ones' deviation."""
+RATING_WEIGHTS = 8
+"""Number of the learned player's weights that rate a place and a direction."""
+
+WEIGHTS = RATING_WEIGHTS + 3
+"""Number of all its weights; the other three are for the distance."""
+
+SPREAD = 1.0
+"""Standard deviation of the first weights that CMA-ES draws."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        games: names of games; all of them where None.
+        episodes: number of episodes of each game that each player plays.
+        generations: number of generations of the training in each game.
+        steps: number of steps that are timed in each game.
+    """
+
+    games: tuple[str, ...] | None = option(
+        None, "A game; may be repeated.", name="--game", metavar="NAME", shown="all three"
+    )
+    episodes: int = option(EPISODES, "Episodes of each game that each player plays.", least=2)
+    generations: Mapping[str, int] = field(default_factory=lambda: GENERATIONS)
+    steps: Mapping[str, int] = field(default_factory=lambda: STEPS)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the games."""
+        return tuple(self.games or GAMES)
 
 
 @dataclass(frozen=True)
 class Score:
-    """How one episode ended: the sum of all rewards, and the game's own measure, m."""
+    """How one episode ended.
+
+    Attributes:
+        reward: sum of all rewards.
+        won: whether the game's aim was reached.
+        fell: whether the object fell off the table.
+        pushes: number of pushes.
+        score: the game's own measure at the end, m.
+    """
 
     reward: float
     won: bool
@@ -106,7 +163,15 @@ class Score:
 
 @dataclass(frozen=True)
 class Job:
-    """A player's episodes in one game, the first one's seed and how many; and generations of its training."""
+    """A player's episodes in one game.
+
+    Attributes:
+        game: name of the game.
+        player: one of PLAYERS.
+        seed: seed of the first episode; the others' follow.
+        episodes: number of episodes.
+        generations: number of generations of the player's training.
+    """
 
     game: str
     player: str
@@ -117,7 +182,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Played:
-    """What came of a job; wall clock of the training, s."""
+    """What came of a job.
+
+    Attributes:
+        game: name of the game.
+        player: one of PLAYERS.
+        scores: how each episode ended.
+        seconds: wall-clock time of the training, s.
+    """
 
     game: str
     player: str
@@ -125,37 +197,40 @@ class Played:
     seconds: float = 0.0
 
 
-def run(
-    games: Sequence[str] | None = None,
-    episodes: int = EPISODES,
-    seed: int = 0,
-    execution: Execution = QUIET,
-    *,
-    quick: bool = False,
-) -> list[Table]:
-    """Measures the environments' speed, then lets every player play the same episodes, of all games where None.
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant: two episodes, and hardly any training."""
+    return replace(
+        options,
+        episodes=QUICK_EPISODES,
+        generations=dict.fromkeys(GAMES, QUICK_GENERATIONS),
+        steps=dict.fromkeys(GAMES, QUICK_STEPS),
+    )
 
-    The arguments are the options of `gridpush bench gym`; two episodes, and hardly any training,
-    where `quick`.
+
+def measure(options: Options, report: Report | None) -> list[Table]:
+    """Measures the environments' speed."""
+    check_known("games", options.names, tuple(GAMES))
+    return [tabulate_speed([(game, options.steps[game]) for game in options.names])]
+
+
+def make_jobs(options: Options) -> list[Job]:
+    """Makes a job for each episode of the planner, and one for each other player, in each game.
 
     Raises:
         GridPushError: a game is not known.
     """
-    chosen = list(games or GAMES)
-    check_known("games", chosen, tuple(GAMES))
-    count = QUICK_EPISODES if quick else episodes
-    speeds = tabulate_speed([(game, QUICK_STEPS if quick else STEPS[game]) for game in chosen])
-
-    def describe(job: Job) -> str:
-        return f"{job.game}, {job.player}, seed {job.seed}"
-
-    jobs = [Job(game, PLANNER, seed + i, 1) for game in chosen for i in range(count)]
-    for game in chosen:
-        jobs += [
-            Job(game, LEARNED, seed, count, QUICK_GENERATIONS if quick else GENERATIONS[game]),
-            Job(game, RANDOM, seed, count),
-        ]
-    return [speeds, tabulate_scores(run_jobs(run_job, jobs, describe, execution), chosen)]
+    check_known("games", options.names, tuple(GAMES))
+    planned = [
+        Job(game=game, player=PLANNER, seed=options.seed + i, episodes=1)
+        for game in options.names
+        for i in range(options.episodes)
+    ]
+    others = []
+    for game in options.names:
+        chance = Job(game=game, player=RANDOM, seed=options.seed, episodes=options.episodes)
+        others.append(replace(chance, player=LEARNED, generations=options.generations[game]))
+        others.append(chance)
+    return [*planned, *others]
 
 
 def run_job(job: Job) -> Played:
@@ -167,48 +242,62 @@ def run_job(job: Job) -> Played:
     begin = perf_counter()
     weights = train(job.game, job.seed, job.generations, CANDIDATES, TRAINING_EPISODES)
     seconds = perf_counter() - begin
-    return Played(
-        job.game, job.player, play_learned(job.game, weights, job.seed, job.episodes), seconds
-    )
+    scores = play_learned(job.game, weights, job.seed, job.episodes)
+    return Played(job.game, job.player, scores, seconds)
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates how the players did."""
+    return [tabulate_scores(done.of(TASK), options.names)]
 
 
 def tabulate_speed(games: Sequence[tuple[str, int]]) -> Table:
-    """Times vector environments that chance plays, for so many steps after the first."""
+    """Times vector environments that chance plays.
+
+    Args:
+        games: name of each game, and how many steps after the first one are timed.
+    """
     rows: list[list[Value]] = []
     with one_core():
         for game, steps in games:
             env = PushVectorEnvironment(SIDE_BY_SIDE, game)
             env.reset(seed=0)
-            rng, made = np.random.default_rng(0), 0
-            env.step(rng.uniform(-1, 1, (SIDE_BY_SIDE, 3)))  # whatever is made once
-            begin, busy = perf_counter(), process_time()
+            rng = np.random.default_rng(0)
+            made = 0
+            # Whatever is made once is made in the first step, which is not timed.
+            env.step(rng.uniform(-1, 1, (SIDE_BY_SIDE, 3)))
+            begin = perf_counter()
+            busy = process_time()
             for _ in range(steps):
                 before = [len(episode.pushes) for episode in env.episodes]
                 env.step(rng.uniform(-1, 1, (SIDE_BY_SIDE, 3)))
                 made += sum(
                     len(now.pushes) > was for now, was in zip(env.episodes, before, strict=True)
                 )
-            rates = made / (perf_counter() - begin), made / (process_time() - busy)
-            rows.append([game, SIDE_BY_SIDE, made, *rates, rates[1] * SIMULATIONS.get(game, 1)])
-    return Table(
-        "Speed of the vector environments, on one core",
-        (
-            "game", "side by side", "pushes", "pushes a second", "pushes a second of the core's time",
-            "simulated pushes a second of its time",
-        ),
-        rows,
-        (
-            "Whole steps at random, with observations, rewards and new episodes; by wall clock, and by the time that"
-            " the core worked for it, which is less where other programs run.",
-            f"A step of Explore simulates {SIMULATIONS['Explore']} pushes: the one made, its derivatives "
-            f"{ITERATIONS} times for the learner, and {HELD_OUT} that are held out.",
-        ),
-        digits=4,
-    )  # fmt: skip
+            rate = made / (perf_counter() - begin)
+            core_rate = made / (process_time() - busy)
+            simulated_rate = core_rate * SIMULATIONS.get(game, 1)
+            rows.append([game, SIDE_BY_SIDE, made, rate, core_rate, simulated_rate])
+    columns = (
+        "game",
+        "side by side",
+        "pushes",
+        "pushes a second",
+        "pushes a second of the core's time",
+        "simulated pushes a second of its time",
+    )
+    notes = (
+        "Whole steps at random, with observations, rewards and new episodes; by wall clock, and by "
+        "the time that the core worked for it, which is less where other programs run.",
+        f"A step of Explore simulates {SIMULATIONS['Explore']} pushes: the one made, its derivatives "
+        f"{ITERATIONS} times for the learner, and {HELD_OUT} that are held out.",
+    )
+    title = "Speed of the vector environments, on one core"
+    return Table(title, columns, rows, notes, digits=4)
 
 
 def tabulate_scores(played: Sequence[Played], games: Sequence[str]) -> Table:
-    """How the players did."""
+    """Tabulates by game and player how the players did."""
     columns: dict[str, Column] = {
         "episodes": len,
         "reward": mean_of("reward"),
@@ -226,24 +315,21 @@ def tabulate_scores(played: Sequence[Played], games: Sequence[str]) -> Table:
             chosen = [entry for entry in played if (entry.game, entry.player) == (game, player)]
             scores = [score for entry in chosen for score in entry.scores]
             row = {name: calc(scores) for name, calc in columns.items()}
-            row |= {"won, %": None} if game == "Explore" else {}
-            rows.append(
-                [game, player, *row.values(), sum(entry.seconds for entry in chosen) or None]
-            )
+            if game == "Explore":
+                row["won, %"] = None  # it cannot be won
+            training = sum(entry.seconds for entry in chosen) or None
+            rows.append([game, player, *row.values(), training])
     notes = (
-        "All play the same episodes: objects, hidden masses, starts, goals. Reward: mean of an episode's sum.",
-        "Final score, median: mean cell error to the goal; how far a part to be grasped hangs over the edge; error"
-        " of foretold pushes.",
-        "planner: this project's own, learning as it goes; learned: a linear rating of places and directions by "
-        f"{CANDIDATES} candidates a generation of CMA-ES, trained on other episodes; random: any action.",
+        "All play the same episodes: objects, hidden masses, starts, goals. Reward: mean of an "
+        "episode's sum.",
+        "Final score, median: mean cell error to the goal; how far a part to be grasped hangs over "
+        "the edge; error of foretold pushes.",
+        "planner: this project's own, learning as it goes; learned: a linear rating of places and "
+        f"directions by {CANDIDATES} candidates a generation of CMA-ES, trained on other episodes; "
+        "random: any action.",
     )
-    return Table(
-        "Players of the environments",
-        ("game", "player", *columns, "training, s"),
-        rows,
-        notes,
-        keys=2,
-    )
+    names = ("game", "player", *columns, "training, s")
+    return Table("Players of the environments", names, rows, notes, keys=2)
 
 
 def play_planner(game: str, seed: int) -> Score:
@@ -261,12 +347,14 @@ def play_planner(game: str, seed: int) -> Score:
 
 
 def _hide(obj: GridObject) -> GridObject:
-    """The object as the planner sees it: no parts, no weight, and the range that frictions are drawn from."""
+    """Returns the object as the planner sees it: no parts, no weight, and bounds of its frictions."""
     return know_friction(hide_parts(obj), *FRICTION_RANGE)
 
 
 def _push_to_goal(world: EnvironmentWorld, seed: int) -> None:
-    episode, game = world.episode, world.env.game
+    """Pushes the object to its goal, and learns it on the way."""
+    episode = world.episode
+    game = world.env.game
     assert episode.goal is not None
     constraints = PushConstraints(game.surface, finger_inset=-FINGER.distance_range[1])
     rules = GoalRules(constraints, FINGER, tolerance=AIM, max_pushes=game.options.max_pushes)
@@ -274,7 +362,9 @@ def _push_to_goal(world: EnvironmentWorld, seed: int) -> None:
 
 
 def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:
-    obj, surface = _hide(world.episode.shape.obj), world.env.game.surface
+    """Pokes the object, and slides a part of it over the edge."""
+    obj = _hide(world.episode.shape.obj)
+    surface = world.env.game.surface
     planner = PreGraspPlanner(obj, surface, PreGraspOptions(max_arm=MAX_ARM, slide=SLIDE))
     loop = PreGraspLoop(
         planner,
@@ -293,15 +383,13 @@ def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:
 
 
 def _explore(world: EnvironmentWorld, seed: int) -> None:
+    """Makes the pokes that tell most of the center of friction."""
     while not world.over:
         episode = world.episode
         assert episode.model is not None
         pokes = make_pokes(episode.model, episode.pose)
-        world.execute(
-            choose_poke(
-                episode.model, episode.pose, pokes, make_center_functional(episode.model)
-            ).push
-        )
+        wanted = make_center_functional(episode.model)
+        world.execute(choose_poke(episode.model, episode.pose, pokes, wanted).push)
 
 
 PLANNED: dict[str, Callable[[EnvironmentWorld, int], None]] = {
@@ -326,13 +414,19 @@ def play_learned(game: str, weights: Array, seed: int, episodes: int) -> list[Sc
 def train(game: str, seed: int, generations: int, candidates: int, episodes: int) -> Array:
     """Finds weights (WEIGHTS,) by CMA-ES: the mean of the last generation.
 
-    Each of a generation's candidates plays the same episodes.
+    Args:
+        game: name of the game.
+        seed: seed of the search and its episodes.
+        generations: number of generations.
+        candidates: number of weights in a generation.
+        episodes: number of episodes that each of them plays, the same for all of a generation.
     """
     rng = np.random.default_rng(seed)
     options = {"seed": int(rng.integers(1, 2**31)), "popsize": candidates, "verbose": -9}
     search = cma.CMAEvolutionStrategy(np.zeros(WEIGHTS), SPREAD, options)
     for _ in range(generations):
-        first, tried = int(rng.integers(2**31)), search.ask()
+        first = int(rng.integers(2**31))
+        tried = search.ask()
         earned = [
             np.mean([score.reward for score in play_learned(game, w, first, episodes)])
             for w in tried
@@ -342,41 +436,70 @@ def train(game: str, seed: int, generations: int, candidates: int, episodes: int
 
 
 def choose_by_weights(weights: Array, seen: dict[str, NDArray[Any]]) -> Array:
-    """The learned player's actions (N, 3) for N observations."""
-    count, directions = len(seen["pose"]), np.array(DIRECTIONS)
+    """Chooses the learned player's actions (N, 3) for N observations."""
+    count = len(seen["pose"])
+    directions = np.array(DIRECTIONS)
+
+    # What is wanted of the object's middle, and the outline's size, in the body frame.
     outline = seen["outline"].reshape(count, PLACES, 4).astype(np.float64)
     middle = outline[..., :2].mean(axis=1, keepdims=True)
     arm = outline[..., :2] - middle
     size = np.sqrt((arm**2).sum(axis=-1).mean(axis=1))[:, None, None]
     wanted, turn = _find_wanted(seen, middle[:, 0])
+
+    # Direction of each push (N, places, directions), and how it would turn the object.
     low, high = FINGER.angle_range
     angle = low + (high - low) * (directions + 1) / 2
-    c, s, nx, ny = np.cos(angle), np.sin(angle), outline[..., 2, None], outline[..., 3, None]
-    ux, uy = c * nx - s * ny, s * nx + c * ny
+    c = np.cos(angle)
+    s = np.sin(angle)
+    nx = outline[..., 2, None]
+    ny = outline[..., 3, None]
+    ux = c * nx - s * ny
+    uy = s * nx + c * ny
     lever = (arm[..., 0, None] * uy - arm[..., 1, None] * ux) / size
     far = np.linalg.norm(wanted, axis=1)[:, None, None]
     along = (ux * wanted[:, 0, None, None] + uy * wanted[:, 1, None, None]) / (
         far + np.finfo(float).tiny
     )
+
+    # How near it is to the last one.
     last = (seen["last_action"][:, :1] + 1) / 2 - np.arange(PLACES) / PLACES
     pushed = np.abs(seen["last_action"]).max(axis=1) > 0
     near = np.cos(2 * np.pi * last)[..., None] * pushed[:, None, None]
     spin = turn[:, None, None]
     features = np.stack(
         np.broadcast_arrays(
-            along, along * far / size, lever * spin, np.abs(lever), np.abs(lever) * np.abs(spin),
-            np.abs(lever) * far / size, near, np.abs(angle),
+            along,
+            along * far / size,
+            lever * spin,
+            np.abs(lever),
+            np.abs(lever) * np.abs(spin),
+            np.abs(lever) * far / size,
+            near,
+            np.abs(angle),
         )
-    )  # fmt: skip
-    rated = np.tensordot(weights[:8], features, axes=1).reshape(count, -1)
+    )
+
+    # The best rated place and direction, and how far to push there.
+    rated = np.tensordot(weights[:RATING_WEIGHTS], features, axes=1).reshape(count, -1)
     best = rated.argmax(axis=1)
-    place, direction = best // len(directions), directions[best % len(directions)]
+    place = best // len(directions)
+    direction = directions[best % len(directions)]
     reach = np.stack([np.ones(count), far[:, 0, 0] / size[:, 0, 0], np.abs(turn)])
-    return np.column_stack([2 * place / PLACES - 1, direction, np.tanh(weights[8:] @ reach)])
+    distance = np.tanh(weights[RATING_WEIGHTS:] @ reach)
+    return np.column_stack([2 * place / PLACES - 1, direction, distance])
 
 
 def _find_wanted(seen: dict[str, NDArray[Any]], middle: Array) -> tuple[Array, Array]:
-    """By how much the object's middle (N, 2), body frame, m, is to move, (N, 2), and to turn, (N,) rad."""
+    """Finds by how much each object is to move and to turn, by what is seen.
+
+    Args:
+        seen: N observations.
+        middle: (N, 2) the object's middle, body frame, m.
+
+    Returns:
+        (N, 2) by how much the middle is to move, body frame, m, and (N,) how far to turn, rad.
+    """
     pose = seen["pose"].astype(np.float64)
     x, y, c, s = pose.T
     here = np.column_stack(
@@ -388,10 +511,13 @@ def _find_wanted(seen: dict[str, NDArray[Any]], middle: Array) -> tuple[Array, A
         there = np.column_stack(
             [gx + gc * middle[:, 0] - gs * middle[:, 1], gy + gs * middle[:, 0] + gc * middle[:, 1]]
         )
-        turn, move = np.arctan2(gs * c - gc * s, gc * c + gs * s), there - here
+        turn = np.arctan2(gs * c - gc * s, gc * c + gs * s)
+        move = there - here
     elif "estimate" in seen:
+        # pushes are made to learn only, wherever they take the object
         move = np.zeros_like(here)
-    else:  # to the nearest edge
+    else:
+        # to the nearest edge
         room = seen["table"] - np.abs(here)
         nearest = room.argmin(axis=1)
         move = np.zeros_like(here)
@@ -415,6 +541,33 @@ def _play_all(
                 end = env.episodes[i]
                 total = float(rewards[i] + earned[i])
                 won = bool(infos["is_success"][i])
-                scores[i] = Score(total, won, end.fallen, len(end.pushes), float(end.score))
+                scores[i] = Score(
+                    reward=total,
+                    won=won,
+                    fell=end.fallen,
+                    pushes=len(end.pushes),
+                    score=float(end.score),
+                )
         rewards += earned
     return [score for score in scores if score is not None]
+
+
+def _describe(job: Job) -> str:
+    return f"{job.game}, {job.player}, seed {job.seed}"
+
+
+TASK = Task(job=Job, run=run_job, describe=_describe)
+"""What is done with a job."""
+
+STUDY = Study(
+    name="gym",
+    help="Time the Gymnasium environments; let our planner, a small learned player and chance play "
+    "them.",
+    options=Options,
+    shorten=shorten,
+    measure=measure,
+    make_jobs=make_jobs,
+    tasks=(TASK,),
+    tabulate=tabulate,
+)
+"""`gridpush bench gym`."""

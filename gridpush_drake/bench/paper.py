@@ -1,20 +1,20 @@
 """`gridpush bench paper`: every method on the paper's simulated protocol, over the same number of simulations.
 
-The scores have bootstrap confidence intervals over mass sets and their splits; the figure shows the
-error against the number of simulations, as the paper's Fig. 4.
+The scores have bootstrap confidence intervals over mass sets and their splits. The figure shows the
+error against the number of simulations, as the paper's Fig. 4 does. The paper's own figures are made
+in `bench.paper_figures`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy.stats import bootstrap
 
-from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
+from gridpush_drake.bench.jobs import check_known
 from gridpush_drake.bench.protocol import (
     DURATION,
     FINGER_RADIUS,
@@ -27,12 +27,15 @@ from gridpush_drake.bench.protocol import (
     make_case,
     make_protocol,
 )
+from gridpush_drake.bench.study import MASKS, OBJECTS, Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import (
     CONFIDENCE,
     MM,
     Column,
+    Interval,
     Mean,
     Table,
+    calc_interval,
     check_figure,
     write_panels,
 )
@@ -44,19 +47,49 @@ from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 
 UNIFORM = "uniform prior"
-DEFAULT = "default"
+"""Name of the model of which nothing was learned."""
 
-RESAMPLES = 9999
+DEFAULT = "default"
+"""Name of the default method of `identify`."""
 
 PAPER_MM = 15.3
-"""The paper's mean test cell error in simulation."""
+"""The paper's mean test cell error in simulation, mm."""
+
+TRUTH_PHYSICS = Physics(regime="inertial")
+"""Physics of the pushes that are learned from."""
+
+TRAINING_PUSHES = 5
+"""Number of pushes that all methods learn from."""
+
+BUDGET = 1500
+"""Default of the greatest number of simulated pushes of a search. The default method decides itself,
+and takes about two thirds of it."""
+
+BUDGET_SHARES = (1 / 60, 1 / 30, 1 / 15, 1 / 6, 1 / 3, 1.0)
+"""Shares of the budget at which the curve is measured, each by a run of its own."""
+
+QUICK_MASS_SETS = 2
+"""Number of mass sets of each object in the quick variant."""
+
+COLUMNS = 3
+"""Number of columns of the figure's panels."""
+
+ALL_OBJECTS = "all objects"
+"""Title of the figure's panel of all objects."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """How a method did on one object with one mass set and its split: mean final cell error of its test pushes, m.
+    """How a method did on one object with one mass set and its split.
 
-    It might spend `budget` simulated pushes, and did spend `simulations`.
+    Attributes:
+        name: name of the object.
+        mass_set: number of the mass set and of the split.
+        training: number of training pushes.
+        method: the method, or UNIFORM.
+        budget: greatest number of simulated pushes that it might spend.
+        simulations: number of simulated pushes that it spent.
+        error: mean final cell error of the test pushes, m.
     """
 
     name: str
@@ -68,28 +101,12 @@ class Score:
     error: float
 
 
-class Interval(NamedTuple):
-    """A mean and the ends of its confidence interval, NaN where one value does not give any."""
-
-    mean: float
-    low: float
-    high: float
-
-
-def calc_interval(values: Sequence[float]) -> Interval:
-    """Mean and its 95 % bootstrap interval (percentiles)."""
-    sample = np.asarray(values, dtype=np.float64)
-    if len(sample) < 2:
-        return Interval(float(sample.mean()), np.nan, np.nan)
-    ends = bootstrap(
-        (sample,), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method="percentile",
-        random_state=np.random.default_rng(0),
-    ).confidence_interval  # fmt: skip
-    return Interval(float(sample.mean()), float(ends.low), float(ends.high))
-
-
 def summarize(scores: Sequence[Score]) -> Interval:
-    """The mean error, m: of each mass set over the objects, then over the mass sets; the interval is over these."""
+    """Calculates the mean error, m, and its interval.
+
+    The mean is of each mass set over the objects, then over the mass sets; the interval is over
+    these.
+    """
     sets = sorted({score.mass_set for score in scores})
     return calc_interval(
         [float(np.mean([s.error for s in scores if s.mass_set == i])) for i in sets]
@@ -97,7 +114,7 @@ def summarize(scores: Sequence[Score]) -> Interval:
 
 
 def select(scores: Sequence[Score], **wanted: object) -> list[Score]:
-    """The scores whose attributes are as given."""
+    """Selects the scores whose attributes are as given."""
     return [
         score
         for score in scores
@@ -112,18 +129,22 @@ def tabulate_methods(
     training: int,
     budget: int,
 ) -> Table:
-    """Errors by method and object."""
+    """Tabulates the errors by method and object."""
     groups = [
         ((method,), select(scores, method=method, training=training, budget=budget))
         for method in methods
     ]
-    title = f"Mean test cell error, mm, by method: {training} training pushes, searches of {budget} simulated pushes"
-    columns = {**_error_columns(names), "simulations": mean_simulations}
+    title = (
+        f"Mean test cell error, mm, by method: {training} training pushes, searches of {budget} "
+        "simulated pushes"
+    )
+    columns = {**_make_error_columns(names), "simulations": mean_simulations}
     notes = [
         *_notes(scores),
-        f"Truth: our inertial simulation, hidden masses by label, friction {SUPPORT_FRICTION:g}, ten pushes at "
-        f"{SPEED:g} m/s for {DURATION:g} s by a disc of {FINGER_RADIUS * 100:g} cm radius in place of the paper's 3 cm "
-        f"square finger, pose seen every {OBSERVED_EVERY:g} s. The identifier sees neither labels nor the total mass.",
+        f"Truth: our inertial simulation, hidden masses by label, friction {SUPPORT_FRICTION:g}, ten "
+        f"pushes at {SPEED:g} m/s for {DURATION:g} s by a disc of {FINGER_RADIUS * 100:g} cm radius in "
+        "place of the paper's 3 cm square finger, pose seen every "
+        f"{OBSERVED_EVERY:g} s. The identifier sees neither labels nor the total mass.",
     ]
     return Table.of(title, ("method",), groups, columns, notes)
 
@@ -131,7 +152,7 @@ def tabulate_methods(
 def tabulate_training(
     scores: Sequence[Score], names: Sequence[str], method: str, budget: int
 ) -> Table:
-    """Errors of one method by number of training pushes."""
+    """Tabulates the errors of one method by number of training pushes."""
     counts = sorted({score.training for score in scores})
     groups = [
         ((count,), select(scores, method=method, training=count, budget=budget)) for count in counts
@@ -141,7 +162,7 @@ def tabulate_training(
         return _average(scores, method=UNIFORM, training=chosen[0].training, budget=budget)
 
     columns = {
-        **_error_columns(names),
+        **_make_error_columns(names),
         f"all, {UNIFORM}": average_before,
         "simulations": mean_simulations,
     }
@@ -150,7 +171,7 @@ def tabulate_training(
 
 
 def tabulate_budgets(scores: Sequence[Score], methods: Sequence[str], training: int) -> Table:
-    """Errors over all objects by method and number of simulations."""
+    """Tabulates the errors over all objects by method and number of simulations."""
     groups = [((method,), select(scores, method=method, training=training)) for method in methods]
     budgets = sorted({score.budget for score in select(scores, training=training)})
     columns = {f"at most {budget}": partial(_average, budget=budget) for budget in budgets}
@@ -160,16 +181,17 @@ def tabulate_budgets(scores: Sequence[Score], methods: Sequence[str], training: 
     return Table.of(title, ("method",), groups, columns, _notes(scores))
 
 
-def _error_columns(names: Sequence[str]) -> dict[str, Column]:
+def _make_error_columns(names: Sequence[str]) -> dict[str, Column]:
     return {**{name: partial(_average, name=name) for name in names}, "all": _average}
 
 
 def mean_simulations(scores: Sequence[Score]) -> int:
-    """Mean number of simulated pushes."""
+    """Calculates the mean number of simulated pushes."""
     return round(float(np.mean([score.simulations for score in scores])))
 
 
 def _average(scores: Sequence[Score], **wanted: object) -> Mean | None:
+    """Calculates the mean error of some scores, mm; None where there are none."""
     chosen = select(scores, **wanted)
     if not chosen:
         return None
@@ -180,26 +202,70 @@ def _average(scores: Sequence[Score], **wanted: object) -> Mean | None:
 def _notes(scores: Sequence[Score]) -> list[str]:
     sets = len({score.mass_set for score in scores})
     return [
-        f"Mean over {sets} mass sets, each with its own split; in brackets its {CONFIDENCE:.0%} bootstrap interval.",
+        f"Mean over {sets} mass sets, each with its own split; in brackets its {CONFIDENCE:.0%} "
+        "bootstrap interval.",
         f"The paper reports {PAPER_MM:g} mm in simulation.",
     ]
 
 
-TRUTH_PHYSICS = Physics(regime="inertial")
-TRAINING_PUSHES = 5
-BUDGET = 1500
-"""Simulated pushes a search may spend; the default method decides itself, and takes about two
-thirds of it."""
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
 
-BUDGET_SHARES = (1 / 60, 1 / 30, 1 / 15, 1 / 6, 1 / 3, 1.0)
-"""Shares of the budget at which the curve is measured, each by a run of its own."""
+    Attributes:
+        data: folder of the paper's masks; None for the shipped objects alone.
+        objects: names of objects; all of them where None.
+        sets: number of mass sets of each object; mass set i goes with split i.
+        methods: methods of `identify`; all of them where None.
+        budget: greatest number of simulated pushes of an identification. The default method decides
+            itself how much of it it spends.
+        figure: file of a figure of the error against the number of simulations; None for none.
+    """
 
-QUICK_MASS_SETS = 2
+    data: Path | None = option(None, **MASKS)
+    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    sets: int = option(MASS_SETS, "Mass sets of each object.", least=1)
+    methods: tuple[str, ...] | None = option(
+        None, "A method; may be repeated.", name="--method", metavar="NAME", shown="all"
+    )
+    budget: int = option(BUDGET, "Most simulated pushes of an identification.", least=1)
+    figure: Path | None = option(
+        None,
+        "Also draw the error against the number of simulations.",
+        metavar="FIGURE.png",
+        ending=".png",
+        is_setting=False,
+    )
+
+    @property
+    def chosen_methods(self) -> tuple[str, ...]:
+        """The methods that are measured."""
+        return tuple(METHODS) if self.methods is None else self.methods
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder of the masks, in full."""
+        return None if self.data is None else Path(self.data).resolve()
+
+    @property
+    def budgets(self) -> tuple[int, ...]:
+        """The budgets at which the error is measured; one, but for the figure."""
+        return (self.budget,) if self.figure is None else choose_budgets(self.budget)
 
 
 @dataclass(frozen=True)
 class Job:
-    """One object with one mass set and its split, learned from by some methods at some budgets."""
+    """One object with one mass set and its split, learned from by some methods at some budgets.
+
+    Attributes:
+        data: folder of the paper's masks; None without them.
+        name: name of the object.
+        mass_set: number of the mass set and of the split.
+        training: number of training pushes.
+        methods: methods of `identify`.
+        budgets: greatest numbers of simulated pushes.
+        seed: seed of everything random.
+    """
 
     data: Path | None
     name: str
@@ -210,89 +276,97 @@ class Job:
     seed: int
 
 
-def run(
-    data: Path | str | None = None,
-    mass_sets: int = MASS_SETS,
-    objects: Sequence[str] | None = None,
-    methods: Sequence[str] = METHODS,
-    budget: int = BUDGET,
-    seed: int = 0,
-    execution: Execution = QUIET,
-    *,
-    quick: bool = False,
-    figure: Path | str | None = None,
-    force: bool = False,
-) -> list[Table]:
-    """Measures the methods on the paper's simulated protocol; the arguments are the options of `gridpush bench paper`.
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant."""
+    return replace(options, sets=min(options.sets, QUICK_MASS_SETS))
 
-    Mass set i goes with split i, and only QUICK_MASS_SETS of them are taken where `quick`. The
-    default method decides itself how much of the budget it spends.
 
-    Returns:
-        Test cell error by method and object; by number of training pushes for the default method;
-        and, with `figure`, by number of simulations.
+def make_jobs(options: Options) -> list[Job]:
+    """Makes the jobs of each mass set and object.
+
+    All methods learn from TRAINING_PUSHES pushes. The default method learns from every other number
+    of pushes that the protocol has splits for, too.
 
     Raises:
-        GridPushError: the data are not there, or an argument is out of range.
+        GridPushError: the data are not there, or an option is out of range.
         MissingExtraError: CMA-ES is to be measured, and the package cma is not installed.
         OutputError: the figure cannot be written.
     """
-    folder = None if data is None else Path(data).resolve()
-    protocol = make_protocol(folder, seed)
-    names = list(protocol.masses if objects is None else objects)
-    sets = min(mass_sets, QUICK_MASS_SETS) if quick else mass_sets
-    _check(protocol, names, methods, budget, sets)
-    if figure is not None:
-        check_figure(figure, force)
-    budgets = choose_budgets(budget) if figure is not None else (budget,)
-    others = [count for count in protocol.splits if count != TRAINING_PUSHES and DEFAULT in methods]
-    jobs = [
-        job
-        for mass_set in range(sets)
-        for name in names
-        for job in (
-            Job(folder, name, mass_set, TRAINING_PUSHES, tuple(methods), budgets, seed),
-            *(
-                Job(folder, name, mass_set, count, (DEFAULT,), budgets[-1:], seed)
-                for count in others
-            ),
-        )
-    ]
-    done = run_jobs(
-        run_job,
-        jobs,
-        lambda job: f"{job.name}, mass set {job.mass_set}, {job.training} training pushes",
-        execution,
-    )
-    scores = [score for scores in done for score in scores]
-    tables = [tabulate_methods(scores, names, (UNIFORM, *methods), TRAINING_PUSHES, budget)]
+    protocol = make_protocol(options.folder, options.seed)
+    names = _list_names(options, protocol)
+    _check(protocol, names, options.chosen_methods, options.budget, options.sets)
+    if options.figure is not None:
+        check_figure(options.figure, options.force)
+    others = [count for count in protocol.splits if count != TRAINING_PUSHES]
+    jobs = []
+    for mass_set in range(options.sets):
+        for name in names:
+            job = Job(
+                data=options.folder,
+                name=name,
+                mass_set=mass_set,
+                training=TRAINING_PUSHES,
+                methods=options.chosen_methods,
+                budgets=options.budgets,
+                seed=options.seed,
+            )
+            jobs.append(job)
+            if DEFAULT in options.chosen_methods:
+                jobs += [
+                    replace(job, training=count, methods=(DEFAULT,), budgets=options.budgets[-1:])
+                    for count in others
+                ]
+    return jobs
+
+
+def _list_names(options: Options, protocol: Protocol) -> list[str]:
+    """Returns the names of the objects."""
+    return list(protocol.masses if options.objects is None else options.objects)
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates the errors by method and object, and by training pushes; draws the figure."""
+    scores = [score for scores in done.of(TASK) for score in scores]
+    names = _list_names(options, make_protocol(options.folder, options.seed))
+    methods = (UNIFORM, *options.chosen_methods)
+    tables = [tabulate_methods(scores, names, methods, TRAINING_PUSHES, options.budget)]
     if DEFAULT in methods:
-        tables.append(tabulate_training(scores, names, DEFAULT, budget))
-    if figure is not None:
-        tables.append(tabulate_budgets(scores, (UNIFORM, *methods), TRAINING_PUSHES))
-        write_figure(figure, scores, names, (UNIFORM, *methods), TRAINING_PUSHES, force)
+        tables.append(tabulate_training(scores, names, DEFAULT, options.budget))
+    if options.figure is not None:
+        tables.append(tabulate_budgets(scores, methods, TRAINING_PUSHES))
+        write_figure(options.figure, scores, names, methods, TRAINING_PUSHES, options.force)
     return tables
 
 
 def choose_budgets(budget: int) -> tuple[int, ...]:
-    """The budgets at which a curve is measured, the last one `budget`."""
+    """Chooses the budgets at which a curve is measured, the last one `budget`."""
     return tuple(sorted({max(TRAINING_PUSHES, round(budget * share)) for share in BUDGET_SHARES}))
 
 
 def run_job(job: Job) -> list[Score]:
-    """Identifies one case by each method at each budget, by the default only once, and predicts its test pushes."""
-    protocol, case = (
-        make_protocol(job.data, job.seed),
-        _make_case(job.data, job.seed, job.name, job.mass_set),
-    )
+    """Learns one case by each method at each budget, and predicts its test pushes.
+
+    The default method decides itself how much it spends, so that it learns only once.
+    """
+    protocol = make_protocol(job.data, job.seed)
+    case = _make_case(job.data, job.seed, job.name, job.mass_set)
     split = protocol.splits[job.training][job.mass_set]
-    train, test = case.log.subset(split.train), case.log.subset(split.test)
+    train = case.log.subset(split.train)
+    test = case.log.subset(split.test)
 
     def score(
         method: str, budget: int, simulations: int, params: CellParameters, physics: Physics
     ) -> Score:
         error = calc_mean_cell_error(case.obj, params, test, physics)
-        return Score(job.name, job.mass_set, job.training, method, budget, simulations, error)
+        return Score(
+            name=job.name,
+            mass_set=job.mass_set,
+            training=job.training,
+            method=method,
+            budget=budget,
+            simulations=simulations,
+            error=error,
+        )
 
     scores = []
     for budget in job.budgets:
@@ -311,7 +385,7 @@ def _check(
     check_known("objects", names, tuple(protocol.masses))
     check_known("methods", methods, METHODS)
     if "cma_es" in methods:
-        # said before the first job, not in one that runs after an hour of others
+        # That it is missing is said now, and not in a job that runs after an hour of others.
         import_extra("cma", "baselines")
     most = min(
         len(protocol.splits[TRAINING_PUSHES]), *(len(protocol.masses[name]) for name in names)
@@ -329,12 +403,6 @@ def _make_case(data: Path | None, seed: int, name: str, mass_set: int) -> Case:
     return make_case(make_protocol(data, seed), name, mass_set)
 
 
-COLUMNS = 3
-"""Of a figure's panels."""
-
-ALL_OBJECTS = "all objects"
-
-
 def write_figure(
     path: Path | str,
     scores: Sequence[Score],
@@ -343,7 +411,16 @@ def write_figure(
     training: int,
     force: bool,
 ) -> None:
-    """Draws a panel for each object and one for all, see `write_panels`; scores of several budgets are connected."""
+    """Draws a panel for each object and one for all; scores of several budgets are connected.
+
+    Args:
+        path: file of the figure.
+        scores: the errors.
+        names: names of the objects.
+        methods: methods that are drawn.
+        training: number of training pushes.
+        force: whether a figure that exists may be replaced.
+    """
 
     def draw(axis: Axes, panel: str) -> None:
         of_panel = {} if panel == ALL_OBJECTS else {"name": panel}
@@ -354,22 +431,21 @@ def write_figure(
 
 
 def draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> None:
-    """A line for each method over the pushes it simulated, with a band: its interval; a point where it ran once."""
+    """Draws a line for each method over the pushes that it simulated, with its interval as a band.
+
+    A method that ran at one budget only is a point.
+    """
     for i, method in enumerate(methods):
         chosen = select(scores, method=method)
         budgets = sorted({score.budget for score in chosen})
-        spent = (
-            budgets
-            if method == UNIFORM
-            else [mean_simulations(select(chosen, budget=budget)) for budget in budgets]
-        )
+        spent = [mean_simulations(select(chosen, budget=budget)) for budget in budgets]
+        style: dict[str, Any] = {"color": f"C{i - 1}", "marker": "o"}
+        if method == UNIFORM:
+            # it simulates nothing, and is drawn across the whole panel
+            spent = budgets
+            style = {"color": "0.4", "linestyle": "--"}
         mean, low, high = (
             MM * np.array([summarize(select(chosen, budget=budget)) for budget in budgets]).T
-        )
-        style: dict[str, Any] = (
-            {"color": "0.4", "linestyle": "--"}
-            if method == UNIFORM
-            else {"color": f"C{i - 1}", "marker": "o"}
         )
         axis.plot(
             spent,
@@ -387,3 +463,22 @@ def draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> N
     for ticks in (axis.xaxis, axis.yaxis):
         ticks.set_major_formatter("{x:g}")
     axis.grid(alpha=0.3)
+
+
+TASK = Task(
+    job=Job,
+    run=run_job,
+    describe=lambda job: f"{job.name}, mass set {job.mass_set}, {job.training} training pushes",
+)
+"""What is done with a job."""
+
+STUDY = Study(
+    name="paper",
+    help="Repeat the paper's simulated identification, every method beside the others.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(TASK,),
+    tabulate=tabulate,
+)
+"""`gridpush bench paper`, but for `--figures`; see `bench.paper_figures`."""

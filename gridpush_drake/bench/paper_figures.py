@@ -1,17 +1,21 @@
-"""`gridpush bench paper --figures DIR`: the paper's own figures, made anew, each beside what the paper says.
+"""`gridpush bench paper --figures DIR`: the paper's own figures, made anew.
 
-    mass_maps            where the objects are heavy: hidden, learned, and how sure that is
-    simulations          test error against the number of simulated pushes, every method (its Fig. 4
-    a) real_pushes          error of foretold pushes with error bars; of real robots' pushes where
-    they are cloned contact_points       contact points: simulations and what they are worth beside
-    an exhaustive search (its Fig. 4 b) pregrasp             the hammer at the table's edge:
-    learned, uniform, without a bound on the friction
+Each figure stands beside what the paper says:
+
+    mass_maps       where the objects are heavy: hidden, learned, and how sure that is
+    simulations     test error against the number of simulated pushes, every method (its Fig. 4 a)
+    real_pushes     error of predicted pushes with error bars; of real robots' pushes where they are
+                    cloned
+    contact_points  contact points: simulations and what they are worth beside an exhaustive search
+                    (its Fig. 4 b)
+    pregrasp        the hammer at the table's edge: learned, uniform, without a bound on the friction
 
 The objects are the paper's masks where they are cloned, and else shipped objects of the same kind.
+Without `--figures`, the study is that of `bench.paper`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +23,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gridpush_drake.bench import paper, planning, real
-from gridpush_drake.bench.jobs import QUIET, Execution, Job, Result, check_known, run_jobs
+from gridpush_drake.bench.jobs import check_known
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.protocol import (
     make_case,
@@ -27,25 +31,36 @@ from gridpush_drake.bench.protocol import (
     make_protocol,
     read_object,
 )
-from gridpush_drake.bench.table import MM, PERCENT, Table
+from gridpush_drake.bench.study import Done, Study, Task, option
+from gridpush_drake.bench.table import MM, PERCENT, Table, calc_interval
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import check_writable, write_whole
-from gridpush_drake.identification.learning import METHODS, identify
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.report.draw import draw_cells, hide_axes, make_chart, make_grid, to_png, to_svg
 
 SHIPPED = ("claw_hammer", "open_book", "snack_bag", "spray_bottle")
-"""In place of the paper's hammer, book, snack and windex."""
+"""Shipped objects in place of the paper's hammer, book, snack and windex."""
 
 SHIPPED_HAMMER = "claw_hammer"
+"""Shipped object in place of the paper's hammer."""
 
 FIGURES = ("mass_maps", "simulations", "real_pushes", "contact_points", "pregrasp")
+"""Names of the figures."""
 
 
 @dataclass(frozen=True)
 class Counts:
-    """How much is run: mass sets, pairs of poses, splits of a log, hidden hammers, simulated pushes of a search."""
+    """How much is run.
+
+    Attributes:
+        sets: number of mass sets of each object.
+        pairs: number of pairs of poses between which contact points are chosen.
+        splits: number of divisions of a log.
+        tries: number of hidden hammers.
+        budget: greatest number of simulated pushes of a search.
+    """
 
     sets: int = 3
     pairs: int = 5
@@ -54,35 +69,71 @@ class Counts:
     budget: int = paper.BUDGET
 
 
-QUICK = Counts(1, 2, 2, 2, 150)
+QUICK = Counts(sets=1, pairs=2, splits=2, tries=2, budget=150)
+"""How much is run in the quick variant."""
 
 REAL_COUNTS = (1, 3, 7, 25)
-"""Training pushes; the paper's robot made 7."""
+"""Numbers of training pushes of the real pushes; the paper's robot made 7."""
 
-PAPER_REAL, PAPER_SUCCESS = (
-    22.7,
-    {pregrasp.LEARNED: 100, pregrasp.UNBOUNDED: 81, pregrasp.UNIFORM: 75},
-)
-"""The paper's error of a real robot's pushes, mm, and its hammer's successes, %."""
+PAPER_REAL = 22.7
+"""The paper's error of a real robot's pushes, mm."""
+
+PAPER_SUCCESS = {pregrasp.LEARNED: 100, pregrasp.UNBOUNDED: 81, pregrasp.UNIFORM: 75}
+"""The paper's successes with the hammer, %."""
 
 PAPER_SIMULATIONS = {"gradient": (40, 75), "exhaustive": (280, 650)}
-"""The paper's simulations of a decision, least and most."""
+"""The paper's numbers of simulations of a decision, least and most."""
 
 SLIDE_METHODS = (pregrasp.LEARNED, pregrasp.UNIFORM, pregrasp.UNBOUNDED, pregrasp.TRUE)
+"""Methods of the pre-grasp experiment that are drawn."""
 
 PANEL = (4.2, 3.2)
 """Width and height of a chart, inches."""
 
-MAP_COLUMNS, MAP_SIZE = ("hidden", "learned", "standard deviation"), (8.0, 1.9)
-"""Of the mass maps: the columns, and the figure's width and a row's height, inches."""
+MAP_COLUMNS = ("hidden", "learned", "standard deviation")
+"""Columns of the mass maps."""
 
-BAR, CAP = 0.8, 3
-"""Share of its place that a group of bars takes, and the width of an error bar's ends, points."""
+MAP_SIZE = (8.0, 1.9)
+"""Width of the mass maps and height of a row, inches."""
+
+BAR = 0.8
+"""Share of its place that a group of bars takes."""
+
+CAP = 3
+"""Width of an error bar's ends, points."""
+
+
+@dataclass(frozen=True)
+class Options(paper.Options):
+    """What is measured, and what is drawn.
+
+    Attributes:
+        figures: folder of the figures, each as PNG and as SVG, made where it is not there; None
+            measures what `bench.paper` does.
+        counts: how much is run for the figures.
+    """
+
+    figures: Path | None = option(
+        None,
+        "Instead draw the paper's own figures there, as PNG and SVG, from fewer runs: mass maps, "
+        "error against simulations, real pushes, contact points, the hammer at the edge. About 15 "
+        "minutes on two cores.",
+        metavar="DIR",
+        is_setting=False,
+    )
+    counts: Counts = Counts()
 
 
 @dataclass(frozen=True)
 class MapJob:
-    """One object with one mass set, learned from five pushes."""
+    """One object with one mass set, learned from five pushes.
+
+    Attributes:
+        data: folder of the paper's masks; None without them.
+        name: name of the object.
+        mass_set: number of the mass set.
+        seed: seed of everything random.
+    """
 
     data: Path | None
     name: str
@@ -92,7 +143,15 @@ class MapJob:
 
 @dataclass(frozen=True)
 class MassMap:
-    """What was hidden, and what was learned, each cell's share of the mass over the mean share (n,); test error, m."""
+    """What was hidden, and what was learned.
+
+    Attributes:
+        name: name of the object.
+        hidden: (n,) each cell's true mass over the mean mass.
+        learned: (n,) each cell's learned mass over the mean mass.
+        std: (n,) its standard deviation over the mean mass.
+        error: mean test error, m.
+    """
 
     name: str
     hidden: list[float]
@@ -101,85 +160,113 @@ class MassMap:
     error: float
 
 
-@dataclass(frozen=True)
-class Study:
-    """What the figures are drawn from, and where they go; see `run`."""
-
-    folder: Path
-    data: Path | None
-    names: Sequence[str]
-    methods: Sequence[str]
-    seed: int
-    counts: Counts
-    execution: Execution
-    force: bool
-
-    def run(self, function: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
-        """What the function makes of each job; the jobs are called by its name and, where they have them, theirs."""
-        name = function.__name__
-        return run_jobs(
-            function, jobs, lambda job: f"{name}: {getattr(job, 'name', '')}", self.execution
-        )
-
-    def write(self, name: str, figure: Figure) -> None:
-        """Writes a figure as PNG and as SVG."""
-        write_whole(self.folder / f"{name}.png", to_png(figure), self.force)
-        write_whole(self.folder / f"{name}.svg", to_svg(figure), self.force)
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant."""
+    if options.figures is not None:
+        return replace(options, counts=QUICK)
+    return replace(options, sets=paper.shorten(options).sets)
 
 
-def run(
-    folder: Path,
-    data: Path | None = None,
-    objects: Sequence[str] | None = None,
-    methods: Sequence[str] = METHODS,
-    seed: int = 0,
-    execution: Execution = QUIET,
-    *,
-    quick: bool = False,
-    counts: Counts | None = None,
-    force: bool = False,
-) -> list[Table]:
-    """Measures, and draws the figures; the arguments are the options of `gridpush bench paper`.
-
-    Args:
-        folder: where the figures go, each as PNG and as SVG; made where it is not there.
-        data: folder of the paper's masks and of real push logs; None for the shipped objects alone.
-        objects: names; the masks where None, or SHIPPED.
-        methods: of `identify`, for the error against simulations.
-        seed: of everything random.
-        execution: how the jobs are run.
-        quick: whether as much is run as QUICK says.
-        counts: how much is run instead.
-        force: whether existing figures may be replaced.
-
-    Returns:
-        What each figure shows, beside what the paper says.
+def make_jobs(options: Options) -> Sequence[object]:
+    """Makes the jobs of all figures, or those of `bench.paper` without figures.
 
     Raises:
         GridPushError: the data are not there, or an object is not known.
         OutputError: a figure cannot be written.
     """
-    root = None if data is None else Path(data).resolve()
-    check_folder(folder, force)
-    protocol = make_protocol(root, seed)
-    names = list(objects or protocol.masks or SHIPPED)
-    check_known("objects", names, tuple(protocol.masses))
-    study = Study(
-        folder,
-        root,
-        names,
-        methods,
-        seed,
-        counts or (QUICK if quick else Counts()),
-        execution,
-        force,
-    )
-    drawn = [
-        draw(study)
-        for draw in (_draw_maps, _draw_simulations, _draw_real, _draw_contacts, _draw_pregrasp)
+    if options.figures is None:
+        return paper.make_jobs(options)
+    check_folder(options.figures, options.force)
+    names = _list_names(options)
+    check_known("objects", names, tuple(make_protocol(options.folder, options.seed).masses))
+    return [
+        *(MapJob(options.folder, name, 0, options.seed) for name in names),
+        *_make_simulation_jobs(options, names),
+        *_make_real_jobs(options),
+        *_make_contact_jobs(options, names),
+        *_make_slide_jobs(options),
     ]
-    rows = [[name, *said] for name, said in zip(FIGURES, drawn, strict=True)]
-    notes = [f"In {folder}, each as PNG and SVG.", "Objects: " + ", ".join(names) + "."]
+
+
+def _list_names(options: Options) -> list[str]:
+    """Returns the names of the objects: those given, the masks, or SHIPPED."""
+    masses = make_protocol(options.folder, options.seed).masses
+    return list(options.objects or masses or SHIPPED)
+
+
+def _make_simulation_jobs(options: Options, names: Sequence[str]) -> list[paper.Job]:
+    return [
+        paper.Job(
+            data=options.folder,
+            name=name,
+            mass_set=mass_set,
+            training=paper.TRAINING_PUSHES,
+            methods=options.chosen_methods,
+            budgets=paper.choose_budgets(options.counts.budget),
+            seed=options.seed,
+        )
+        for mass_set in range(options.counts.sets)
+        for name in names
+    ]
+
+
+def _make_real_jobs(options: Options) -> list[real.Job]:
+    logs = _find_logs(options.folder)
+    if logs:
+        known = real.name_logs(logs)
+        kept = [entry for entry in known if entry[0] in real.FEET_SETS] or known
+    else:
+        kept = [(name, real.SIMULATED, find_shipped_object(name)) for name in SHIPPED]
+    return [
+        real.Job(
+            path=path, kind=kind, split=split, counts=REAL_COUNTS, seed=options.seed, name=name
+        )
+        for name, kind, path in kept
+        for split in range(options.counts.splits)
+    ]
+
+
+def _make_contact_jobs(options: Options, names: Sequence[str]) -> list[planning.Job]:
+    return [
+        planning.Job(
+            kind=planning.CONTACT,
+            data=options.folder,
+            name=name,
+            number=number,
+            pairs=options.counts.pairs,
+            modes=(),
+            seed=options.seed,
+        )
+        for number in range(options.counts.sets)
+        for name in names
+    ]
+
+
+def _make_slide_jobs(options: Options) -> list[pregrasp.Job]:
+    mask = make_planning_protocol(options.folder, options.seed).masks.get(pregrasp.MASK_OBJECT)
+    return [
+        pregrasp.Job(
+            name=SHIPPED_HAMMER if mask is None else pregrasp.MASK_OBJECT,
+            mass_set=mass_set,
+            seed=options.seed,
+            method=method,
+            mask=mask,
+        )
+        for mass_set in range(options.counts.tries)
+        for method in SLIDE_METHODS
+    ]
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Draws the figures, and says what each shows, beside what the paper says."""
+    if options.figures is None:
+        return paper.tabulate(options, done)
+    draw = (_draw_maps, _draw_simulations, _draw_real, _draw_contacts, _draw_pregrasp)
+    rows = [[name, *each(options, done)] for name, each in zip(FIGURES, draw, strict=True)]
+    notes = [
+        f"In {options.figures}, each as PNG and SVG.",
+        "Objects: " + ", ".join(_list_names(options)) + ".",
+    ]
     return [Table("The paper's figures", ("figure", "here", "in the paper"), rows, notes)]
 
 
@@ -193,85 +280,86 @@ def check_folder(folder: Path, force: bool) -> None:
             check_writable(folder / (name + ending), force)
 
 
+def _write(options: Options, name: str, figure: Figure) -> None:
+    """Writes a figure as PNG and as SVG."""
+    assert options.figures is not None
+    write_whole(options.figures / f"{name}.png", to_png(figure), options.force)
+    write_whole(options.figures / f"{name}.svg", to_svg(figure), options.force)
+
+
 def learn_map(job: MapJob) -> MassMap:
     """Learns one map."""
     protocol = make_protocol(job.data, job.seed)
     case = make_case(protocol, job.name, job.mass_set)
     split = protocol.splits[paper.TRAINING_PUSHES][job.mass_set]
     found = identify(case.obj, case.log.subset(split.train), seed=job.seed)
-    hidden = np.array(protocol.masses[job.name][job.mass_set])[
-        read_object(protocol, job.name).labels - 1
-    ]
+    masses = np.array(protocol.masses[job.name][job.mass_set])
+    hidden = masses[read_object(protocol, job.name).labels - 1]
     error = calc_mean_cell_error(case.obj, found.params, case.log.subset(split.test), found.physics)
     mean = found.params.mass.mean()
     return MassMap(
-        job.name, (hidden / hidden.mean()).tolist(), (found.params.mass / mean).tolist(),
-        (found.std.mass / mean).tolist(), error,
-    )  # fmt: skip
+        name=job.name,
+        hidden=(hidden / hidden.mean()).tolist(),
+        learned=(found.params.mass / mean).tolist(),
+        std=(found.std.mass / mean).tolist(),
+        error=error,
+    )
 
 
-def _draw_maps(study: Study) -> tuple[str, str]:
-    maps = study.run(learn_map, [MapJob(study.data, name, 0, study.seed) for name in study.names])
+Said = tuple[str, str]
+"""What a figure shows here, and what the paper says."""
+
+
+def _draw_maps(options: Options, done: Done) -> Said:
+    """Draws the mass maps."""
+    maps = done.of(MAPS)
     figure, axes = make_grid(len(maps), len(MAP_COLUMNS), *MAP_SIZE)
     for row, found in zip(axes, maps, strict=True):
-        obj = make_case(make_protocol(study.data, study.seed), found.name, 0).obj
+        obj = make_case(make_protocol(options.folder, options.seed), found.name, 0).obj
         top = max(*found.hidden, *found.learned)
         for ax, title, values in zip(
             row, MAP_COLUMNS, (found.hidden, found.learned, found.std), strict=True
         ):
             draw_cells(ax, obj, values, label="mass / mean", limits=(0.0, top))
             hide_axes(ax, f"{found.name}, {title}")
-    study.write("mass_maps", figure)
+    _write(options, "mass_maps", figure)
     likeness = [float(np.corrcoef(found.hidden, found.learned)[0, 1]) for found in maps]
     error = MM * float(np.mean([found.error for found in maps]))
     return (
         f"learned from {paper.TRAINING_PUSHES} pushes: correlation with the hidden mass "
-        f"{np.mean(likeness):.2f} ({min(likeness):.2f} to {max(likeness):.2f}); test error {error:.1f} mm",
+        f"{np.mean(likeness):.2f} ({min(likeness):.2f} to {max(likeness):.2f}); test error "
+        f"{error:.1f} mm",
         "converges to the true masses; shown in colors, without a number",
     )
 
 
-def _draw_simulations(study: Study) -> tuple[str, str]:
-    training = paper.TRAINING_PUSHES
-    budgets = paper.choose_budgets(study.counts.budget)
-    jobs = [
-        paper.Job(study.data, name, mass_set, training, tuple(study.methods), budgets, study.seed)
-        for mass_set in range(study.counts.sets)
-        for name in study.names
-    ]
-    scores = [score for scores in study.run(paper.run_job, jobs) for score in scores]
-    shown = (paper.UNIFORM, *study.methods)
+def _draw_simulations(options: Options, done: Done) -> Said:
+    """Draws the error against the number of simulated pushes."""
+    budget = options.counts.budget
+    scores = [score for scores in done.of(paper.TASK) for score in scores]
+    shown = (paper.UNIFORM, *options.chosen_methods)
     figure, ax = make_chart(2 * PANEL[0], 1.5 * PANEL[1])
     paper.draw_panel(ax, scores, shown)
     ax.axhline(paper.PAPER_MM, color="0.7", linewidth=1, label=f"paper, {paper.PAPER_MM:g} mm")
     ax.set_xlabel("simulated pushes")
     ax.set_ylabel("mean test cell error, mm")
     ax.legend(fontsize="small", ncols=2)
-    study.write("simulations", figure)
+    _write(options, "simulations", figure)
     best = {
-        method: MM * paper.summarize(paper.select(scores, method=method, budget=budgets[-1])).mean
+        method: MM * paper.summarize(paper.select(scores, method=method, budget=budget)).mean
         for method in shown
     }
     said = ", ".join(f"{method.replace('_', ' ')} {error:.1f}" for method, error in best.items())
     return (
-        f"mm, searches of at most {study.counts.budget} simulations: {said}",
+        f"mm, searches of at most {budget} simulations: {said}",
         f"{paper.PAPER_MM:g} mm at most; its gradient needs the fewest simulations",
     )
 
 
-def _draw_real(study: Study) -> tuple[str, str]:
-    logs = _find_logs(study.data)
-    if logs:
-        known = real.name_logs(logs)
-        kept = [entry for entry in known if entry[0] in real.FEET_SETS] or known
-    else:
-        kept = [(name, "simulated", find_shipped_object(name)) for name in SHIPPED]
-    jobs = [
-        real.Job(path, kind, split, REAL_COUNTS, study.seed, name)
-        for name, kind, path in kept
-        for split in range(study.counts.splits)
-    ]
-    scores = [score for scores in study.run(real.run_job, jobs) for score in scores]
+def _draw_real(options: Options, done: Done) -> Said:
+    """Draws the error of predicted pushes, real ones or simulated ones in their place."""
+    scores = [score for scores in done.of(real.TASK) for score in scores]
+    is_real = any(job.kind != real.SIMULATED for job, _ in done.list_pairs(real.TASK))
     shown = list(dict.fromkeys(score.name for score in scores))
     steps = sorted(
         {score.training for score in scores if score.model in (real.UNIFORM, real.POSES)}
@@ -281,13 +369,13 @@ def _draw_real(study: Study) -> tuple[str, str]:
         model = real.POSES if count else real.UNIFORM
         label = f"learned from {count}" if count else real.UNIFORM
         _draw_bars(ax, i, len(steps), [_means(scores, name, model, count) for name in shown], label)
-    what = "real pushes" if logs else "simulated stand-ins for real pushes"
+    what = "real pushes" if is_real else "simulated stand-ins for real pushes"
     _finish_bars(ax, shown, "position error, mm")
     ax.set_title(
-        f"Foretold positions of {what}, 95 % intervals over {study.counts.splits} splits",
+        f"Foretold positions of {what}, 95 % intervals over {options.counts.splits} splits",
         fontsize="small",
     )
-    study.write("real_pushes", figure)
+    _write(options, "real_pushes", figure)
     last = steps[-1]
     means = [
         float(np.mean([np.mean(_means(scores, name, model, count)) for name in shown]))
@@ -300,7 +388,7 @@ def _draw_real(study: Study) -> tuple[str, str]:
 
 
 def _means(scores: Sequence[real.Score], name: str, model: str, training: int) -> list[float]:
-    """Mean position error of each split, mm."""
+    """Calculates the mean position error of each division, mm."""
     wanted = (name, model, training)
     return [
         MM * float(np.mean(s.position)) for s in scores if (s.name, s.model, s.training) == wanted
@@ -308,35 +396,27 @@ def _means(scores: Sequence[real.Score], name: str, model: str, training: int) -
 
 
 def _find_logs(data: Path | None) -> list[tuple[str, Path]]:
-    """The CMU's push logs below a folder; none where there are none."""
+    """Finds the CMU's push logs below a folder; none where there are none."""
     if data is None:
         return []
     try:
-        return [
-            log
-            for log in real.find_push_logs(data, real.CMU_TEST + max(REAL_COUNTS))
-            if log[0] == "cmu"
-        ]
+        found = real.find_push_logs(data, real.CMU_TEST + max(REAL_COUNTS))
     except GridPushError:
         return []
+    return [log for log in found if log[0] == real.CMU]
 
 
-def _draw_contacts(study: Study) -> tuple[str, str]:
-    jobs = [
-        planning.Job("contact", study.data, name, number, study.counts.pairs, (), study.seed)
-        for number in range(study.counts.sets)
-        for name in study.names
-    ]
-    found = study.run(planning.run_job, jobs)
+def _draw_contacts(options: Options, done: Done) -> Said:
+    """Draws what a decision for a contact point costs, and what it is worth."""
+    names = _list_names(options)
+    found = done.of(planning.TASK)
     decisions = [
         entry for entries in found for entry in entries if isinstance(entry, planning.Decision)
     ]
     methods = (planning.GRADIENT, planning.DIFFERENCES, planning.EXHAUSTIVE)
     figure, axes = make_grid(1, 2, 2.4 * PANEL[0], PANEL[1])
     for i, method in enumerate(methods):
-        chosen = [
-            [d for d in decisions if (d.name, d.method) == (name, method)] for name in study.names
-        ]
+        chosen = [[d for d in decisions if (d.name, d.method) == (name, method)] for name in names]
         label = method.replace("_", " ")
         _draw_bars(
             axes[0, 0], i, len(methods), [[d.simulations for d in some] for some in chosen], label
@@ -346,35 +426,27 @@ def _draw_contacts(study: Study) -> tuple[str, str]:
         )
     axes[0, 0].set_yscale("log")
     axes[0, 0].margins(y=0.3)  # room for the legend
-    _finish_bars(axes[0, 0], study.names, "simulations of a decision")
-    _finish_bars(axes[0, 1], study.names, "above the exhaustive search, mm")
-    study.write("contact_points", figure)
+    _finish_bars(axes[0, 0], names, "simulations of a decision")
+    _finish_bars(axes[0, 1], names, "above the exhaustive search, mm")
+    _write(options, "contact_points", figure)
     spent = {
         method: np.mean([d.simulations for d in decisions if d.method == method])
         for method in methods
     }
     gap = MM * float(np.mean([d.gap for d in decisions if d.method == planning.GRADIENT]))
-    low, high = PAPER_SIMULATIONS["gradient"], PAPER_SIMULATIONS["exhaustive"]
+    low = PAPER_SIMULATIONS["gradient"]
+    high = PAPER_SIMULATIONS["exhaustive"]
     return (
-        f"{spent['gradient']:.0f} simulations instead of {spent['exhaustive']:.0f}, {gap:.2f} mm worse on average",
+        f"{spent['gradient']:.0f} simulations instead of {spent['exhaustive']:.0f}, {gap:.2f} mm "
+        "worse on average",
         f"{low[0]} to {low[1]} simulations instead of {high[0]} to {high[1]}",
     )
 
 
-def _draw_pregrasp(study: Study) -> tuple[str, str]:
-    protocol = make_planning_protocol(study.data, study.seed)
-    mask = protocol.masks.get(pregrasp.MASK_OBJECT)
-    hammer = SHIPPED_HAMMER if mask is None else pregrasp.MASK_OBJECT
-    jobs = [
-        pregrasp.Job(hammer, mass_set, study.seed, method, mask=mask)
-        for mass_set in range(study.counts.tries)
-        for method in SLIDE_METHODS
-    ]
-    scores = [
-        score
-        for score in study.run(pregrasp.run_job, jobs)
-        if isinstance(score, pregrasp.SlideScore)
-    ]
+def _draw_pregrasp(options: Options, done: Done) -> Said:
+    """Draws how often the hammer could be grasped at the table's edge, and how often it fell."""
+    scores = [score for score in done.of(pregrasp.TASK) if isinstance(score, pregrasp.SlideScore)]
+    hammer = scores[0].name
     outcomes = {
         method: [score.outcome for score in scores if score.method == method]
         for method in SLIDE_METHODS
@@ -390,19 +462,20 @@ def _draw_pregrasp(study: Study) -> tuple[str, str]:
     figure, ax = make_chart(2 * PANEL[0], PANEL[1])
     places = np.arange(len(SLIDE_METHODS))
     ends: list[tuple[str, str, Mapping[str, float]]] = [
-        ("graspable", "tab:blue", grasped), ("dropped", "tab:red", dropped),
+        ("graspable", "tab:blue", grasped),
+        ("dropped", "tab:red", dropped),
         ("in the paper: grasped", "0.75", PAPER_SUCCESS),
-    ]  # fmt: skip
+    ]
     for i, (label, color, values) in enumerate(ends):
         shares = [values.get(method, np.nan) for method in SLIDE_METHODS]
         ax.bar(
             places + (i - 1) * BAR / len(ends), shares, BAR / len(ends), color=color, label=label
         )
-    ax.set_ylabel(f"{hammer}: share of {study.counts.tries} runs, %")
+    ax.set_ylabel(f"{hammer}: share of {options.counts.tries} runs, %")
     ax.set_xticks(places, SLIDE_METHODS)
     ax.margins(y=0.35)  # room for the legend
     ax.legend(fontsize="x-small")
-    study.write("pregrasp", figure)
+    _write(options, "pregrasp", figure)
     said = "; ".join(
         f"{method} {grasped[method]:.0f} % ({dropped[method]:.0f} % dropped)"
         for method in SLIDE_METHODS
@@ -414,8 +487,8 @@ def _draw_pregrasp(study: Study) -> tuple[str, str]:
 def _draw_bars(
     ax: Axes, i: int, count: int, samples: Sequence[Sequence[float]], label: str
 ) -> None:
-    """The i-th of `count` bars in each place: the mean of the place's sample, with its interval."""
-    mean, low, high = np.array([paper.calc_interval(sample) for sample in samples]).T
+    """Draws the i-th of `count` bars in each place: the mean of its sample, with its interval."""
+    mean, low, high = np.array([calc_interval(sample) for sample in samples]).T
     width = BAR / count
     places = np.arange(len(mean)) + (i - (count - 1) / 2) * width
     spread = np.nan_to_num(np.maximum([mean - low, high - mean], 0.0))
@@ -423,7 +496,23 @@ def _draw_bars(
 
 
 def _finish_bars(ax: Axes, names: Sequence[str], label: str) -> None:
+    """Writes what the places are of, and what is drawn."""
     ax.set_xticks(np.arange(len(names)), names, rotation=20, ha="right", fontsize="small")
     ax.set_ylabel(label)
     ax.legend(fontsize="x-small", framealpha=0.6)
     ax.grid(axis="y", alpha=0.3)
+
+
+MAPS = Task(job=MapJob, run=learn_map, describe=lambda job: f"mass map: {job.name}")
+"""What is done to learn a mass map."""
+
+STUDY = Study(
+    name="paper",
+    help="Repeat the paper's simulated identification, every method beside the others.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(MAPS, paper.TASK, real.TASK, planning.TASK, pregrasp.TASK),
+    tabulate=tabulate,
+)
+"""`gridpush bench paper`."""

@@ -1,7 +1,7 @@
-"""`gridpush bench perception`: what the camera makes of photographs, of rendered objects, and of pushes.
+"""`gridpush bench perception`: what the camera makes of photographs, rendered objects, and pushes.
 
-The photographs are real (--data, see `find_photographs`); everything else is rendered, see
-`rendered_table`.
+The photographs are real (--data, see `find_photographs`). Everything else is rendered, see
+`bench.rendered_table`.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,11 +15,12 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
 
-from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
+from gridpush_drake.bench.jobs import check_known
 from gridpush_drake.bench.plant import draw_push
 from gridpush_drake.bench.protocol import find_masks
 from gridpush_drake.bench.rendered_table import RenderedTable
-from gridpush_drake.bench.table import MM, PERCENT, Table, Value
+from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
+from gridpush_drake.bench.table import ALL, MM, PERCENT, Table, Value
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, PerceptionError
 from gridpush_drake.geometry.se2 import compose, transform, wrap_angle
@@ -42,11 +43,20 @@ from gridpush_drake.perception import (
 from gridpush_drake.perception.foreground import Cues
 from gridpush_drake.perception.tracking import NOT_SEEN
 
-POSES, PUSHES = 10, 5
-"""Of each object."""
+POSES = 10
+"""Number of poses in which each object is rendered and found."""
+
+PUSHES = 5
+"""Number of pushes during which each object is tracked."""
+
+QUICK_OBJECTS = 2
+"""Number of objects in the quick variant."""
+
+QUICK_POSES = 2
+"""Number of poses of each object in the quick variant."""
 
 HEIGHT = 0.02
-"""Of the objects, m."""
+"""Height of the objects, m."""
 
 COLORS = (
     (0.60, 0.35, 0.20),
@@ -55,40 +65,97 @@ COLORS = (
     (0.75, 0.15, 0.15),
     (0.20, 0.45, 0.25),
 )
-"""Of the objects, in turn: wood, blue, dark gray, red, green."""
+"""Colors that the objects have in turn, red, green and blue from 0 to 1: wood, blue, dark gray, red,
+green."""
 
-WIDTH, HEIGHT_PIXELS, FOCAL = 640, 480, 615.0
-"""Of the camera, pixels."""
+WIDTH = 640
+"""Width of the camera's pictures, pixels."""
 
-DISTANCE, FAR = 0.6, 0.75
-"""Of the camera over the table, for outlines and for pushes, m."""
+HEIGHT_PIXELS = 480
+"""Height of the camera's pictures, pixels."""
 
-MAX_SHIFT, MAX_TILT = 0.03, 3.0
-"""Of the object from under the camera, m, and of the camera, degrees."""
+FOCAL = 615.0
+"""Focal length of the camera, pixels."""
+
+DISTANCE = 0.6
+"""Height of the camera over the table where outlines are found, m."""
+
+FAR = 0.75
+"""Height of the camera over the table where pushes are tracked, m."""
+
+MAX_SHIFT = 0.03
+"""Greatest distance of an object from the middle of the picture along x and y, m."""
+
+MAX_TILT = 3.0
+"""Greatest tilt of the camera about each axis, degrees."""
 
 ROD_RADIUS = 0.006
+"""Radius of the rod that pushes, m."""
+
 FRAMES = 11
-"""Of a push."""
+"""Number of frames of a push."""
 
 TAG = (7, 0.04)
-"""Number and side, m, of the tag on the objects."""
+"""Number of the tag on the objects, and its side, m."""
 
 MAX_DEVIATION = np.array([3e-3, 3e-3, np.radians(3)])
-"""Of a covariance with which the outline determines the pose, m and rad."""
+"""Greatest stated standard deviations (3,) with which the outline still determines the pose, m and
+rad."""
 
 NORMAL_95 = 1.96
-"""Standard deviations on both sides that hold 95 % of a normal distribution."""
+"""Number of standard deviations on both sides that hold 95 % of a normal distribution."""
 
 COMPARED = 400
-"""Points of an outline whose distance to the other is taken."""
+"""Number of points of an outline whose distance to the other one is taken."""
 
 CUES: tuple[Cues, ...] = ("both", "color", "depth")
-COLOR_ENDING, DEPTH_ENDING = "_color.png", "_depth.png"
+"""What is looked at in a photograph."""
+
+COLOR_ENDING = "_color.png"
+"""Ending of the name of a color picture."""
+
+DEPTH_ENDING = "_depth.png"
+"""Ending of the name of a depth picture."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        data: folder with NAME_color.png, NAME_depth.png and, anywhere in it, NAME_label.pgm; None
+            for no photographs.
+        objects: names of shipped objects; all of them where None.
+        poses: number of poses in which each is rendered and found.
+        pushes: number of pushes during which each is tracked.
+    """
+
+    data: Path | None = option(
+        None,
+        "Real photographs too: a folder with NAME_color.png, NAME_depth.png and NAME_label.pgm.",
+        name="--data",
+        metavar="DIR",
+    )
+    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    poses: int = POSES
+    pushes: int = PUSHES
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the objects."""
+        return tuple(self.objects or list_shipped_objects())
 
 
 @dataclass(frozen=True)
 class PhotoJob:
-    """One photograph with its depth and its true mask."""
+    """One photograph.
+
+    Attributes:
+        name: what it is called.
+        color: file of its colors.
+        depth: file of its depths.
+        mask: file of the true mask of the object.
+    """
 
     name: str
     color: str
@@ -98,7 +165,12 @@ class PhotoJob:
 
 @dataclass(frozen=True)
 class PhotoScore:
-    """Intersection over union of a photograph's mask with the true one, by what was looked at: CUES."""
+    """How well the object's mask was found in a photograph.
+
+    Attributes:
+        name: what the photograph is called.
+        iou: intersection of the found mask with the true one over their union, for each of CUES.
+    """
 
     name: str
     iou: tuple[float, ...]
@@ -106,7 +178,13 @@ class PhotoScore:
 
 @dataclass(frozen=True)
 class OutlineJob:
-    """One object at several poses."""
+    """One object at several poses.
+
+    Attributes:
+        name: name of the object.
+        poses: number of poses.
+        seed: seed of everything random.
+    """
 
     name: str
     poses: int
@@ -118,10 +196,10 @@ class OutlineScore:
     """What was found of one object.
 
     Attributes:
-        name: of the object.
-        errors: of each pose, mean distance between the outlines, m; NaN where none was found.
-        areas: of each pose, relative error of the outline's area.
-        heights: of each pose, error of the height, m.
+        name: name of the object.
+        errors: mean distance between the outlines at each pose, m; NaN where none was found.
+        areas: relative error of the outline's area at each pose where one was found.
+        heights: error of the height at each pose where an outline was found, m.
     """
 
     name: str
@@ -132,12 +210,22 @@ class OutlineScore:
 
 @dataclass(frozen=True)
 class TrackJob:
-    """One object, pushed several times, and followed by its outline or by a tag on it."""
+    """One object that is pushed several times, and followed by its outline.
+
+    Attributes:
+        name: name of the object.
+        pushes: number of pushes.
+        seed: seed of everything random.
+    """
 
     name: str
     pushes: int
     seed: int
-    tag: bool = False
+
+
+@dataclass(frozen=True)
+class TagJob(TrackJob):
+    """One object that is pushed several times, and followed by a tag on it."""
 
 
 @dataclass(frozen=True)
@@ -145,12 +233,12 @@ class TrackScore:
     """What was tracked of one object.
 
     Attributes:
-        name: of the object.
-        frames: how many.
-        lost: in how many it was not found.
-        errors: of each frame found in which the outline determines the pose: x, y, theta, m and
-            rad.
-        deviations: likewise, as the tracker states them; NaN of a tag, which states none.
+        name: name of the object.
+        frames: number of frames.
+        lost: number of frames in which it was not found.
+        errors: errors of x, y (m) and theta (rad) in each frame that determines the pose.
+        deviations: standard deviations of x, y (m) and theta (rad) that the tracker states in these
+            frames; NaN of a tag, which states none.
     """
 
     name: str
@@ -160,62 +248,41 @@ class TrackScore:
     deviations: list[tuple[float, float, float]]
 
 
-def run(
-    data: Path | None = None,
-    objects: Sequence[str] | None = None,
-    poses: int = POSES,
-    pushes: int = PUSHES,
-    *,
-    seed: int = 0,
-    quick: bool = False,
-    execution: Execution = QUIET,
-) -> list[Table]:
-    """Measures all three.
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant."""
+    names = options.names[:QUICK_OBJECTS]
+    return replace(options, objects=names, poses=min(options.poses, QUICK_POSES), pushes=1)
 
-    Args:
-        data: folder with NAME_color.png, NAME_depth.png and, anywhere in it, NAME_label.pgm; None
-            for no photographs.
-        objects: shipped objects' names; None for all.
-        poses: in which each is rendered and found.
-        pushes: during which each is tracked.
-        seed: of everything random.
-        quick: the first two objects, two poses, one push.
-        execution: how the jobs are run.
 
-    Returns:
-        A table of photographs, where there are any, of outlines and of poses.
+def make_jobs(options: Options) -> list[PhotoJob | OutlineJob | TrackJob]:
+    """Makes a job for each photograph, and three for each object.
 
     Raises:
         ObjectError: an object is not shipped.
         GridPushError: there are no photographs in the folder, or an object is given twice.
     """
-    names = list(objects or list_shipped_objects())
+    names = options.names
     for name in names:
         find_shipped_object(name)
     check_known("objects", names, list_shipped_objects())
-    if quick:
-        names, poses, pushes = names[:2], min(poses, 2), 1
-    tables = []
-    if data is not None:
-        photos = run_jobs(run_photo, find_photographs(data), lambda job: job.name, execution)
-        tables.append(tabulate_photos(photos))
-    outline_jobs = [OutlineJob(name, poses, seed) for name in names]
-    tables.append(
-        tabulate_outlines(run_jobs(run_outline, outline_jobs, lambda job: job.name, execution))
-    )
-    track_jobs = [TrackJob(name, pushes, seed) for name in names]
-    tables.append(
-        tabulate_tracks(
-            run_jobs(run_track, track_jobs, lambda job: f"{job.name}, pushed", execution)
-        )
-    )
-    tag_jobs = [replace(job, tag=True) for job in track_jobs]
-    tables.append(
-        tabulate_tags(
-            run_jobs(run_track, tag_jobs, lambda job: f"{job.name}, with a tag", execution)
-        )
-    )
-    return tables
+    photos = [] if options.data is None else find_photographs(options.data)
+    return [
+        *photos,
+        *(OutlineJob(name, options.poses, options.seed) for name in names),
+        *(TrackJob(name, options.pushes, options.seed) for name in names),
+        *(TagJob(name, options.pushes, options.seed) for name in names),
+    ]
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates photographs, where there are any, outlines, and poses by outline and by tag."""
+    photos = done.of(PHOTO)
+    return [
+        *([tabulate_photos(photos)] if photos else []),
+        tabulate_outlines(done.of(OUTLINE)),
+        tabulate_tracks(done.of(TRACK)),
+        tabulate_tags(done.of(TAGGED)),
+    ]
 
 
 def find_photographs(data: Path) -> list[PhotoJob]:
@@ -242,7 +309,8 @@ def run_photo(job: PhotoJob) -> PhotoScore:
     """Finds the object of a photograph by each of CUES."""
     K = [[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT_PIXELS / 2], [0, 0, 1]]
     camera = Camera(WIDTH, HEIGHT_PIXELS, np.array(K), np.zeros(0))
-    color, depth = read_color(job.color, camera), read_depth(job.depth, camera)
+    color = read_color(job.color, camera)
+    depth = read_depth(job.depth, camera)
     true = np.asarray(cv2.imread(job.mask, cv2.IMREAD_UNCHANGED)) > 0
     scores = []
     for cues in CUES:
@@ -256,16 +324,17 @@ def run_photo(job: PhotoJob) -> PhotoScore:
 
 def run_outline(job: OutlineJob) -> OutlineScore:
     """Renders an object at random poses and finds it."""
-    obj, rng = _load(job.name), np.random.default_rng((job.seed, 1))
-    score = OutlineScore(job.name, [], [], [])
+    obj = _load(job.name)
+    rng = np.random.default_rng((job.seed, 1))
+    score = OutlineScore(name=job.name, errors=[], areas=[], heights=[])
     for k in range(job.poses):
         camera = make_overhead_camera(DISTANCE, rng.uniform(-MAX_TILT, MAX_TILT, 2))
         table = RenderedTable(obj.outline, HEIGHT, COLORS[k % len(COLORS)], camera)
         middle = camera.cast(camera.K[:2, 2])
         pose = np.array([*rng.uniform(-MAX_SHIFT, MAX_SHIFT, 2), rng.uniform(-np.pi, np.pi)])
-        pose[:2] += (
-            middle - transform([0, 0, pose[2]], [obj.outline.envelope.centroid.coords[0]])[0]
-        )
+        # the outline, and not the body frame's origin, is to be near the middle of the picture
+        center = obj.outline.envelope.centroid.coords[0]
+        pose[:2] += middle - transform([0, 0, pose[2]], [center])[0]
         frame, _ = table.look(pose, seed=job.seed + k)
         true = shapely.transform(obj.outline, lambda points, pose=pose: transform(pose, points))
         try:
@@ -280,7 +349,17 @@ def run_outline(job: OutlineJob) -> OutlineScore:
 
 
 def run_track(job: TrackJob) -> TrackScore:
-    """Pushes an object by the model and tracks it with the arm in view."""
+    """Pushes an object by the model, and tracks its outline with the arm in view."""
+    return _track(job, _follow_outline, tag=None)
+
+
+def run_tag(job: TagJob) -> TrackScore:
+    """Pushes an object by the model, and tracks the tag on it with the arm in view."""
+    return _track(job, _follow_tag, tag=TAG)
+
+
+def _track(job: TrackJob, begin: "Begin", tag: tuple[int, float] | None) -> TrackScore:
+    """Pushes an object by the model, and follows it; `begin` makes what follows it."""
     obj = _load(job.name)
     params = CellParameters.uniform(obj)
     errors: list[NDArray[np.float64]] = []
@@ -290,16 +369,21 @@ def run_track(job: TrackJob) -> TrackScore:
         push, pose = draw_push(obj, params, job.seed + k, ROD_RADIUS)
         motion = simulate(obj, params, push, pose, regime="inertial")
         camera = make_overhead_camera(FAR, at=motion.poses[:, :2].mean(axis=0))
-        tag = TAG if job.tag else None
-        table = RenderedTable(obj.outline, HEIGHT, COLORS[k % len(COLORS)], camera, ROD_RADIUS, tag)
-        follow = (_follow_tag if job.tag else _follow_outline)(
-            obj, table.look(pose, seed=k)[0], pose, camera
+        color = COLORS[k % len(COLORS)]
+        table = RenderedTable(
+            outline=obj.outline,
+            height=HEIGHT,
+            color=color,
+            camera=camera,
+            rod_radius=ROD_RADIUS,
+            tag=tag,
         )
+        follow = begin(obj, table.look(pose, seed=k)[0], pose, camera)
         for i in np.linspace(0, len(motion.times) - 1, FRAMES).astype(int):
             q = motion.poses[i]
-            tracked = follow(
-                *table.look(q, motion.tip[i], seed=FRAMES * k + int(i), t=float(motion.times[i]))
-            )
+            seed = FRAMES * k + int(i)
+            frame, arm = table.look(q, motion.tip[i], seed=seed, t=float(motion.times[i]))
+            tracked = follow(frame, arm)
             frames += 1
             lost += not tracked.seen
             deviation = np.sqrt(np.diag(tracked.covariance))
@@ -307,16 +391,27 @@ def run_track(job: TrackJob) -> TrackScore:
                 off = tracked.pose - q
                 errors.append(np.array([*off[:2], wrap_angle(off[2])]))
                 deviations.append(deviation)
-    return TrackScore(job.name, frames, lost, _to_rows(errors), _to_rows(deviations))
+    return TrackScore(
+        name=job.name,
+        frames=frames,
+        lost=lost,
+        errors=_to_rows(errors),
+        deviations=_to_rows(deviations),
+    )
 
 
 Follow = Callable[[Frame, NDArray[np.bool_]], TrackedPose]
-"""Of the next frame, and where the arm is in it."""
+"""Function that finds the pose in the next frame; it takes the frame, and where the arm is in it."""
+
+Begin = Callable[[GridObject, Frame, NDArray[np.float64], Camera], Follow]
+"""Function that makes a `Follow`; it takes the object, the first frame, the pose (3,) in it, m and
+rad, and the camera."""
 
 
 def _follow_outline(
     obj: GridObject, first: Frame, pose: NDArray[np.float64], camera: Camera
 ) -> Follow:
+    """Makes what follows the object by its outline."""
     tracker = PoseTracker(obj.outline, HEIGHT, camera)
     state = tracker.start(first, pose)
 
@@ -329,7 +424,7 @@ def _follow_outline(
 
 
 def _follow_tag(obj: GridObject, first: Frame, pose: NDArray[np.float64], camera: Camera) -> Follow:
-    """By the tag, whose pose on the object is solved from the first frame."""
+    """Makes what follows the object by its tag, whose place on it is solved from the first frame."""
     number, size = TAG
 
     def find(frame: Frame) -> DetectedTag | None:
@@ -342,11 +437,9 @@ def _follow_tag(obj: GridObject, first: Frame, pose: NDArray[np.float64], camera
 
     def follow(frame: Frame, arm: NDArray[np.bool_]) -> TrackedPose:
         tag = find(frame)
-        return (
-            NOT_SEEN
-            if tag is None
-            else replace(NOT_SEEN, pose=compose(tag.planar_pose, X_TB), seen=True)
-        )
+        if tag is None:
+            return NOT_SEEN
+        return replace(NOT_SEEN, pose=compose(tag.planar_pose, X_TB), seen=True)
 
     return follow
 
@@ -354,22 +447,30 @@ def _follow_tag(obj: GridObject, first: Frame, pose: NDArray[np.float64], camera
 def make_overhead_camera(
     distance: float, tilt: ArrayLike = (0.0, 0.0), at: ArrayLike = (0.0, 0.0)
 ) -> Camera:
-    """A camera that looks down from `distance` m over the table at `at` (2,), tilted by degrees about its x and y."""
+    """Makes a camera that looks down at the table.
+
+    Args:
+        distance: its height over the table, m.
+        tilt: (2,) its tilt about its own x and y, degrees.
+        at: (2,) the place that it is above, m.
+    """
     a, b = np.radians(tilt)
     R_x = np.array([[1, 0, 0], [0, -np.cos(a), np.sin(a)], [0, -np.sin(a), -np.cos(a)]])
     R_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
     X_WC = np.eye(4)
-    X_WC[:3, :3], X_WC[:3, 3] = R_x @ R_y, [*np.asarray(at), distance]
+    X_WC[:3, :3] = R_x @ R_y
+    X_WC[:3, 3] = [*np.asarray(at), distance]
     K = [[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT_PIXELS - 1) / 2], [0, 0, 1]]
     return Camera(WIDTH, HEIGHT_PIXELS, np.array(K), np.zeros(0), X_WC)
 
 
 def calc_outline_error(a: Polygon, b: Polygon) -> float:
-    """Mean distance between two outlines, holes included, both ways, m."""
+    """Calculates the mean distance between two outlines, holes included, both ways, m."""
     return (_calc_distance(a, b) + _calc_distance(b, a)) / 2
 
 
 def _calc_distance(a: Polygon, b: Polygon) -> float:
+    """Calculates the mean distance of points of one outline from the other outline, m."""
     boundary = a.boundary
     points = shapely.line_interpolate_point(
         boundary, np.linspace(0, boundary.length, COMPARED, endpoint=False)
@@ -378,22 +479,19 @@ def _calc_distance(a: Polygon, b: Polygon) -> float:
 
 
 def tabulate_photos(scores: Sequence[PhotoScore]) -> Table:
-    """A row a photograph, and their mean."""
+    """Makes a row for each photograph, and one of their mean."""
     rows: list[tuple[Value, ...]] = [(score.name, *score.iou) for score in scores]
     rows.append(("mean", *np.mean([score.iou for score in scores], axis=0).tolist()))
     notes = [
-        "Intersection over union with a mask drawn by hand, which itself would not score above about 0.97."
+        "Intersection over union with a mask drawn by hand, which itself would not score above about "
+        "0.97."
     ]
-    return Table(
-        "The object's mask in real photographs",
-        ("photograph", "both", "color", "depth"),
-        rows,
-        notes,
-    )
+    columns = ("photograph", *CUES)
+    return Table("The object's mask in real photographs", columns, rows, notes)
 
 
 def tabulate_outlines(scores: Sequence[OutlineScore]) -> Table:
-    """A row an object, and one of all."""
+    """Makes a row for each object, and one of all."""
 
     def make_row(name: str, some: Sequence[OutlineScore]) -> tuple[Value, ...]:
         errors, areas, heights = (
@@ -402,37 +500,48 @@ def tabulate_outlines(scores: Sequence[OutlineScore]) -> Table:
         )
         found = errors[np.isfinite(errors)]
         return (
-            name, len(errors), len(errors) - len(found), *(MM * _stats(found)),
-            PERCENT * float(np.mean(areas)), PERCENT * float(np.abs(areas).max(initial=0.0)),
+            name,
+            len(errors),
+            len(errors) - len(found),
+            *(MM * _calc_mean_and_worst(found)),
+            PERCENT * float(np.mean(areas)),
+            PERCENT * float(np.abs(areas).max(initial=0.0)),
             MM * float(np.abs(heights).max(initial=0.0)),
-        )  # fmt: skip
+        )
 
-    rows = [make_row(score.name, [score]) for score in scores] + [make_row("all", scores)]
+    rows = [make_row(score.name, [score]) for score in scores] + [make_row(ALL, scores)]
     columns = (
-        "object", "poses", "not found", "outline, mean, mm", "outline, worst, mm", "area, mean, %", "area, worst, %",
+        "object",
+        "poses",
+        "not found",
+        "outline, mean, mm",
+        "outline, worst, mm",
+        "area, mean, %",
+        "area, worst, %",
         "height, worst, mm",
-    )  # fmt: skip
+    )
     notes = [
-        f"Rendered from {DISTANCE} m, {FOCAL:g} pixels of focal length, with shadows, a depth camera's noise and holes;"
-        f" objects {HEIGHT * MM:g} mm high, in {len(COLORS)} colors.",
+        f"Rendered from {DISTANCE} m, {FOCAL:g} pixels of focal length, with shadows, a depth "
+        f"camera's noise and holes; objects {HEIGHT * MM:g} mm high, in {len(COLORS)} colors.",
         "outline: mean distance between the found one and the true one; area: of what it encloses.",
     ]
     return Table("Outline of objects from one photograph", columns, rows, notes)
 
 
 def tabulate_tracks(scores: Sequence[TrackScore]) -> Table:
-    """A row an object, and one of all."""
+    """Makes a row for each object, and one of all."""
 
     def make_row(name: str, some: Sequence[TrackScore]) -> tuple[Value, ...]:
         frames, lost, place, angle = _summarize_track(some)
-        e, s = (
-            np.concatenate([np.reshape(rows, (-1, 3)) for rows in both])
-            for both in _list_errors(some)
-        )
-        within = float((np.abs(e) <= NORMAL_95 * s).mean()) if len(e) else float("nan")
-        return name, frames, lost, frames - lost - len(e), place, angle, PERCENT * within
+        error = _stack([score.errors for score in some])
+        std = _stack([score.deviations for score in some])
+        within = float("nan")
+        if len(error):
+            within = float((np.abs(error) <= NORMAL_95 * std).mean())
+        unclear = frames - lost - len(error)
+        return name, frames, lost, unclear, place, angle, PERCENT * within
 
-    rows = [make_row(score.name, [score]) for score in scores] + [make_row("all", scores)]
+    rows = [make_row(score.name, [score]) for score in scores] + [make_row(ALL, scores)]
     columns = (
         "object",
         "frames",
@@ -443,47 +552,77 @@ def tabulate_tracks(scores: Sequence[TrackScore]) -> Table:
         "within 95 %, %",
     )
     notes = [
-        f"Pushes of 10 cm, {FRAMES} frames each, with the arm in view, rendered from {FAR} m: a pixel is "
-        f"{FAR / FOCAL * MM:.1f} mm.",
-        "not determined: the stated deviation is above 3 mm or 3 degrees. within 95 %: of x, y and angle, how many are"
-        " within the stated 95 % interval.",
+        f"Pushes of 10 cm, {FRAMES} frames each, with the arm in view, rendered from {FAR} m: a "
+        f"pixel is {FAR / FOCAL * MM:.1f} mm.",
+        "not determined: the stated deviation is above 3 mm or 3 degrees. within 95 %: of x, y and "
+        "angle, how many are within the stated 95 % interval.",
     ]
     return Table("Pose during pushes", columns, rows, notes)
 
 
 def tabulate_tags(scores: Sequence[TrackScore]) -> Table:
-    """A row an object, and one of all."""
-    rows = [(score.name, *_summarize_track([score])) for score in scores] + [
-        ("all", *_summarize_track(scores))
-    ]
+    """Makes a row for each object, and one of all."""
+    rows = [(score.name, *_summarize_track([score])) for score in scores]
+    rows.append((ALL, *_summarize_track(scores)))
     columns = ("object", "frames", "hidden", "place, RMS, mm", "angle, RMS, deg")
     notes = [
-        f"The same pushes, by a tag of {TAG[1] * MM:g} mm on the object; hidden: the arm covers a part of it."
+        f"The same pushes, by a tag of {TAG[1] * MM:g} mm on the object; hidden: the arm covers a "
+        "part of it."
     ]
     return Table("Pose during pushes, by a tag", columns, rows, notes)
 
 
-def _list_errors(scores: Sequence[TrackScore]) -> tuple[list[Any], list[Any]]:
-    return [score.errors for score in scores], [score.deviations for score in scores]
+def _stack(rows: Sequence[Sequence[tuple[float, float, float]]]) -> NDArray[np.float64]:
+    """Stacks the rows of several scores (K, 3)."""
+    return np.concatenate([np.reshape(some, (-1, 3)) for some in rows])
 
 
 def _summarize_track(scores: Sequence[TrackScore]) -> tuple[int, int, float, float]:
-    """Frames, how many without the object, and RMS errors of place, mm, and angle, deg."""
-    e = np.concatenate([np.reshape(score.errors, (-1, 3)) for score in scores])
-    frames, lost = sum(score.frames for score in scores), sum(score.lost for score in scores)
-    if not len(e):
+    """Calculates frames, how many without the object, and RMS errors of place, mm, and angle, deg."""
+    frames = sum(score.frames for score in scores)
+    lost = sum(score.lost for score in scores)
+    error = _stack([score.errors for score in scores])
+    if not len(error):
         return frames, lost, float("nan"), float("nan")
-    place = float(np.sqrt((e[:, :2] ** 2).sum(axis=1).mean()))
-    return frames, lost, MM * place, float(np.degrees(np.sqrt((e[:, 2] ** 2).mean())))
+    place = float(np.sqrt((error[:, :2] ** 2).sum(axis=1).mean()))
+    angle = float(np.degrees(np.sqrt((error[:, 2] ** 2).mean())))
+    return frames, lost, MM * place, angle
 
 
 def _load(name: str) -> GridObject:
     return GridObject.from_yaml(find_shipped_object(name))
 
 
-def _stats(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.array([values.mean(), values.max()]) if len(values) else np.full(2, np.nan)
+def _calc_mean_and_worst(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Calculates mean and greatest of some values (2,); NaN where there are none."""
+    if not len(values):
+        return np.full(2, np.nan)
+    return np.array([values.mean(), values.max()])
 
 
 def _to_rows(values: Sequence[NDArray[np.float64]]) -> list[Any]:
     return [tuple(map(float, row)) for row in values]
+
+
+PHOTO = Task(job=PhotoJob, run=run_photo, describe=lambda job: job.name)
+"""What is done with a photograph."""
+
+OUTLINE = Task(job=OutlineJob, run=run_outline, describe=lambda job: job.name)
+"""What is done to find an object's outline."""
+
+TRACK = Task(job=TrackJob, run=run_track, describe=lambda job: f"{job.name}, pushed")
+"""What is done to follow an object's outline."""
+
+TAGGED = Task(job=TagJob, run=run_tag, describe=lambda job: f"{job.name}, with a tag")
+"""What is done to follow the tag on an object."""
+
+STUDY = Study(
+    name="perception",
+    help="Find objects in photographs, real and rendered, and track them while they are pushed.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(PHOTO, OUTLINE, TRACK, TAGGED),
+    tabulate=tabulate,
+)
+"""`gridpush bench perception`."""

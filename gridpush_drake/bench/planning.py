@@ -1,4 +1,9 @@
-"""`gridpush bench planning`: choosing contact points, and pushing objects to goal poses in closed loop."""
+"""`gridpush bench planning`: choosing contact points, and pushing objects to goal poses.
+
+The objects are the shipped ones and, where they are given, the paper's masks. Contact points are
+chosen by three methods, of which the exhaustive search judges the others. Pushing to a goal is a
+closed loop in a world, with models that know more or less of the object.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,16 +12,26 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
+from gridpush_drake.bench.jobs import check_known
 from gridpush_drake.bench.protocol import (
     ANGLE_STD,
     POSITION_STD,
     PUSHED_SHIPPED,
+    PlanningProtocol,
     hide_parts,
     list_objects,
     make_hidden,
     make_planning_protocol,
     read_planning_object,
+)
+from gridpush_drake.bench.study import (
+    MASKS,
+    OBJECTS,
+    Done,
+    Study,
+    StudyOptions,
+    Task,
+    option,
 )
 from gridpush_drake.bench.table import (
     MM,
@@ -31,6 +46,8 @@ from gridpush_drake.bench.table import (
 )
 from gridpush_drake.bench.worlds import LCP, find_world
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
@@ -38,20 +55,142 @@ from gridpush_drake.planning.goal.next_push import GoalRules, RobustnessOptions
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.loop_run import Learner
 
-LEARNING, UNIFORM, TRUE, LOOK_AHEAD = "learning", "uniform", "true", "true, two ahead"
-"""Which model pushes are planned with: learned on the way, uniform throughout, the truth; that
-looking two ahead."""
+LEARNING = "learning"
+"""Name of the model that is learned on the way."""
+
+UNIFORM = "uniform"
+"""Name of the model whose masses and frictions are the same everywhere throughout."""
+
+TRUE = "true"
+"""Name of the true model."""
+
+LOOK_AHEAD = "true, two ahead"
+"""Name of the true model, with which pushes are planned two ahead."""
+
+MODES = (LEARNING, UNIFORM, TRUE, LOOK_AHEAD)
+"""Models that pushes are planned with."""
 
 WITHIN = 0.001
-"""m by which a decision may be worse than the exhaustive search's and count as good as it."""
+"""Cost by which a decision may be worse than the exhaustive search's and count as good as it, m."""
 
-GRADIENT, DIFFERENCES, EXHAUSTIVE = "gradient", "finite_difference", "exhaustive"
-"""Methods of the contact points' search."""
+GRADIENT = "gradient"
+"""Name of the search for a contact point by exact gradients."""
+
+DIFFERENCES = "finite_difference"
+"""Name of the search for a contact point by finite differences."""
+
+EXHAUSTIVE = "exhaustive"
+"""Name of the exhaustive search for a contact point."""
+
+METHOD_BUDGETS = {GRADIENT: 44, DIFFERENCES: 75}
+"""Greatest numbers of simulations of a decision; of the finite differences, the most that the
+paper's took."""
+
+PARAMETER_SEED = 100
+"""Seed of the first random parameter set of the contact points."""
+
+SUCCESS = 0.02
+"""True mean cell error below which a run has succeeded, m; the paper's."""
+
+TOLERANCE = 0.018
+"""Seen mean cell error below which the closed loop stops, m: less than SUCCESS, for it sees poses
+with noise."""
+
+MAX_PUSHES = 25
+"""Greatest number of pushes towards a goal."""
+
+QUICK_SETS = 1
+"""Number of parameter or mass sets of each object in the quick variant."""
+
+QUICK_PAIRS = 3
+"""Number of pairs of start and goal poses in the quick variant."""
+
+CONTACT = "contact"
+"""Name of the part that chooses contact points."""
+
+PUSH = "push"
+"""Name of the part that pushes to goals."""
+
+PART_NAMES = {CONTACT: "contact points", PUSH: "pushing"}
+"""What the parts are called while they run."""
+
+WORLD_NOTES = {
+    LCP: "Hidden masses by part; poses seen with 0.5 mm and 0.003 rad of noise. The table's edge does "
+    "not change how the object rubs; it falls where its center of mass loses its support."
+}
+"""What a reader of the table should know of a world, by its name."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        data: folder of the paper's masks; None for the shipped objects alone.
+        objects: names of objects. By default contact points are chosen on all, and the masks and
+            `PUSHED_SHIPPED` are pushed.
+        sets: number of parameter and mass sets of each object.
+        part: which part is measured.
+        world: name of the world in which objects are pushed, see `bench.worlds`.
+        modes: models that pushes are planned with, of MODES.
+        pairs: number of pairs of start and goal poses; all of the protocol's where None.
+    """
+
+    data: Path | None = option(None, **MASKS)
+    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    sets: int = option(10, "Parameter and mass sets of each object.", least=1)
+    part: Literal["all", "contact", "push"] = option("all", "Which part to measure.")
+    world: str = option(
+        LCP,
+        "What moves the objects that are pushed: lcp, edge, mujoco or drake, or MODULE:CLASS of a "
+        "world of your own.",
+        metavar="WORLD",
+    )
+    modes: tuple[str, ...] = MODES
+    pairs: int | None = None
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The parts that are measured."""
+        return tuple(PART_NAMES) if self.part == "all" else (self.part,)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One object with one parameter or mass set.
+
+    Attributes:
+        kind: the part.
+        data: folder of the paper's masks; None without them.
+        name: name of the object.
+        number: number of the parameter or mass set.
+        pairs: number of pairs of start and goal poses.
+        modes: models that pushes are planned with.
+        seed: seed of everything random.
+        world: name of the world in which the object is pushed.
+    """
+
+    kind: str
+    data: Path | None
+    name: str
+    number: int
+    pairs: int
+    modes: tuple[str, ...]
+    seed: int
+    world: str = LCP
 
 
 @dataclass(frozen=True)
 class Decision:
-    """One choice of a push: by which method, its cost above the exhaustive search's, m, and wall clock, s."""
+    """One choice of a push.
+
+    Attributes:
+        name: name of the object.
+        method: method of the search.
+        simulations: number of simulated pushes.
+        gap: its cost above the exhaustive search's, m.
+        seconds: wall-clock time, s.
+    """
 
     name: str
     method: str
@@ -62,10 +201,20 @@ class Decision:
 
 @dataclass(frozen=True)
 class Run:
-    """One object pushed towards one goal, planned with the model of a mode.
+    """One object pushed towards one goal.
 
-    The first push's prediction is off by `first_error`, m, the later ones by `later_error` on
-    average; NaN without any.
+    Attributes:
+        name: name of the object.
+        mode: model that pushes were planned with.
+        success: whether the object truly came to its goal.
+        fell: whether it fell off the table.
+        pushes: number of pushes.
+        status: how the closed loop ended.
+        first_error: how far the first push's prediction was off, m; NaN without a push.
+        later_error: how far the later pushes' predictions were off on average, m; NaN without any.
+        simulations: number of pushes that the planner simulated.
+        planning_seconds: wall-clock time of planning, s.
+        learning_seconds: wall-clock time of learning, s.
     """
 
     name: str
@@ -81,8 +230,167 @@ class Run:
     learning_seconds: float
 
 
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant."""
+    return replace(options, sets=QUICK_SETS, pairs=QUICK_PAIRS)
+
+
+def make_jobs(options: Options) -> list[Job]:
+    """Makes a job for each part, set and object.
+
+    Raises:
+        GridPushError: the data are not there, or an option is out of range.
+    """
+    folder, protocol = _read_protocol(options)
+    known = list_objects(protocol)
+    check_known("objects", options.objects or known, known)
+    if not 1 <= options.sets <= protocol.mass_sets:
+        raise GridPushError(f"sets: {options.sets}; expected 1 to {protocol.mass_sets}")
+    find_world(options.world)
+    return [
+        Job(
+            kind=part,
+            data=folder,
+            name=name,
+            number=number,
+            pairs=len(protocol.pairs) if options.pairs is None else options.pairs,
+            modes=options.modes,
+            seed=options.seed,
+            world=options.world,
+        )
+        for part in options.parts
+        for number in range(options.sets)
+        for name in _list_names(options, protocol, part)
+    ]
+
+
+def _read_protocol(options: Options) -> tuple[Path | None, PlanningProtocol]:
+    folder = None if options.data is None else Path(options.data).resolve()
+    return folder, make_planning_protocol(folder, options.seed)
+
+
+def _list_names(options: Options, protocol: PlanningProtocol, part: str) -> list[str]:
+    """Returns the names of the objects of a part."""
+    if options.objects:
+        return list(options.objects)
+    return list_objects(protocol) if part == CONTACT else list_objects(protocol, PUSHED_SHIPPED)
+
+
+def run_job(job: Job) -> list[Decision | Run]:
+    """Does one job."""
+    return [*(_decide(job) if job.kind == CONTACT else _push(job))]
+
+
+def _decide(job: Job) -> list[Decision]:
+    """Chooses the first push by every method, for each pair of poses."""
+    protocol = make_planning_protocol(job.data, job.seed)
+    obj = read_planning_object(protocol, job.name)
+    params = CellParameters.random(obj, PARAMETER_SEED + job.number)
+    options = ContactOptions()
+    decisions = []
+    for start, goal in protocol.pairs[: job.pairs]:
+        best = optimize_contact(obj, params, start, goal, method=EXHAUSTIVE, options=options)
+        plans = [best]
+        for method, budget in METHOD_BUDGETS.items():
+            chosen = replace(options, budget=budget, seed=job.seed)
+            plans.append(optimize_contact(obj, params, start, goal, method=method, options=chosen))
+        decisions += [
+            Decision(
+                name=job.name,
+                method=plan.method,
+                simulations=plan.simulations,
+                gap=plan.cost - best.cost,
+                seconds=plan.seconds,
+            )
+            for plan in plans
+        ]
+    return decisions
+
+
+def _push(job: Job) -> list[Run]:
+    """Pushes in closed loop, for each pair of poses and each model to plan with."""
+    protocol = make_planning_protocol(job.data, job.seed)
+    obj = read_planning_object(protocol, job.name)
+    hidden = make_hidden(protocol, job.name, job.number)
+    return [
+        _push_once(job, protocol, obj, hidden, pair, mode)
+        for pair in range(min(job.pairs, len(protocol.pairs)))
+        for mode in job.modes
+    ]
+
+
+def _push_once(
+    job: Job,
+    protocol: PlanningProtocol,
+    obj: GridObject,
+    hidden: CellParameters,
+    pair: int,
+    mode: str,
+) -> Run:
+    """Pushes an object once from start to goal, planned with the model of a mode."""
+    start: Array
+    goal: Array
+    start, goal = protocol.pairs[pair]
+    world = find_world(job.world)(
+        obj,
+        hidden,
+        start,
+        protocol.surface,
+        position_std=POSITION_STD,
+        angle_std=ANGLE_STD,
+        seed=job.seed + pair,
+    )
+    knows_all = mode in (TRUE, LOOK_AHEAD)
+    rules = GoalRules(
+        constraints=protocol.constraints,
+        contact=ContactOptions(),
+        horizon=2 if mode == LOOK_AHEAD else 1,
+        robustness=None if knows_all else RobustnessOptions(seed=job.seed),
+        tolerance=TOLERANCE,
+        max_pushes=MAX_PUSHES,
+    )
+    done = push_to_goal(
+        world,
+        hide_parts(obj),
+        goal,
+        rules,
+        params=hidden if knows_all else None,
+        learner=Learner(seed=job.seed) if mode == LEARNING else None,
+    )
+    truth = world.truth
+    errors = [step.prediction_error for step in done.steps]
+    return Run(
+        name=job.name,
+        mode=mode,
+        success=not truth.fallen and float(calc_goal_error(obj, truth.pose, goal)) < SUCCESS,
+        fell=truth.fallen,
+        pushes=len(done.steps),
+        status=done.status,
+        first_error=errors[0] if errors else np.nan,
+        later_error=calc_mean(errors[1:]),
+        simulations=done.simulations,
+        planning_seconds=done.planning_seconds,
+        learning_seconds=done.learning_seconds,
+    )
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates the decisions by object, and the runs by model and object."""
+    _, protocol = _read_protocol(options)
+    results = [entry for entries in done.of(TASK) for entry in entries]
+    decisions = [entry for entry in results if isinstance(entry, Decision)]
+    runs = [entry for entry in results if isinstance(entry, Run)]
+    tables = []
+    if CONTACT in options.parts:
+        tables.append(tabulate_decisions(decisions, _list_names(options, protocol, CONTACT)))
+    if PUSH in options.parts:
+        names = _list_names(options, protocol, PUSH)
+        tables.append(tabulate_runs(runs, names, options.modes, options.world))
+    return tables
+
+
 def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> Table:
-    """By object: how many simulations a decision takes, and how good it is beside the exhaustive search's."""
+    """Tabulates by object how many simulations a decision takes, and how good it is."""
 
     def of(method: str, calc: Callable[[Any], Any], field: str, scale: float = 1.0) -> Column:
         return lambda some: (
@@ -107,12 +415,15 @@ def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> T
         "exhaustive ms": of(EXHAUSTIVE, np.median, "seconds", MS),
     }
     notes = [
-        "One push towards the goal, the masses drawn by part. A simulation with its exact Jacobian counts as one; one "
-        "simulation of a straight push tells the best distance along it too, in every method.",
-        "The gradient method's starts are ranked by the ellipsoidal limit surface: no simulation, but counted in ms.",
-        "Gap: mean cell error at the push's end above the exhaustive search's, a grid walked on from its best nodes; "
-        "negative is better.",
-        "f. d.: finite differences, the paper's walk along the outline. Times are medians of wall clock.",
+        "One push towards the goal, the masses drawn by part. A simulation with its exact Jacobian "
+        "counts as one; one simulation of a straight push tells the best distance along it too, in "
+        "every method.",
+        "The gradient method's starts are ranked by the ellipsoidal limit surface: no simulation, "
+        "but counted in ms.",
+        "Gap: mean cell error at the push's end above the exhaustive search's, a grid walked on from "
+        "its best nodes; negative is better.",
+        "f. d.: finite differences, the paper's walk along the outline. Times are medians of wall "
+        "clock.",
     ]
     return Table.of(
         "Choosing a contact point", ("object",), by_object(decisions, names), columns, notes
@@ -120,9 +431,9 @@ def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> T
 
 
 def tabulate_runs(
-    runs: Sequence[Run], names: Sequence[str], modes: Sequence[str], max_pushes: int
+    runs: Sequence[Run], names: Sequence[str], modes: Sequence[str], world: str = LCP
 ) -> Table:
-    """By model and object: how often the goal is reached, and with how many pushes."""
+    """Tabulates by model and object how often the goal is reached, and with how many pushes."""
     groups = [
         group
         for mode in modes
@@ -143,179 +454,37 @@ def tabulate_runs(
     }
     failed = sorted({run.status for run in runs if not run.success})
     notes = [
-        f"Success: mean cell error under 2 cm within {max_pushes} pushes, on the round table of radius 0.5 m.",
-        "Hidden masses by part; poses seen with 0.5 mm and 0.003 rad of noise. "
-        "The table's edge does not change how the object rubs; it falls where its center of mass loses its support.",
-        "Models: learned on the way from the uniform one; uniform throughout; the true one, looking one push ahead "
-        "(as the others do) and two.",
-        "Predictions: mean cell error of a push's predicted end, of the first push and of the later ones.",
-        "Pushes and seconds are means over the runs; the planner's simulations and seconds are a whole run's.",
+        f"Success: mean cell error under 2 cm within {MAX_PUSHES} pushes, on the round table of "
+        "radius 0.5 m.",
+        WORLD_NOTES.get(
+            world, f"Pushed in {world}; poses seen with 0.5 mm and 0.003 rad of noise."
+        ),
+        "Models: learned on the way from the uniform one; uniform throughout; the true one, looking "
+        "one push ahead (as the others do) and two.",
+        "Predictions: mean cell error of a push's predicted end, of the first push and of the later "
+        "ones.",
+        "Pushes and seconds are means over the runs; the planner's simulations and seconds are a "
+        "whole run's.",
     ]
     if failed:
         notes.append(f"Runs without success ended with: {', '.join(failed)}.")
     return Table.of("Pushing to a goal", ("model", "object"), groups, columns, notes)
 
 
-SETS, QUICK_SETS = 10, 1
-PAIRS, QUICK_PAIRS = 10, 3
+TASK = Task(
+    job=Job,
+    run=run_job,
+    describe=lambda job: f"{PART_NAMES[job.kind]}: {job.name}, set {job.number}",
+)
+"""What is done with a job."""
 
-Part = Literal["contact", "push"]
-PART_NAMES: dict[Part, str] = {"contact": "contact points", "push": "pushing"}
-PARTS = tuple(PART_NAMES)
-
-METHOD_BUDGETS = {GRADIENT: 44, DIFFERENCES: 75}
-"""Most simulations a decision; of the finite differences, the most that the paper's took."""
-
-PARAMETER_SEED = 100
-"""Of the first random parameter set of the contact points."""
-
-SUCCESS, TOLERANCE = 0.02, 0.018
-"""m, true mean cell error below which a run has succeeded (the paper's), and the seen one at which
-the driver stops: less, for it sees poses with noise."""
-
-MAX_PUSHES = 25
-
-
-@dataclass(frozen=True)
-class Job:
-    """One object with one parameter or mass set, some pairs of poses, and the modes of the models to push with."""
-
-    kind: Part
-    data: Path | None
-    name: str
-    number: int
-    pairs: int
-    modes: tuple[str, ...]
-    seed: int
-    world: str = LCP
-
-
-def run(
-    data: Path | str | None = None,
-    sets: int = SETS,
-    objects: Sequence[str] | None = None,
-    modes: Sequence[str] = (LEARNING, UNIFORM, TRUE, LOOK_AHEAD),
-    parts: Sequence[Part] = PARTS,
-    seed: int = 0,
-    execution: Execution = QUIET,
-    *,
-    quick: bool = False,
-    world: str = LCP,
-) -> list[Table]:
-    """Measures the choice of contact points, and pushing to goal poses on the round table.
-
-    The arguments are the options of `gridpush bench planning`, and `modes` which model pushes are
-    planned with; `world` is the name of the world in which objects are pushed, see
-    `bench.worlds`. Without `objects`, contact points are chosen on all, and the masks and
-    `PUSHED_SHIPPED` are pushed. One set, and three pairs of poses, where `quick`.
-
-    Returns:
-        Simulations, gap to the exhaustive optimum and time of a decision, by object; success,
-        pushes and time of a run, by model and object.
-
-    Raises:
-        GridPushError: the data are not there, or an argument is out of range.
-    """
-    folder = None if data is None else Path(data).resolve()
-    protocol = make_planning_protocol(folder, seed)
-    known = list_objects(protocol)
-    check_known("objects", objects or known, known)
-    if not 1 <= sets <= protocol.mass_sets:
-        raise GridPushError(f"sets: {sets}; expected 1 to {protocol.mass_sets}")
-    find_world(world)
-    count, pairs = (QUICK_SETS, QUICK_PAIRS) if quick else (sets, len(protocol.pairs))
-    names = {
-        "contact": list(objects or known),
-        "push": list(objects or list_objects(protocol, PUSHED_SHIPPED)),
-    }
-    jobs = [
-        Job(
-            kind=part,
-            data=folder,
-            name=name,
-            number=number,
-            pairs=pairs,
-            modes=tuple(modes),
-            seed=seed,
-            world=world,
-        )
-        for part in parts
-        for number in range(count)
-        for name in names[part]
-    ]
-    results = run_jobs(
-        run_job,
-        jobs,
-        lambda job: f"{PART_NAMES[job.kind]}: {job.name}, set {job.number}",
-        execution,
-    )
-    decisions = [entry for result in results for entry in result if isinstance(entry, Decision)]
-    runs = [entry for result in results for entry in result if isinstance(entry, Run)]
-    tables = [tabulate_decisions(decisions, names["contact"])] if "contact" in parts else []
-    return tables + (
-        [tabulate_runs(runs, names["push"], modes, MAX_PUSHES)] if "push" in parts else []
-    )
-
-
-def run_job(job: Job) -> list[Decision | Run]:
-    """Does one job."""
-    return [*(_decide(job) if job.kind == "contact" else _push(job))]
-
-
-def _decide(job: Job) -> list[Decision]:
-    """Every method's choice of the first push, for each pair of poses."""
-    protocol = make_planning_protocol(job.data, job.seed)
-    obj = read_planning_object(protocol, job.name)
-    params = CellParameters.random(obj, PARAMETER_SEED + job.number)
-    options = ContactOptions()
-    decisions = []
-    for start, goal in protocol.pairs[: job.pairs]:
-        best = optimize_contact(obj, params, start, goal, method=EXHAUSTIVE, options=options)
-        plans = [best]
-        for method, budget in METHOD_BUDGETS.items():
-            chosen = replace(options, budget=budget, seed=job.seed)
-            plans.append(optimize_contact(obj, params, start, goal, method=method, options=chosen))
-        decisions += [
-            Decision(job.name, plan.method, plan.simulations, plan.cost - best.cost, plan.seconds)
-            for plan in plans
-        ]
-    return decisions
-
-
-def _push(job: Job) -> list[Run]:
-    """Runs in closed loop, for each pair of poses and each model to plan with."""
-    protocol = make_planning_protocol(job.data, job.seed)
-    obj = read_planning_object(protocol, job.name)
-    hidden, plain = make_hidden(protocol, job.name, job.number), hide_parts(obj)
-    runs = []
-    for pair, (start, goal) in enumerate(protocol.pairs[: job.pairs]):
-        for mode in job.modes:
-            world = find_world(job.world)(
-                obj,
-                hidden,
-                start,
-                protocol.surface,
-                position_std=POSITION_STD,
-                angle_std=ANGLE_STD,
-                seed=job.seed + pair,
-            )
-            done = push_to_goal(
-                world, plain, goal,
-                GoalRules(
-                    protocol.constraints, ContactOptions(), 2 if mode == LOOK_AHEAD else 1,
-                    None if mode in (TRUE, LOOK_AHEAD) else RobustnessOptions(seed=job.seed), TOLERANCE, MAX_PUSHES,
-                ),
-                params=hidden if mode in (TRUE, LOOK_AHEAD) else None,
-                learner=Learner(seed=job.seed) if mode == LEARNING else None,
-            )  # fmt: skip
-            errors = [step.prediction_error for step in done.steps]
-            truth = world.truth
-            error = float(calc_goal_error(obj, truth.pose, goal))
-            runs.append(
-                Run(
-                    job.name, mode, not truth.fallen and error < SUCCESS, truth.fallen, len(done.steps), done.status,
-                    errors[0] if errors else np.nan, calc_mean(errors[1:]),
-                    done.simulations, done.planning_seconds, done.learning_seconds,
-                )
-            )  # fmt: skip
-    return runs
+STUDY = Study(
+    name="planning",
+    help="Choose contact points, and push objects to goal poses on the paper's round table.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(TASK,),
+    tabulate=tabulate,
+)
+"""`gridpush bench planning`."""

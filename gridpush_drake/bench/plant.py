@@ -31,6 +31,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from shapely import Point
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.study import Task
 from gridpush_drake.bench.table import ALL, DEGREES, MM, Table, by_object, mean_of
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
@@ -159,6 +160,26 @@ class PlantScore:
     tilt: float
 
 
+def make_jobs(
+    objects: Sequence[str], pushes: int, bases: Sequence[Base], seed: int
+) -> list[PlantJob]:
+    """Makes a job for each object and base.
+
+    Args:
+        objects: names of shipped objects.
+        pushes: number of pushes of each object.
+        bases: bases of the objects in the plant.
+        seed: seed of the first push; the others' follow.
+
+    Raises:
+        ObjectError: an object is not shipped.
+    """
+    for name in objects:
+        find_shipped_object(name)
+    seeds = tuple(range(seed, seed + pushes))
+    return [PlantJob(name, base, seeds) for base in bases for name in objects]
+
+
 def calc_scores(
     objects: Sequence[str] = OBJECTS,
     pushes: int = PUSHES,
@@ -167,23 +188,9 @@ def calc_scores(
     seed: int = 0,
     execution: Execution = QUIET,
 ) -> list[PlantScore]:
-    """Compares plant and model, push by push, for each spin model.
-
-    Args:
-        objects: names of shipped objects.
-        pushes: number of pushes of each object.
-        bases: bases of the objects in the plant.
-        seed: seed of the first push; the others' follow.
-        execution: how the jobs are run.
-
-    Raises:
-        ObjectError: an object is not shipped.
-    """
-    for name in objects:
-        find_shipped_object(name)
-    seeds = tuple(range(seed, seed + pushes))
-    jobs = [PlantJob(name, base, seeds) for base in bases for name in objects]
-    results = run_jobs(run_job, jobs, lambda job: f"{job.name}, {job.base}", execution)
+    """Compares plant and model, push by push, for each spin model; see `make_jobs`."""
+    jobs = make_jobs(objects, pushes, bases, seed)
+    results = run_jobs(TASK.run, jobs, TASK.describe, execution)
     return [score for result in results for score in result]
 
 
@@ -461,6 +468,10 @@ class PlantWorld(TrackedWorld):
         X_WB = self.plant.EvalBodyPoseInWorld(self._plant_context, self.handle.body)
         upright = X_WB.rotation().matrix()[2, 2]
         return float(np.arccos(np.clip(upright, -1, 1)))
+
+
+TASK = Task(job=PlantJob, run=run_job, describe=lambda job: f"{job.name}, {job.base}")
+"""What is done with a job."""
 
 
 def AddPusher(plant: MultibodyPlant, radius: float, height: float) -> ModelInstanceIndex:

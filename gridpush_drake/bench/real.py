@@ -2,14 +2,14 @@
 
 The pushes are public data of other people. Without them, simulated pushes of the shipped objects
 stand in (`simulate_log`), and the table says so: nothing in it is real. Their masses and frictions
-are hidden, drawn by part; every push begins at a random place of the outline, and the object is
-seen with noise at its beginning and its end.
+are hidden, drawn by part. Every push begins at a random place of the outline, and the object is seen
+with noise at its beginning and its end.
 
-CMU (Zhou et al. 2016): 25 of a file's 50 pushes are held out, 1 to 25 of the others train; the
-metric is
-|dxy| + rho |dtheta|, rho = 0.05 sqrt 2 m. MIT (Yu et al. 2016): a fifth of a file's pushes trains,
-the rest are held out. The standard error of one CMU split's mean is 0.15 mm: smaller differences
-say nothing.
+    CMU (Zhou et al. 2016)  25 of a file's 50 pushes are held out, 1 to 25 of the others train. The
+                            metric is |dxy| + rho |dtheta|, with rho = 0.05 sqrt 2 m.
+    MIT (Yu et al. 2016)    a fifth of a file's pushes trains, the rest are held out.
+
+The standard error of one CMU split's mean is 0.15 mm: smaller differences say nothing.
 
 A figure shows the error on the CMU pushes against the number of training pushes.
 """
@@ -24,7 +24,7 @@ from matplotlib.axes import Axes
 from scipy import stats
 from scipy.io import whosmat
 
-from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
+from gridpush_drake.bench.jobs import check_known
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
 from gridpush_drake.bench.protocol import (
     ANGLE_STD,
@@ -34,6 +34,7 @@ from gridpush_drake.bench.protocol import (
     check_folder,
     hide_parts,
 )
+from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import (
     CONFIDENCE,
     MM,
@@ -56,18 +57,32 @@ from gridpush_drake.pushes.importers.mit import read_model_errors
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 PUSHES = 50
-"""A log, as many as the CMU's."""
+"""Number of pushes of a simulated log, as many as the CMU's have."""
 
 FRICTION_RANGE = (0.2, 0.5)
-"""Of a part's cells against the support."""
+"""Least and greatest friction of a part against the support."""
+
+CMU = "cmu"
+"""Kind of a log of the CMU's."""
+
+MIT = "mit"
+"""Kind of a log of the MIT's."""
+
+SIMULATED = "simulated"
+"""Kind of a log that is simulated."""
 
 
 @lru_cache(maxsize=1)
 def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObject]:
-    """Simulates the log of an object's file with this number, quasi-static.
+    """Simulates a log of pushes of an object, quasi-static.
 
-    The hidden parameters, pushes and noise of each number are its own. The object comes back as
-    whoever learns sees it: one part of unknown mass.
+    Args:
+        path: the object's file.
+        seed: seed of everything random.
+        number: number of the log; each has hidden parameters, pushes and noise of its own.
+
+    Returns:
+        The pushes, and the object as whoever learns sees it: one part of unknown mass.
 
     Raises:
         ObjectError: the file cannot be read.
@@ -82,48 +97,55 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
     for i in range(PUSHES):
         push, pose = draw_push(obj, truth, first + i, radius)
         last = simulate(obj, truth, push, pose, regime="quasi_static").final_pose
-        before, after = add_pose_noise(pose, rng), add_pose_noise(last, rng)
+        before = add_pose_noise(pose, rng)
+        after = add_pose_noise(last, rng)
         pushes.append(
             ObservedPush(f"push_{i + 1:02d}", push, before, np.array([push.duration]), after[None])
         )
     plain = replace(obj, prior=replace(obj.prior, total_mass=None))
-    return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), hide_parts(
-        plain
-    )
+    log = PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}")
+    return log, hide_parts(plain)
 
 
-CMU_SOURCE, MIT_SOURCE = (
-    "GitHub robinzhoucmu/MLab_EXP",
-    "GitHub robinzhoucmu/PlanarManipulationToolBox",
-)
+CMU_SOURCE = "GitHub robinzhoucmu/MLab_EXP"
+"""Where the CMU's pushes are."""
+
+MIT_SOURCE = "GitHub robinzhoucmu/PlanarManipulationToolBox"
+"""Where the MIT's pushes are."""
 
 RECORDS = "record_all"
-"""The variable of a MATLAB file that holds pushes."""
+"""Name of the variable of a MATLAB file that holds pushes."""
 
 
 def find_push_logs(data: Path, min_pushes: int) -> list[tuple[str, Path]]:
-    """Finds real robots' push logs below a folder: the kind ("cmu" or "mit") and the file of each, CMU's first.
+    """Finds real robots' push logs below a folder.
 
-    Files of CMU's form with fewer than `min_pushes` are passed over.
+    Args:
+        data: the folder.
+        min_pushes: files of the CMU's form with fewer pushes are passed over.
+
+    Returns:
+        Kind and file of each log, the CMU's first.
 
     Raises:
         GridPushError: there is no such folder, or no push log in it.
     """
-    expected = f"push logs as of {CMU_SOURCE} (text files of {min_pushes} or more pushes) or of {MIT_SOURCE} (.mat)"
+    expected = (
+        f"push logs as of {CMU_SOURCE} (text files of {min_pushes} or more pushes) or of "
+        f"{MIT_SOURCE} (.mat)"
+    )
     check_folder(data, expected)
     logs = [
-        ("cmu", path)
-        for path in sorted(data.rglob("*.txt"))
-        if _count_cmu_pushes(path) >= min_pushes
+        (CMU, path) for path in sorted(data.rglob("*.txt")) if _count_cmu_pushes(path) >= min_pushes
     ]
-    logs += [("mit", path) for path in sorted(data.rglob("*.mat")) if _has_records(path)]
+    logs += [(MIT, path) for path in sorted(data.rglob("*.mat")) if _has_records(path)]
     if not logs:
         raise GridPushError(f"{data}: holds no push log; expected {expected}")
     return logs
 
 
 def _count_cmu_pushes(path: Path) -> int:
-    """How many pushes a file of CMU's form begins by saying it has; 0 for another file."""
+    """Reads how many pushes a file of the CMU's form says that it has; 0 for another file."""
     try:
         with path.open() as file:
             count, before, after = (file.readline().split() for _ in range(3))
@@ -135,6 +157,7 @@ def _count_cmu_pushes(path: Path) -> int:
 
 
 def _has_records(path: Path) -> bool:
+    """Says whether a file is one of MATLAB's that holds pushes."""
     try:
         return any(name == RECORDS for name, _, _ in whosmat(path))
     except (OSError, ValueError, TypeError, NotImplementedError):
@@ -142,26 +165,87 @@ def _has_records(path: Path) -> bool:
 
 
 CMU_RHO = 0.05 * 2**0.5
-"""m, of the metric."""
+"""Length by which the CMU's metric multiplies an angle, m."""
 
 FEET_SETS = ("hardboard_wide", "hardboard_middle", "plywood_wide", "plywood_middle")
 """The CMU files whose mean counts; others are shown beside."""
 
-CMU_TEST, CMU_COUNTS = 25, (1, 2, 3, 5, 8, 12, 18, 25)
+CMU_TEST = 25
+"""Number of pushes of a CMU file that are held out."""
+
+CMU_COUNTS = (1, 2, 3, 5, 8, 12, 18, 25)
+"""Numbers of pushes of a CMU file that train."""
+
 SHOWN_COUNTS = (5, 25)
 """Numbers of training pushes of the first CMU table and of the simulated pushes."""
 
 MIT_SHARE = 0.2
-SPLITS, QUICK_SPLITS = 10, 2
+"""Share of the pushes of an MIT file that trains."""
+
+SPLITS = 10
+"""Number of divisions of a log into pushes to learn from and others, by default."""
+
+QUICK_SPLITS = 2
+"""Number of these divisions in the quick variant."""
+
 POSE_COLUMNS = ("training", "position, mm", "angle, °")
-UNIFORM, POSES, CENTER = "uniform pressure", "poses only", "poses + center of mass"
+"""Columns of the tables of poses."""
+
+UNIFORM = "uniform pressure"
+"""Name of the model of which nothing was learned."""
+
+POSES = "poses only"
+"""Name of the model that was learned from poses."""
+
+CENTER = "poses + center of mass"
+"""Name of the model that was learned from poses, with a known center of mass."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        data: folder of real pushes; None for simulated ones.
+        objects: names of shipped objects whose pushes are simulated; all of them where None.
+        splits: number of divisions of a log into pushes to learn from and others.
+        figure: file of a figure of the error against the number of training pushes; None for none.
+        counts: numbers of training pushes of the CMU files.
+    """
+
+    data: Path | None = option(
+        None,
+        "Real pushes: a clone of GitHub robinzhoucmu/MLab_EXP or "
+        "robinzhoucmu/PlanarManipulationToolBox, or a folder of such logs. Without, simulated pushes "
+        "stand in.",
+        name="--data",
+        metavar="DIR",
+    )
+    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    splits: int = option(
+        SPLITS, "Divisions of a log into pushes to learn from and others.", least=1
+    )
+    figure: Path | None = option(
+        None,
+        "Also draw the error against the number of pushes.",
+        metavar="FIGURE.png",
+        ending=".png",
+        is_setting=False,
+    )
+    counts: tuple[int, ...] = CMU_COUNTS
 
 
 @dataclass(frozen=True)
 class Job:
-    """One log ("cmu", "mit" or "simulated" of an object's file) and split, and numbers of pushes to learn from.
+    """One division of one log.
 
-    The split's number is also that of the simulated truth; a log without a name has its file's.
+    Attributes:
+        path: the log's file, or the file of the object whose pushes are simulated.
+        kind: CMU, MIT or SIMULATED.
+        split: number of the division, and of the simulated truth.
+        counts: numbers of pushes to learn from.
+        seed: seed of everything random.
+        name: name of the log; its file's where empty.
     """
 
     path: Path
@@ -174,7 +258,16 @@ class Job:
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of the held-out pushes of one file and split under one model."""
+    """Errors of the held-out pushes of one log and division under one model.
+
+    Attributes:
+        name: name of the log.
+        split: number of the division.
+        model: UNIFORM, POSES or CENTER.
+        training: number of pushes that were learned from.
+        position: error of each push's final position, m.
+        angle: error of each push's final angle, rad.
+    """
 
     name: str
     split: int
@@ -184,65 +277,69 @@ class Score:
     angle: tuple[float, ...]
 
     def combined(self) -> np.ndarray:
-        """|dxy| + rho |dtheta| of each push, mm."""
+        """Calculates |dxy| + rho |dtheta| of each push, mm."""
         return MM * (np.array(self.position) + CMU_RHO * np.array(self.angle))
 
 
-def run(
-    data: Path | str | None = None,
-    *,
-    objects: Sequence[str] | None = None,
-    splits: int = SPLITS,
-    counts: Sequence[int] = CMU_COUNTS,
-    seed: int = 0,
-    quick: bool = False,
-    figure: Path | str | None = None,
-    force: bool = False,
-    execution: Execution = QUIET,
-) -> list[Table]:
-    """Measures the default method on the public push data sets, or on simulated pushes that stand in for them.
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant."""
+    return replace(options, splits=min(options.splits, QUICK_SPLITS), counts=SHOWN_COUNTS)
 
-    The arguments are the options of `gridpush bench real`, and `counts` the numbers of training
-    pushes for the CMU files; `quick` leaves QUICK_SPLITS and SHOWN_COUNTS of them. `objects` are
-    for simulated pushes, without `data`.
+
+def make_jobs(options: Options) -> list[Job]:
+    """Makes a job for each log and division.
 
     Raises:
-        GridPushError: the data are not there, or an argument does not go with them.
+        GridPushError: the data are not there, or an option does not go with them.
         PushLogError: a log cannot be read.
+        OutputError: the figure cannot be written.
     """
-    if figure is not None:
-        check_figure(figure, force)
-    splits, counts = (min(splits, QUICK_SPLITS), SHOWN_COUNTS) if quick else (splits, tuple(counts))
-    if splits < 1:
-        raise GridPushError(f"splits: {splits}; expected at least 1")
-    if data is None:
-        if figure is not None:
-            raise GridPushError("figure: is of real pushes; expected --data with it")
-        names, counts = list_shipped_objects() if objects is None else objects, SHOWN_COUNTS
-        files = [(name, "simulated", find_shipped_object(name)) for name in names]
-        check_known("objects", names, list_shipped_objects())
-    else:
-        if objects is not None:
-            raise GridPushError("objects: are for simulated pushes; expected none with --data")
-        files = name_logs(find_push_logs(Path(data).resolve(), CMU_TEST + max(counts)))
-        for _, kind, path in files:
-            _read(path, kind)
-    jobs = [
-        Job(path, kind, split, counts, seed, name)
-        for name, kind, path in files
-        for split in range(splits)
+    if options.figure is not None:
+        check_figure(options.figure, options.force)
+    if options.splits < 1:
+        raise GridPushError(f"splits: {options.splits}; expected at least 1")
+    if options.data is None and options.figure is not None:
+        raise GridPushError("figure: is of real pushes; expected --data with it")
+    if options.data is not None and options.objects is not None:
+        raise GridPushError("objects: are for simulated pushes; expected none with --data")
+    counts = SHOWN_COUNTS if options.data is None else options.counts
+    return [
+        Job(path=path, kind=kind, split=split, counts=counts, seed=options.seed, name=name)
+        for name, kind, path in _find_files(options)
+        for split in range(options.splits)
     ]
-    results = run_jobs(run_job, jobs, lambda job: f"{job.name}, split {job.split}", execution)
-    scores = [score for result in results for score in result]
-    tables = [] if data is not None else [_tabulate_simulated(scores, names)]
-    cmu = [name for name, kind, _ in files if kind == "cmu"]
-    if cmu:
-        tables += [_tabulate_cmu(scores, cmu, counts), _tabulate_curve(scores, cmu, counts)]
-        if figure is not None:
-            write_curve(figure, scores, choose_feet(cmu), counts, force)
-    mit = {name: path for name, kind, path in files if kind == "mit"}
-    if mit:
-        tables.append(_tabulate_mit(scores, mit))
+
+
+def _find_files(options: Options) -> list[tuple[str, str, Path]]:
+    """Finds name, kind and file of each log, or of each object whose pushes are simulated."""
+    if options.data is None:
+        names = list_shipped_objects() if options.objects is None else options.objects
+        files = [(name, SIMULATED, find_shipped_object(name)) for name in names]
+        check_known("objects", names, list_shipped_objects())
+        return files
+    found = find_push_logs(Path(options.data).resolve(), CMU_TEST + max(options.counts))
+    files = name_logs(found)
+    for _, kind, path in files:
+        _read(path, kind)
+    return files
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates the errors of each kind of logs, and draws the figure."""
+    scores = [score for scores in done.of(TASK) for score in scores]
+    files = {(job.name, job.kind): job.path for job, _ in done.list_pairs(TASK)}
+    names = {kind: [name for name, of in files if of == kind] for kind in (SIMULATED, CMU, MIT)}
+    tables = []
+    if names[SIMULATED]:
+        tables.append(_tabulate_simulated(scores, names[SIMULATED]))
+    if names[CMU]:
+        tables.append(_tabulate_cmu(scores, names[CMU], options.counts))
+        tables.append(_tabulate_curve(scores, names[CMU], options.counts))
+        if options.figure is not None:
+            feet = choose_feet(names[CMU])
+            write_curve(options.figure, scores, feet, options.counts, options.force)
+    if names[MIT]:
+        tables.append(_tabulate_mit(scores, {name: files[name, MIT] for name in names[MIT]}))
     return tables
 
 
@@ -256,20 +353,24 @@ def name_logs(logs: Sequence[tuple[str, Path]]) -> list[tuple[str, str, Path]]:
 
 
 def run_job(job: Job) -> list[Score]:
-    """Learns from one split of one file with each number of pushes, and predicts its held-out pushes."""
-    log, obj = (
-        simulate_log(job.path, job.seed, job.split)
-        if job.kind == "simulated"
-        else _read(job.path, job.kind)
-    )
-    order = np.random.default_rng([job.seed, job.split]).permutation(len(log))
-    models, counts = [(POSES, obj)], job.counts
-    if job.kind == "mit":
-        count = round(MIT_SHARE * len(log))
-        test, rest, counts = log.subset(order[count:]), order[:count], (count,)
+    """Learns from one division of one log with each number of pushes, and predicts the others."""
+    if job.kind == SIMULATED:
+        log, obj = simulate_log(job.path, job.seed, job.split)
     else:
-        test, rest = log.subset(order[:CMU_TEST]), order[CMU_TEST:]
-    if job.kind == "cmu":
+        log, obj = _read(job.path, job.kind)
+    order = np.random.default_rng([job.seed, job.split]).permutation(len(log))
+    models = [(POSES, obj)]
+    if job.kind == MIT:
+        count = round(MIT_SHARE * len(log))
+        test = log.subset(order[count:])
+        rest = order[:count]
+        counts: tuple[int, ...] = (count,)
+    else:
+        test = log.subset(order[:CMU_TEST])
+        rest = order[CMU_TEST:]
+        counts = job.counts
+    if job.kind == CMU:
+        # the CMU's plates are even, so that their centers of mass are known
         models.append((CENTER, replace(obj, prior=replace(obj.prior, center_of_mass=(0.0, 0.0)))))
     scores = [_score(job, UNIFORM, 0, obj, CellParameters.uniform(obj), test)]
     for count in counts:
@@ -283,16 +384,17 @@ def run_job(job: Job) -> list[Score]:
 def _score(
     job: Job, model: str, training: int, obj: GridObject, params: CellParameters, test: PushLog
 ) -> Score:
-    errors = [
-        error
-        for error in calc_final_errors(obj, predict(obj, params, test, "quasi_static"), test)
-        if error is not None
-    ]
-    position, angle = (
-        tuple(error.position for error in errors),
-        tuple(error.angle for error in errors),
+    """Predicts the held-out pushes with a model."""
+    motions = predict(obj, params, test, "quasi_static")
+    errors = [error for error in calc_final_errors(obj, motions, test) if error is not None]
+    return Score(
+        name=job.name or job.path.stem,
+        split=job.split,
+        model=model,
+        training=training,
+        position=tuple(error.position for error in errors),
+        angle=tuple(error.angle for error in errors),
     )
-    return Score(job.name or job.path.stem, job.split, model, training, position, angle)
 
 
 @lru_cache(maxsize=1)
@@ -301,7 +403,7 @@ def _read(path: Path, kind: str) -> tuple[PushLog, GridObject]:
 
 
 def choose_feet(names: Sequence[str]) -> list[str]:
-    """Those of the files whose mean counts; all where none of FEET_SETS is among them."""
+    """Chooses the files whose mean counts; all of them where none of FEET_SETS is among them."""
     return [name for name in names if name in FEET_SETS] or list(names)
 
 
@@ -314,7 +416,7 @@ def _choose(
 def calc_split_means(
     scores: Sequence[Score], names: Sequence[str], model: str, training: int
 ) -> np.ndarray:
-    """Mean error of each split, mm, averaged over the named files."""
+    """Calculates the mean error of each division, mm, averaged over the named files."""
     chosen = _choose(scores, names, model, training)
     splits = sorted({score.split for score in chosen})
     return np.array(
@@ -323,7 +425,7 @@ def calc_split_means(
 
 
 def calc_splits_mean(values: np.ndarray) -> Mean:
-    """Mean and Student's confidence interval of the splits' means."""
+    """Calculates mean and Student's confidence interval of the divisions' means."""
     mean = float(values.mean())
     if len(values) < 2:
         return Mean(mean)
@@ -342,10 +444,11 @@ def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequenc
             calc_split_means(scores, of, model, training)
             for of in (*([name] for name in names), feet)
         ]
-        spread = float(np.median(errors)), float(np.quantile(errors, 0.9))
+        spread = [float(np.median(errors)), float(np.quantile(errors, 0.9))]
         rows.append([model, training, *map(calc_splits_mean, means), *spread])
     notes = (
-        "|dxy| + rho |dtheta| of held-out pushes, rho = 70.7 mm; mean over splits ± 95 % confidence (Student's t).",
+        "|dxy| + rho |dtheta| of held-out pushes, rho = 70.7 mm; mean over splits ± 95 % confidence "
+        "(Student's t).",
         f"Mean, median and 90th percentile over the feet sets: {', '.join(feet)}.",
         "Repeating the same push differs by about 1.4 mm.",
     )
@@ -383,7 +486,8 @@ def _tabulate_mit(scores: Sequence[Score], paths: dict[str, Path]) -> Table:
         )
         rows += [_make_pose_row(scores, name, model) for model in (UNIFORM, POSES)]
     notes = (
-        f"{100 * MIT_SHARE:.0f} % of the pushes train, the others are held out; mean over splits ± 95 % confidence.",
+        f"{100 * MIT_SHARE:.0f} % of the pushes train, the others are held out; mean over splits "
+        "± 95 % confidence.",
     )
     return Table(
         "MIT pushes: held-out error", ("file", "model", *POSE_COLUMNS), rows, notes, keys=2
@@ -398,10 +502,11 @@ def _tabulate_simulated(scores: Sequence[Score], names: Sequence[str]) -> Table:
     ]
     notes = (
         "Nothing here is real: pass real robots' pushes with --data.",
-        f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of {100 * DISTANCE:g} cm at "
-        f"{100 * SPEED:g} cm/s from random places, poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of "
-        "noise.",
-        f"{CMU_TEST} pushes are held out; mean over splits, each with hidden parameters of its own, ± 95 % confidence.",
+        f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of "
+        f"{100 * DISTANCE:g} cm at {100 * SPEED:g} cm/s from random places, poses seen with "
+        f"{1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of noise.",
+        f"{CMU_TEST} pushes are held out; mean over splits, each with hidden parameters of its own, "
+        "± 95 % confidence.",
     )
     columns = ("object, simulated", "model", *POSE_COLUMNS)
     title = "Simulated stand-in for real pushes: held-out error of simulated pushes"
@@ -420,7 +525,7 @@ def _make_pose_row(
 
 
 COLUMNS = 2
-"""Of a figure's panels."""
+"""Number of columns of the figure's panels."""
 
 
 def write_curve(
@@ -430,7 +535,15 @@ def write_curve(
     counts: Sequence[int],
     force: bool,
 ) -> None:
-    """Draws a panel a file, see `write_panels`: the error against the number of training pushes."""
+    """Draws a panel for each file: the error against the number of training pushes.
+
+    Args:
+        path: file of the figure.
+        scores: the errors.
+        names: names of the files.
+        counts: numbers of training pushes.
+        force: whether a figure that exists may be replaced.
+    """
 
     def draw(axis: Axes, name: str) -> None:
         for model, color in ((POSES, "tab:blue"), (CENTER, "tab:orange")):
@@ -450,3 +563,19 @@ def write_curve(
 
     labels = ("training pushes", "held-out error, mm (band: one standard deviation of the splits)")
     write_panels(path, names, COLUMNS, labels, draw, force, from_zero=True)
+
+
+TASK = Task(job=Job, run=run_job, describe=lambda job: f"{job.name}, split {job.split}")
+"""What is done with a job."""
+
+STUDY = Study(
+    name="real",
+    help="Learn from real robots' pushes (--data), or simulated ones in their place, and predict "
+    "others of them.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(TASK,),
+    tabulate=tabulate,
+)
+"""`gridpush bench real`."""

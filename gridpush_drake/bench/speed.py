@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.pregrasp.experiments import find_mask
 from gridpush_drake.bench.protocol import METERS_PER_PIXEL
+from gridpush_drake.bench.study import MASKS, Study, StudyOptions, option
 from gridpush_drake.bench.table import MS, Table, Value
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
 from gridpush_drake.dynamics.push import Push, make_times_with
@@ -34,7 +35,13 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 
 class Timing(NamedTuple):
-    """How long something takes, s: the median and the quartiles over the repetitions."""
+    """How long something takes.
+
+    Attributes:
+        median: median over the repetitions, s.
+        low: lower quartile, s.
+        high: upper quartile, s.
+    """
 
     median: float
     low: float
@@ -74,79 +81,129 @@ def one_core() -> Iterator[bool]:
             os.sched_setaffinity(0, before)
 
 
-PAPER_SIMULATION, PAPER_GRADIENT = 1.3448, 0.0069
-"""s a simulated push, and s a gradient (Song and Boularias, RSS 2020)."""
+PAPER_SIMULATION = 1.3448
+"""The paper's time of a simulated push, s (Song and Boularias, RSS 2020)."""
 
-DURATION, SPEED, RADIUS, DT = 2.0, 0.1, 0.015, 0.01
-"""The paper's push, s and m/s, a disc in place of its finger, m, and the step, s."""
+PAPER_GRADIENT = 0.0069
+"""The paper's time of a gradient, s."""
+
+DURATION = 2.0
+"""Duration of the paper's push, s."""
+
+SPEED = 0.1
+"""Speed of the paper's push, m/s."""
+
+RADIUS = 0.015
+"""Radius of the disc that pushes in place of the paper's finger, m."""
+
+DT = 0.01
+"""Step of the paper's simulation, s."""
 
 PUSH_HEIGHT = 0.01
-"""Of the pusher where loads shift, m."""
+"""Height of the pusher above the table where loads shift, m."""
 
-FINAL, EVERY = ", with the Jacobian of the final pose", ", with the Jacobian of all poses"
+FINAL = ", with the Jacobian of the final pose"
+"""Ending of the name of a simulation that also gives the final pose's derivatives."""
+
+EVERY = ", with the Jacobian of all poses"
+"""Ending of the name of a simulation that also gives all poses' derivatives."""
 
 PLACE = 0.7
 """Where along the object's width it is pushed, 0 to 1."""
 
-SIZES, LINEAR_FROM = (10, 30, 100, 300, 1000, 3000, 10000), 300
-"""Numbers of cells for the cost against n; from where on the slope is fitted: below, work that does
-not depend on n shows."""
+SIZES = (10, 30, 100, 300, 1000, 3000, 10000)
+"""Numbers of cells for the cost against the number of cells."""
+
+LINEAR_FROM = 300
+"""Number of cells from which on the slope is fitted: with fewer, work that does not depend on their
+number shows."""
 
 START_UPS = 7
-"""Of each command that starts Python."""
-
+"""Number of runs of each command that starts Python."""
 
 LOGS = ((60, 5), (132, 6), (132, 12), (132, 25), (132, 50), (132, 100), (132, 200))
-"""Cells and pushes of the logs that are identified."""
+"""Numbers of cells and pushes of the logs that are identified."""
 
 BAR = np.array([[0.0, 0.0], [0.22, 0.0], [0.22, 0.055], [0.0, 0.055]])
-"""The outline of the object that is identified, m."""
+"""Outline of the object that is identified, m."""
 
-HEAD, HEAD_LOAD = 0.3, 5.0
-"""Share of its cells at one end, and how much heavier they are."""
+HEAD = 0.3
+"""Share of its cells that are heavy, at one end."""
 
-BAR_MASS, BAR_FRICTION, TIP_FRICTION = 0.5, 0.35, 0.3
-"""kg, against the table, against the tip."""
+HEAD_LOAD = 5.0
+"""Mass of a heavy cell over that of another one."""
 
-POKE, POKE_SPEED, POKE_SLANT, POKE_RADIUS = 0.06, 0.03, 0.4, 0.01
-"""How it is poked: m, m/s, rad off the normal at most, and the tip's radius, m."""
+BAR_MASS = 0.5
+"""Mass of the object, kg."""
 
-OBSERVED, POSE_NOISE = 10, (3e-4, 3e-4, 3e-3)
-"""Poses seen of each push, and their noise, m and rad."""
+BAR_FRICTION = 0.35
+"""Friction of the object against the table."""
 
-FEW, IDENTIFY_REPETITIONS = 25, 5
-"""Pushes from which on an identification is timed once, and how often it is with fewer."""
+TIP_FRICTION = 0.3
+"""Friction of the object against the pusher."""
+
+POKE = 0.06
+"""Length of a poke, m."""
+
+POKE_SPEED = 0.03
+"""Speed of a poke, m/s."""
+
+POKE_SLANT = 0.4
+"""Greatest angle of a poke from the outline's normal, rad."""
+
+POKE_RADIUS = 0.01
+"""Radius of the pusher of a poke, m."""
+
+OBSERVED = 10
+"""Number of poses that are seen of each poke."""
+
+POSE_NOISE = (3e-4, 3e-4, 3e-3)
+"""Standard deviations of these poses, m, m and rad."""
+
+FEW = 25
+"""Number of pushes from which on an identification is timed only once."""
+
+IDENTIFY_REPETITIONS = 5
+"""How often an identification from fewer pushes is timed."""
 
 Announce = Callable[[str], None]
+"""Function that is called with what begins."""
 
 
-def run(
-    obj: GridObject,
-    *,
-    repetitions: int = 50,
-    sizes: Sequence[int] = SIZES,
-    logs: Sequence[tuple[int, int]] = LOGS,
-    with_mujoco: bool = True,
-    report: Report | None = None,
-) -> list[Table]:
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        data: folder of the paper's masks; None pushes the shipped hammer.
+        repetitions: number of runs of each simulation.
+        mujoco: whether MuJoCo is run beside, where it is installed.
+        sizes: numbers of cells for the cost against the number of cells.
+        logs: numbers of cells and pushes of the logs that are identified.
+    """
+
+    data: Path | None = option(None, **MASKS)
+    repetitions: int = option(50, "Runs of each simulation.", least=3)
+    mujoco: bool = option(True, "Run MuJoCo beside, where it is installed.")
+    sizes: tuple[int, ...] = SIZES
+    logs: tuple[tuple[int, int], ...] = LOGS
+
+
+def measure_all(options: Options, report: Report | None) -> list[Table]:
     """Measures everything, on one core.
 
     Args:
-        obj: to push.
-        repetitions: of each simulation.
-        sizes: numbers of cells for the cost against n.
-        logs: numbers of cells and pushes to identify from.
-        with_mujoco: whether to run MuJoCo beside, where it is installed.
+        options: what is measured.
         report: called with what begins, as of jobs.
     """
-    announce = count_steps(
-        report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + len(logs) + 1
-    )
+    obj = load_hammer(options.data)
+    steps = len(_make_simulations(obj)) + len(options.sizes) + len(options.logs) + 1
+    announce = count_steps(report, steps + int(options.mujoco))
     with one_core() as pinned:
         tables = [
-            _measure_push(obj, repetitions, with_mujoco, pinned, announce),
-            _measure_sizes(sizes, repetitions, announce),
-            _measure_identification(logs, announce),
+            _measure_push(obj, options.repetitions, options.mujoco, pinned, announce),
+            _measure_sizes(options.sizes, options.repetitions, announce),
+            _measure_identification(options.logs, announce),
         ]
         announce("start-up")
         tables.append(_measure_start_up())
@@ -154,7 +211,7 @@ def run(
 
 
 def make_bench_push(obj: GridObject) -> Push:
-    """The push of the measurement: upwards, from below, off the middle."""
+    """Makes the push of the measurement: upwards, from below, off the middle."""
     x0, y0, x1, y1 = obj.outline.bounds
     x = x0 + PLACE * (x1 - x0)
     bottom = obj.outline.intersection(LineString([(x, y0 - 1), (x, y1 + 1)])).bounds[1]
@@ -162,7 +219,7 @@ def make_bench_push(obj: GridObject) -> Push:
 
 
 def load_hammer(data: Path | None) -> GridObject:
-    """Loads the paper's hammer from a folder of masks, or, where that is None, the shipped one in its place."""
+    """Loads the paper's hammer from a folder of masks; the shipped one where that is None."""
     if data is None:
         return GridObject.from_yaml(find_shipped_object("claw_hammer"))
     return GridObject.from_mask(
@@ -170,19 +227,18 @@ def load_hammer(data: Path | None) -> GridObject:
     )
 
 
-def _simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
-    """What is timed, by name; the Jacobian is expanded to all its named blocks."""
-    params, push, steps = (
-        CellParameters.random(obj, seed=0),
-        make_bench_push(obj),
-        round(DURATION / DT),
-    )
+def _make_simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
+    """Makes what is timed, by name; the Jacobian is expanded to all its named blocks."""
+    params = CellParameters.random(obj, seed=0)
+    push = make_bench_push(obj)
+    steps = round(DURATION / DT)
     high = replace(params, push_height=PUSH_HEIGHT)
     recorded: dict[str, Sequence[int] | None] = {"": None, FINAL: [steps], EVERY: range(steps + 1)}
     kinds: list[tuple[str, CellParameters, Regime]] = [
-        ("inertial", params, "inertial"), ("quasi_static", params, "quasi_static"),
+        ("inertial", params, "inertial"),
+        ("quasi_static", params, "quasi_static"),
         ("quasi_static, loads shift", high, "quasi_static"),
-    ]  # fmt: skip
+    ]
     return {
         name + suffix: partial(_simulate, obj, shifting, push, regime, record)
         for name, shifting, regime in kinds
@@ -207,7 +263,7 @@ def _measure_push(
     obj: GridObject, repetitions: int, with_mujoco: bool, pinned: bool, announce: Announce
 ) -> Table:
     times: dict[str, Timing] = {}
-    for name, work in _simulations(obj).items():
+    for name, work in _make_simulations(obj).items():
         announce(name)
         times[name] = measure(work, repetitions, warm_up=3)
     plain = times["inertial"].median
@@ -215,8 +271,8 @@ def _measure_push(
         _row(name, timing, timing.median / plain) for name, timing in times.items()
     ]
     notes = [
-        f"{obj.name}, {obj.n} cells, {DURATION:g} s push, step {DT * MS:g} ms; median and quartiles of {repetitions} "
-        f"runs{', pinned to one core' if pinned else ''}.",
+        f"{obj.name}, {obj.n} cells, {DURATION:g} s push, step {DT * MS:g} ms; median and quartiles "
+        f"of {repetitions} runs{', pinned to one core' if pinned else ''}.",
         "The Jacobian is by all masses and frictions, the contact friction and the push.",
     ]
     if with_mujoco:
@@ -247,7 +303,7 @@ def _measure_sizes(sizes: Sequence[int], repetitions: int, announce: Announce) -
         obj = GridObject.from_outline(
             np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]), max_cells=size
         )
-        works = _simulations(obj)
+        works = _make_simulations(obj)
         chosen = [works[name] for name in ("inertial", f"inertial{FINAL}")]
         fewer = max(3, int(repetitions * min(1.0, 100 / obj.n)))
         plain, jacobian = (measure(work, fewer).median for work in chosen)
@@ -262,12 +318,15 @@ def _measure_sizes(sizes: Sequence[int], repetitions: int, announce: Announce) -
 
 
 def _describe_slopes(medians: np.ndarray) -> str:
-    """Exponents of n in the times, by least squares in the logarithms."""
+    """Says with which power of the number of cells the times grow, by least squares."""
     large = np.log(medians[medians[:, 0] >= LINEAR_FROM])
     if len(large) < 2:
         return f"Too few sizes of {LINEAR_FROM} cells or more to fit a slope."
     plain, jacobian = (np.polyfit(large[:, 0], large[:, column], 1)[0] for column in (1, 2))
-    return f"Log-log slope from {LINEAR_FROM} cells: simulation {plain:.2f}, with Jacobian {jacobian:.2f}; 1 is linear."
+    return (
+        f"Log-log slope from {LINEAR_FROM} cells: simulation {plain:.2f}, with Jacobian "
+        f"{jacobian:.2f}; 1 is linear."
+    )
 
 
 def make_bench_log(cells: int, pushes: int) -> tuple[GridObject, PushLog]:
@@ -275,18 +334,17 @@ def make_bench_log(cells: int, pushes: int) -> tuple[GridObject, PushLog]:
     obj = GridObject.from_outline(BAR, max_cells=cells)
     mass = np.where(obj.p_BC[:, 0] < np.quantile(obj.p_BC[:, 0], HEAD), HEAD_LOAD, 1.0)
     truth = CellParameters(BAR_MASS * mass / mass.sum(), np.full(obj.n, BAR_FRICTION), TIP_FRICTION)
-    rng, seen = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    seen = []
     for i in range(pushes):
-        push = Push.on_outline(
-            obj, rng.uniform(0, obj.edges.perimeter), rng.uniform(-POKE_SLANT, POKE_SLANT), POKE,
-            radius=POKE_RADIUS, speed=POKE_SPEED,
-        )  # fmt: skip
+        place = rng.uniform(0, obj.edges.perimeter)
+        angle = rng.uniform(-POKE_SLANT, POKE_SLANT)
+        push = Push.on_outline(obj, place, angle, POKE, radius=POKE_RADIUS, speed=POKE_SPEED)
         times = np.linspace(0.0, push.duration, OBSERVED + 1)[1:]
         steps = make_times_with(push, times, "quasi_static")
         motion = simulate(obj, truth, push, regime="quasi_static", times=steps)
-        poses = motion.poses[np.searchsorted(steps, times)] + rng.normal(
-            0.0, POSE_NOISE, (OBSERVED, 3)
-        )
+        noise = rng.normal(0.0, POSE_NOISE, (OBSERVED, 3))
+        poses = motion.poses[np.searchsorted(steps, times)] + noise
         seen.append(ObservedPush(f"poke_{i}", push, np.zeros(3), times, poses))
     return obj, PushLog(tuple(seen))
 
@@ -296,7 +354,8 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
     for cells, pushes in logs:
         announce(f"identification, {cells} cells, {pushes} pushes")
         obj, log = make_bench_log(cells, pushes)
-        identify(obj, log.subset(range(min(2, pushes))))  # compiles
+        # What is compiled or loaded for the first identification is not timed.
+        identify(obj, log.subset(range(min(2, pushes))))
         repetitions = IDENTIFY_REPETITIONS if pushes < FEW else 1
         whole = measure(lambda obj=obj, log=log: identify(obj, log), repetitions, 0, process_time)  # type: ignore[misc]
         found = identify(obj, log)
@@ -310,16 +369,28 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
             )
         )
         rows.append(
-            [obj.n, pushes, whole.median, whole.median / pushes * MS, found.simulations / pushes, batch * MS,
-             single * MS]
-        )  # fmt: skip
+            [
+                obj.n,
+                pushes,
+                whole.median,
+                whole.median / pushes * MS,
+                found.simulations / pushes,
+                batch * MS,
+                single * MS,
+            ]
+        )
     columns = (
-        "cells", "pushes", "identify, s", "a push, ms", "simulations of each", "all pushes and Jacobians, ms",
+        "cells",
+        "pushes",
+        "identify, s",
+        "a push, ms",
+        "simulations of each",
+        "all pushes and Jacobians, ms",
         "the same one by one, ms",
-    )  # fmt: skip
+    )
     note = (
-        f"Processor time; {OBSERVED} poses of each push. The last two columns are one evaluation of the log: in one "
-        "call, which also makes residuals of it, and by `simulate`, push by push."
+        f"Processor time; {OBSERVED} poses of each push. The last two columns are one evaluation of "
+        "the log: in one call, which also makes residuals of it, and by `simulate`, push by push."
     )
     return Table("Identification", columns, rows, [note])
 
@@ -356,18 +427,24 @@ def _row(name: str, timing: Timing, ratio: float) -> list[Value]:
     return [name, *(MS * seconds for seconds in timing), ratio]
 
 
-MUJOCO_TIME_STEP, PUSHER_GAIN, PUSHER_MASS = 0.002, 1e4, 1.0
-"""MuJoCo's default, s; of the position servo that drives the pusher, N/m; kg."""
+MUJOCO_TIME_STEP = 0.002
+"""Time step of MuJoCo, its default, s."""
+
+PUSHER_GAIN = 1e4
+"""Gain of the position servo that drives the pusher in MuJoCo, N/m."""
+
+PUSHER_MASS = 1.0
+"""Mass of the pusher in MuJoCo, kg."""
 
 
 def make_mujoco_push(
     obj: GridObject, params: CellParameters, push: Push
 ) -> Callable[[], np.ndarray]:
-    """Prepares the same push in MuJoCo: the object's cells as boxes of one free body on a plane, pushed by a sphere.
+    """Prepares a push in MuJoCo: the cells are boxes of a free body, pushed by a sphere.
 
     Returns:
-        What runs the push, straight and at constant velocity, from the beginning and returns the
-        final pose (x, y, theta).
+        A function that runs the push, straight and at constant velocity, from the beginning, and
+        returns the final pose (3,), m and rad.
 
     Raises:
         ImportError: MuJoCo is not installed (`pip install 'gridpush-drake[bench]'`).
@@ -393,11 +470,14 @@ def make_mujoco_push(
 
 
 def _describe_scene(obj: GridObject, params: CellParameters, push: Push) -> str:
-    """The scene in MJCF; a contact with the plane has the cell's friction, one with the pusher the pusher's."""
+    """Describes the scene in MJCF.
+
+    A contact with the plane has the cell's friction, and one with the pusher has the pusher's.
+    """
     half = obj.cell_size / 2
     boxes = "\n".join(
-        f'<geom type="box" pos="{x} {y} 0" size="{half} {half} {half}" mass="{mass}" conaffinity="3" '
-        f'friction="{mu} 0.005 0.0001"/>'
+        f'<geom type="box" pos="{x} {y} 0" size="{half} {half} {half}" mass="{mass}" '
+        f'conaffinity="3" friction="{mu} 0.005 0.0001"/>'
         for (x, y), mass, mu in zip(obj.p_BC, params.mass, params.friction, strict=True)
     )
     damping = 2 * np.sqrt(PUSHER_GAIN * PUSHER_MASS)
@@ -409,11 +489,22 @@ def _describe_scene(obj: GridObject, params: CellParameters, push: Push) -> str:
     <body pos="0 0 {half}"><freejoint/>{boxes}</body>
     <body pos="{push.start[0]} {push.start[1]} {half}" gravcomp="1">
       <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
-      <geom type="sphere" size="{push.radius}" mass="{PUSHER_MASS}" contype="2" conaffinity="0" priority="1"
-            friction="{params.contact_friction} 0.005 0.0001"/>
+      <geom type="sphere" size="{push.radius}" mass="{PUSHER_MASS}" contype="2" conaffinity="0"
+            priority="1" friction="{params.contact_friction} 0.005 0.0001"/>
     </body>
   </worldbody>
   <actuator>
-    <position joint="x" kp="{PUSHER_GAIN}" kv="{damping}"/><position joint="y" kp="{PUSHER_GAIN}" kv="{damping}"/>
+    <position joint="x" kp="{PUSHER_GAIN}" kv="{damping}"/>
+    <position joint="y" kp="{PUSHER_GAIN}" kv="{damping}"/>
   </actuator>
 </mujoco>"""
+
+
+STUDY = Study(
+    name="speed",
+    help="Time a push, its gradient, MuJoCo beside, the cost against the number of cells, "
+    "identification and start-up.",
+    options=Options,
+    measure=measure_all,
+)
+"""`gridpush bench speed`."""

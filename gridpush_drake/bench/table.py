@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from io import BytesIO
 from math import floor, isfinite, isnan, log10, pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import rich.table
 from matplotlib.figure import Figure
 from rich.cells import cell_len
 from rich.text import Text
-from scipy.stats import binomtest
+from scipy.stats import binomtest, bootstrap
 
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import check_writable, write_whole
@@ -222,6 +223,40 @@ def _to_json(value: Value) -> Any:
 
 CONFIDENCE = 0.95
 """Of intervals, about shares and means."""
+
+
+RESAMPLES = 9999
+"""Number of bootstrap samples of an interval."""
+
+
+class Interval(NamedTuple):
+    """A mean and its confidence interval, at CONFIDENCE.
+
+    Attributes:
+        mean: the mean.
+        low: the interval's lower end; NaN where one value does not give any.
+        high: its upper end.
+    """
+
+    mean: float
+    low: float
+    high: float
+
+
+def calc_interval(values: Sequence[float]) -> Interval:
+    """Calculates the mean of one or more values, and its bootstrap interval by percentiles."""
+    sample = np.asarray(values, dtype=np.float64)
+    if len(sample) < 2:
+        return Interval(mean=float(sample.mean()), low=np.nan, high=np.nan)
+    ends = bootstrap(
+        (sample,),
+        np.mean,
+        confidence_level=CONFIDENCE,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        random_state=np.random.default_rng(0),
+    ).confidence_interval
+    return Interval(mean=float(sample.mean()), low=float(ends.low), high=float(ends.high))
 
 
 @dataclass(frozen=True)

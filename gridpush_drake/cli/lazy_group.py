@@ -58,9 +58,13 @@ class LazyGroup(TyperGroup):
         """Imports a command, and returns it; returns None if there is no command of this name."""
         command = self.commands.get(cmd_name)
         if isinstance(command, ListedCommand):
-            command = load_command(cmd_name, self.lazy_commands[cmd_name].target)
+            command = self.load(cmd_name, self.lazy_commands[cmd_name].target)
             self.commands[cmd_name] = command
         return command
+
+    def load(self, name: str, target: str) -> Any:
+        """Imports the command of a name; a subclass may make it of something else than a function."""
+        return load_command(name, target)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Writes the group's help, with the list of its commands."""
@@ -96,10 +100,17 @@ def load_command(name: str, target: str) -> Any:
     if isinstance(found, typer.Typer):
         command: Any = typer.main.get_group(found)
     else:
-        # an application of one command that has no group is that command
-        single = typer.Typer(add_completion=False)
-        single.command(name, help=join_lines(found.__doc__ or ""))(found)
-        command = typer.main.get_command(single)
+        command = make_single(name, found)
+    command.name = name
+    return command
+
+
+def make_single(name: str, function: Any) -> Any:
+    """Makes a command of a function, whose docstring is the command's help."""
+    # an application of one command that has no group is that command
+    single = typer.Typer(add_completion=False)
+    single.command(name, help=join_lines(function.__doc__ or ""))(function)
+    command: Any = typer.main.get_command(single)
     command.name = name
     return command
 

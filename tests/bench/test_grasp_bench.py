@@ -3,9 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.bench import grasp
 from gridpush_drake.bench.campaign import DROPPED, GAVE_UP, Episode
-from gridpush_drake.bench.grasp import tabulate
+from gridpush_drake.bench.grasp import STUDY, tabulate_episodes
 from gridpush_drake.cli.main import main
 from gridpush_drake.errors import GridPushError, ObjectError
 
@@ -51,7 +50,7 @@ def test_the_table_counts_what_happened():
     scores[-1] = replace(
         scores[-1], pokes=0, slides=0, center_of_mass_error=None, raised=0.0, wall=40.0
     )
-    table = tabulate(scores, ["pliers", "toolbox"])
+    table = tabulate_episodes(scores, ["pliers", "toolbox"])
     rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     assert [row["object"] for row in rows] == ["pliers", "toolbox", "all"]
     counts = [(row["runs"], row["held"], row["dropped"], row["given up"]) for row in rows]
@@ -71,11 +70,11 @@ def test_the_table_counts_what_happened():
 
 def test_refuses_what_makes_no_sense():
     with pytest.raises(ObjectError, match="brick"):
-        grasp.run(["claw_hammer", "brick"], [0])
+        STUDY.run(objects=("claw_hammer", "brick"), seeds=1)
     with pytest.raises(GridPushError, match="objects: none"):
-        grasp.run([], [0])
+        STUDY.run(objects=(), seeds=1)
     with pytest.raises(GridPushError, match="seeds: none"):
-        grasp.run(["claw_hammer"], [])
+        STUDY.run(objects=("claw_hammer",), seeds=0)
 
 
 def test_the_command_refuses_an_unknown_object(capsys):

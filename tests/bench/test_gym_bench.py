@@ -66,4 +66,4 @@ def test_tables_have_every_player():
     assert row[2] == gym.SIDE_BY_SIDE
     assert row[4] == row[5] > 100
     with pytest.raises(GridPushError, match="games: Chess"):
-        gym.run(["Chess"])
+        gym.STUDY.run(games=("Chess",))

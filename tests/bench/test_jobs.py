@@ -345,6 +345,6 @@ def test_a_name_given_twice_is_refused_as_its_runs_would_count_twice():
     with pytest.raises(GridPushError, match="objects: pliers, pliers; expected each once"):
         check_known("objects", ["pliers", "pliers"], ["pliers"])
     with pytest.raises(GridPushError, match="objects: pliers, pliers; expected each once"):
-        real.run(objects=["pliers", "pliers"])
+        real.STUDY.run(objects=("pliers", "pliers"))
     with pytest.raises(GridPushError, match="objects: pliers, pliers; expected each once"):
-        perception.run(objects=["pliers", "pliers"])
+        perception.STUDY.run(objects=("pliers", "pliers"))

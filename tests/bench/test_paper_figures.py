@@ -6,7 +6,14 @@ from PIL import Image
 
 from gridpush_drake.bench import paper_figures
 from gridpush_drake.bench.paper import choose_budgets
-from gridpush_drake.bench.paper_figures import FIGURES, Counts, MapJob, check_folder, learn_map, run
+from gridpush_drake.bench.paper_figures import (
+    FIGURES,
+    STUDY,
+    Counts,
+    MapJob,
+    check_folder,
+    learn_map,
+)
 from gridpush_drake.errors import GridPushError, OutputError
 
 
@@ -27,11 +34,11 @@ def test_budgets_end_with_the_whole():
 def test_nothing_is_run_where_a_figure_may_not_be_written(tmp_path):
     (tmp_path / "pregrasp.svg").write_text("mine")
     with pytest.raises(OutputError, match="--force"):
-        run(tmp_path)
+        STUDY.run(figures=tmp_path)
     with pytest.raises(OutputError, match="missing"):
         check_folder(tmp_path / "missing" / "figures", False)
     with pytest.raises(GridPushError, match="objects: anvil"):
-        run(tmp_path, objects=["anvil"], force=True)
+        STUDY.run(figures=tmp_path, objects=("anvil",), force=True)
     assert (tmp_path / "pregrasp.svg").read_text() == "mine"
 
 
@@ -41,7 +48,7 @@ def test_every_figure_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(paper_figures, "SHIPPED", ("open_book",))
     monkeypatch.setattr(paper_figures, "SLIDE_METHODS", ("true", "uniform"))
     counts = Counts(sets=1, pairs=1, splits=1, tries=1, budget=30)
-    (table,) = run(tmp_path / "figures", methods=["paper"], counts=counts)
+    (table,) = STUDY.run(figures=tmp_path / "figures", methods=("paper",), counts=counts)
     assert [row[0] for row in table.rows] == list(FIGURES)
     for name in FIGURES:
         with Image.open(tmp_path / "figures" / f"{name}.png") as image:

@@ -17,6 +17,7 @@ from gridpush_drake.bench.protocol import (
     make_pushes,
     place_disc,
 )
+from gridpush_drake.bench.table import calc_interval
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, OutputError
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
@@ -168,20 +169,21 @@ def test_refuses_another_file(made_folder, content):
         ({"objects": ["spoon"]}, "spoon"),
         ({"methods": ["guess"]}, "guess"),
         ({"methods": []}, "methods"),
-        ({"mass_sets": 3}, "mass sets"),
+        ({"sets": 3}, "mass sets"),
         ({"budget": 4}, "budget"),
     ],
 )
 def test_refuses_what_it_cannot_do(made_folder, changes, message):
     with pytest.raises(GridPushError, match=message):
-        paper.run(made_folder, **{"mass_sets": 1} | changes)
+        paper.STUDY.run(data=made_folder, **{"sets": 1} | changes)
 
 
 def test_a_small_run(made_folder, tmp_path):
     figure, told = tmp_path / "curve.png", []
     methods = ("paper", "random_search")
     execution = Execution(workers=0, report=lambda *what: told.append(what))
-    tables = paper.run(made_folder, 2, ["ell"], methods, 20, execution=execution, figure=figure)
+    chosen = {"data": made_folder, "methods": methods, "figure": figure}
+    tables = paper.STUDY.run(sets=2, objects=("ell",), budget=20, execution=execution, **chosen)
     by_method, by_budget = tables
     assert by_method.columns == ("method", "ell", "all", "simulations")
     assert [row[0] for row in by_method.rows] == ["uniform prior", *methods]
@@ -193,25 +195,24 @@ def test_a_small_run(made_folder, tmp_path):
         *((f"ell, mass set {i}, 5 training pushes", i + 1, 2) for i in range(2)),
     ]
     with pytest.raises(OutputError, match="exists"):
-        paper.run(made_folder, 1, methods=methods, figure=figure)
+        paper.STUDY.run(sets=1, **chosen)
 
 
 def test_refuses_an_unknown_kind_of_figure(made_folder, tmp_path):
     with pytest.raises(OutputError, match=r"\.png"):
-        paper.run(made_folder, 1, figure=tmp_path / "curve.doc")
+        paper.STUDY.run(data=made_folder, sets=1, figure=tmp_path / "curve.doc")
 
 
 @pytest.mark.slow
 def test_workers_do_not_matter(made_folder):
     options = {
-        "mass_sets": 2,
+        "data": made_folder,
+        "sets": 2,
         "objects": ["ell"],
         "methods": ("paper", "weighted_sampling"),
         "budget": 50,
     }
-    one, two = (
-        paper.run(made_folder, execution=Execution(workers=count), **options) for count in (0, 2)
-    )
+    one, two = (paper.STUDY.run(execution=Execution(workers=count), **options) for count in (0, 2))
     assert one == two
 
 
@@ -251,10 +252,10 @@ def test_tables_of_scores():
 def test_interval():
     rng = np.random.default_rng(0)
     values = rng.normal(3.0, 1.0, 200)
-    interval = paper.calc_interval(values)
+    interval = calc_interval(values)
     assert interval.mean == pytest.approx(values.mean())
     assert interval.high - interval.low == pytest.approx(
         2 * 1.96 * values.std() / np.sqrt(200), rel=0.05
     )
-    assert paper.calc_interval([2.0]).mean == 2.0
-    assert np.isnan(paper.calc_interval([2.0]).low)
+    assert calc_interval([2.0]).mean == 2.0
+    assert np.isnan(calc_interval([2.0]).low)

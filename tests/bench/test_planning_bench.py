@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.planning import LEARNING, TRUE, run
+from gridpush_drake.bench.planning import LEARNING, STUDY, TRUE
 from gridpush_drake.bench.protocol import (
     OVERHANG,
     draw_pairs,
@@ -40,8 +40,8 @@ def test_every_object_may_lie_where_the_protocol_says(seed):
 
 @pytest.mark.slow
 def test_decisions_are_near_the_exhaustive_search_s(masks):
-    (table,) = run(
-        masks, objects=["snack"], quick=True, parts=("contact",), execution=Execution(workers=0)
+    (table,) = STUDY.run(
+        data=masks, objects=("snack",), quick=True, part="contact", execution=Execution(workers=0)
     )
     assert [row[0] for row in table.rows] == ["snack", "all"]
     row = dict(zip(table.columns, table.rows[0], strict=True))
@@ -53,8 +53,8 @@ def test_decisions_are_near_the_exhaustive_search_s(masks):
 
 @pytest.mark.slow
 def test_runs_reach_their_goals(masks):
-    (table,) = run(
-        masks, objects=["snack"], quick=True, parts=("push",), modes=(LEARNING, TRUE),
+    (table,) = STUDY.run(
+        data=masks, objects=("snack",), quick=True, part="push", modes=(LEARNING, TRUE),
         execution=Execution(workers=0),
     )  # fmt: skip
     done = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
@@ -72,8 +72,8 @@ def test_what_is_drawn_depends_on_the_seed():
 
 
 def test_runs_without_data():
-    (table,) = run(
-        objects=["pliers"], quick=True, parts=("contact",), execution=Execution(workers=0)
+    (table,) = STUDY.run(
+        objects=("pliers",), quick=True, part="contact", execution=Execution(workers=0)
     )
     assert [row[0] for row in table.rows] == ["pliers", "all"]
     assert dict(zip(table.columns, table.rows[0], strict=True))["decisions"] == 3
@@ -81,8 +81,8 @@ def test_runs_without_data():
 
 def test_refuses(tmp_path):
     with pytest.raises(GridPushError, match="toaster"):
-        run(objects=["toaster"])
+        STUDY.run(objects=("toaster",))
     with pytest.raises(GridPushError, match="sets"):
-        run(sets=11)
+        STUDY.run(sets=11)
     with pytest.raises(GridPushError, match=r"_label\.pgm, as of GitHub changkyu/rss2020_changkyu"):
-        run(tmp_path)
+        STUDY.run(data=tmp_path)

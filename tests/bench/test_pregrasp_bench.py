@@ -8,7 +8,7 @@ from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.pregrasp.experiments import (
     ALONG,
     MAX_POKES,
-    OBJECTS,
+    OBJECTS_OF_BENCH,
     SlideScore,
     explore,
     load_bench_object,
@@ -117,8 +117,12 @@ def test_a_light_end_over_the_edge_rests_there_and_is_not_flung_up():
 @pytest.mark.slow
 def test_truths_are_measured_beside_each_other():
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
-    truths, by_object = pregrasp.run(
-        ["toolbox"], 1, 1, truths=["three_feet", "lcp"], execution=Execution(workers=0)
+    truths, by_object = pregrasp.STUDY.run(
+        objects=("toolbox",),
+        mass_sets=1,
+        seeds=1,
+        truths=("three_feet", "lcp"),
+        execution=Execution(workers=0),
     )
     assert [row[:2] for row in truths.rows] == [["three_feet", 1], ["lcp", 1]]
     assert [row[2] for row in truths.rows] == ["100 (21-100)"] * 2
@@ -130,8 +134,12 @@ def test_truths_are_measured_beside_each_other():
 @pytest.mark.slow
 def test_materials_are_measured_by_what_is_told(monkeypatch):
     monkeypatch.setattr(pregrasp, "TOLD", {"0.2 to 0.8": (0.2, 0.8)})
-    table, _ = pregrasp.run(
-        ["toolbox"], 1, 1, experiment=pregrasp.MATERIALS, execution=Execution(workers=0)
+    table, _ = pregrasp.STUDY.run(
+        objects=("toolbox",),
+        mass_sets=1,
+        seeds=1,
+        experiment=pregrasp.MATERIALS,
+        execution=Execution(workers=0),
     )
     assert table.rows[0][:2] == ["0.2 to 0.8", 1]
     assert table.rows[0][3] == "0 (0-79)"
@@ -147,10 +155,10 @@ def test_one_part_is_of_rubber():
 
 
 def test_bounds_that_hold_contain_the_center_and_tip_nothing():
-    table = pregrasp.run(
-        ["pliers"],
-        2,
-        1,
+    table = pregrasp.STUDY.run(
+        objects=("pliers",),
+        mass_sets=2,
+        seeds=1,
         experiment=pregrasp.BOUNDS,
         friction=(0.3, 0.4),
         execution=Execution(workers=0),
@@ -187,8 +195,8 @@ def test_the_table_counts_what_happened():
 
 
 def test_runs_with_the_true_parameters():
-    tables = pregrasp.run(
-        ["toolbox"],
+    tables = pregrasp.STUDY.run(
+        objects=("toolbox",),
         mass_sets=1,
         seeds=1,
         methods=["true"],
@@ -212,13 +220,13 @@ def test_runs_with_the_true_parameters():
 )
 def test_refuses_what_makes_no_sense(arguments, says):
     with pytest.raises(GridPushError, match=says):
-        pregrasp.run(**arguments)
+        pregrasp.STUDY.run(**arguments)
 
 
 @pytest.mark.slow
 def test_pokes_by_design_are_fewer_and_the_spread_is_honest():
     scores = []
-    for i, name in enumerate(OBJECTS[:2]):
+    for i, name in enumerate(OBJECTS_OF_BENCH[:2]):
         obj = load_bench_object(name, pregrasp.FRICTION_RANGE)
         scores.append(explore(obj, pregrasp.make_truth(obj, i), name, i, 0, ALONG))
     designed = np.mean([score.active.pokes for score in scores])
@@ -226,13 +234,13 @@ def test_pokes_by_design_are_fewer_and_the_spread_is_honest():
     assert designed < MAX_POKES
     assert max(score.active.error for score in scores) < 0.02
     assert tabulate_exploration(scores).rows[0][:3] == [ALONG, 40.0, 2]
-    assert len(tabulate_exploration_by_object(scores, OBJECTS).rows) == 2
+    assert len(tabulate_exploration_by_object(scores, OBJECTS_OF_BENCH).rows) == 2
 
 
 @pytest.mark.slow
 def test_what_was_learned_drops_nothing():
-    tables = pregrasp.run(
-        ["pliers", "toolbox"],
+    tables = pregrasp.STUDY.run(
+        objects=("pliers", "toolbox"),
         mass_sets=2,
         seeds=1,
         methods=["learned"],

@@ -8,12 +8,12 @@ from gridpush_drake.bench.real import (
     CENTER,
     FEET_SETS,
     POSES,
+    STUDY,
     UNIFORM,
     Job,
     calc_split_means,
     find_push_logs,
     name_logs,
-    run,
     run_job,
     simulate_log,
 )
@@ -49,17 +49,17 @@ def test_missing_data_are_a_clear_error(tmp_path: Path) -> None:
         with pytest.raises(
             GridPushError, match=r"expected push logs as of GitHub robinzhoucmu/MLab_EXP"
         ) as caught:
-            run(folder)
+            STUDY.run(data=folder)
         assert str(caught.value).startswith(str(folder))
 
 
 def test_arguments_go_with_the_data(tmp_path: Path) -> None:
     with pytest.raises(GridPushError, match=r"figure.*--data"):
-        run(figure=tmp_path / "curve.png")
+        STUDY.run(figure=tmp_path / "curve.png")
     with pytest.raises(GridPushError, match=r"objects.*--data"):
-        run(tmp_path, objects=["pliers"])
+        STUDY.run(data=tmp_path, objects=("pliers",))
     with pytest.raises(GridPushError, match="toaster"):
-        run(objects=["toaster"])
+        STUDY.run(objects=("toaster",))
 
 
 def test_finds_logs_wherever_a_clone_has_them() -> None:
@@ -84,7 +84,7 @@ def test_names_of_logs_differ() -> None:
 
 
 def test_simulated_pushes_stand_in_and_say_so() -> None:
-    (table,) = run(objects=["pliers"], splits=1, execution=Execution(workers=0))
+    (table,) = STUDY.run(objects=("pliers",), splits=1, execution=Execution(workers=0))
     assert "Simulated stand-in" in table.title
     assert table.columns[0] == "object, simulated"
     assert any("Nothing here is real" in note for note in table.notes)

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.speed import load_hammer, make_bench_push, make_mujoco_push, run
+from gridpush_drake.bench.speed import STUDY, make_bench_push, make_mujoco_push
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.parameters import CellParameters
@@ -12,8 +12,8 @@ from tests.helpers.made_identifications import make_block
 
 
 def test_measures_everything():
-    push, sizes, identification, start_up = run(
-        load_hammer(None), repetitions=3, sizes=(4, 400, 900), logs=((16, 3),), with_mujoco=False
+    push, sizes, identification, start_up = STUDY.run(
+        repetitions=3, sizes=(4, 400, 900), logs=((16, 3),), mujoco=False
     )
     assert push.rows[0][0] == "inertial"
     assert [row[0] for row in sizes.rows] == [4, 400, 900]

@@ -16,7 +16,7 @@ from gridpush_drake.bench.truth.learning import (
     UNIFORM,
     TruthScore,
     calc_center_region,
-    tabulate,
+    tabulate_scores,
 )
 from gridpush_drake.bench.truth.sets import make_set, write_set
 from gridpush_drake.errors import GridPushError
@@ -82,7 +82,7 @@ def test_the_table_counts_what_happened():
         )
         for seed, error, within in ((0, 0.001, 1.0), (1, 0.002, 0.5), (2, 0.006, 0.6))
     ]
-    (row,) = tabulate(scores).rows
+    (row,) = tabulate_scores(scores).rows
     assert row[:4] == ["vertices", "5 pushes", 3, pytest.approx(3.0)]
     assert row[6:] == [
         pytest.approx(1.5),
@@ -103,4 +103,4 @@ def test_the_table_counts_what_happened():
 )
 def test_refuses_what_makes_no_sense(arguments, says):
     with pytest.raises(GridPushError, match=says):
-        truth.run(execution=Execution(workers=0), **arguments)
+        truth.STUDY.run(execution=Execution(workers=0), **arguments)

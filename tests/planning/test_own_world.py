@@ -103,9 +103,9 @@ def test_benches_take_it_by_its_name(DiscWorld):
 def test_an_unknown_world_is_refused(DiscWorld):
     for name in ("marbles", "disc_world:Marbles", "no_such_module:World", ":", "a:"):
         with pytest.raises(GridPushError, match="expected one of lcp, edge, mujoco, drake, or MOD"):
-            planning.run(objects=["pliers"], quick=True, world=name)
+            planning.STUDY.run(objects=("pliers",), quick=True, world=name)
     with pytest.raises(GridPushError, match="world: 'disc_world:Marbles'"):
-        pregrasp.run(["toolbox"], truths=["disc_world:Marbles"])
+        pregrasp.STUDY.run(objects=("toolbox",), truths=("disc_world:Marbles",))
 
 
 def test_the_named_worlds_are_of_one_form():

@@ -1,7 +1,9 @@
-"""`gridpush bench truth`: how well bodies are learned that do not obey the model (`bench.truth.sets`).
+"""`gridpush bench truth`: how well bodies are learned that do not obey the model.
 
-Each hidden body is learned from the first few of its pushes by the default method, and judged by
-its held-out pushes, its true center of mass, and whether both are where the identification says.
+Each hidden body of `bench.truth.sets` is learned from the first few of its pushes by the default
+method. It is judged by its held-out pushes, by its true center of mass, and by whether both are
+where the identification says. Bodies that hang over a table's edge are measured in
+`bench.truth.overhang`.
 """
 
 from collections.abc import Sequence
@@ -10,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
-from gridpush_drake.bench.paper import calc_interval
-from gridpush_drake.bench.table import MM, PERCENT, Table, Value
+from gridpush_drake.bench.jobs import check_known
+from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
+from gridpush_drake.bench.table import MM, PERCENT, Table, Value, calc_interval
 from gridpush_drake.bench.truth import overhang
 from gridpush_drake.bench.truth.overhang import OVERHANG, TIPPED_BODIES
 from gridpush_drake.bench.truth.sets import (
@@ -35,22 +37,98 @@ from gridpush_drake.identification.result import Identification, calc_center_of_
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-SETS, QUICK_SETS = 3, 1
-"""Seeds of each outline."""
+SETS = 3
+"""Number of hidden bodies of each kind and outline by default."""
 
-COUNTS, QUICK_COUNTS = (3, 5, 8, 18), (5,)
-"""Pushes to learn from."""
+QUICK_SETS = 1
+"""Number of hidden bodies of each kind and outline in the quick variant."""
 
-UNIFORM, MASSES, LOADS, LEARNED = "uniform", "true masses", "true loads", "learned"
+COUNTS = (3, 5, 8, 18)
+"""Numbers of pushes to learn from by default."""
+
+QUICK_COUNTS = (5,)
+"""Numbers of pushes to learn from in the quick variant."""
+
+UNIFORM = "uniform"
+"""Name of the model of which nothing was learned."""
+
+MASSES = "true masses"
+"""Name of the model that is given each cell's true mass as its load."""
+
+LOADS = "true loads"
+"""Name of the model that is given each cell's true load at rest."""
+
 SHIFTING = "true loads, shifting"
-"""Models: nothing learned; the masses as loads; the loads at rest, which may shift with the
-pusher's force and height; and what was learned."""
+"""Name of the model that is given the true loads at rest, which shift with the pusher's force and
+height."""
+
+LEARNED = "learned"
+"""Name of the model that was learned."""
+
+ORDER = {UNIFORM: 0, MASSES: 1, LOADS: 2, SHIFTING: 3, LEARNED: 4}
+"""Order of the models in the table."""
 
 CHI_SQUARE = 5.991
-"""What 95 % of chi squares of two degrees of freedom stay below."""
+"""Value that 95 % of chi squares of two degrees of freedom stay below."""
 
 MIN_LOAD = 1e-6
-"""N of a cell that bears nothing: a mass must be positive."""
+"""Load of a cell that bears nothing, N: a mass must be positive."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        kinds: kinds of truth; OVERHANG is measured by itself, see `bench.truth.overhang`.
+        objects: names of shipped objects whose outlines the bodies have; OUTLINES where None.
+        sets: number of bodies of each kind and outline; the first one has the seed `seed`.
+        pushes: numbers of pushes to learn from.
+        out: folder of sets, each in KIND/OUTLINE_SEED. Those that are there are read, others are
+            made and left there.
+        force: whether sets that are there are made anew, and replaced.
+        tipped: number of bodies of each outline that are pushed over the edge until they tip.
+    """
+
+    kinds: tuple[str, ...] | None = option(
+        None,
+        "own_weight, half_height, foundation, vertices, three_feet or overhang; may be repeated.",
+        name="--kind",
+        metavar="KIND",
+        shown="all but overhang",
+    )
+    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    sets: int = option(SETS, "Hidden bodies of each kind and object.", least=1)
+    pushes: tuple[int, ...] | None = option(
+        None,
+        "How many pushes to learn from; may be repeated.",
+        least=1,
+        shown=", ".join(map(str, COUNTS)),
+    )
+    out: Path | None = option(
+        None,
+        "Leave object files, pushes and truths there; those that are there are read, and made anew "
+        "with --force.",
+        name="--out",
+        short="-o",
+        metavar="DIR",
+    )
+    tipped: int = TIPPED_BODIES
+
+    @property
+    def chosen_kinds(self) -> tuple[str, ...]:
+        """The kinds that are measured."""
+        return KINDS if self.kinds is None else self.kinds
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the outlines."""
+        return OUTLINES if self.objects is None else self.objects
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """The numbers of pushes to learn from, each once and in order."""
+        return tuple(sorted(set(COUNTS if self.pushes is None else self.pushes)))
 
 
 @dataclass(frozen=True)
@@ -58,13 +136,13 @@ class Job:
     """One hidden body, learned from several numbers of pushes.
 
     Attributes:
-        kind: of truth.
-        name: of the outline.
-        seed: of the body and its pushes.
-        counts: pushes to learn from.
+        kind: kind of truth.
+        name: name of the outline.
+        seed: seed of the body and its pushes.
+        counts: numbers of pushes to learn from.
         out: folder of sets, where this one is looked up, and left if it has to be made; None keeps
             none.
-        anew: whether to make it even so.
+        anew: whether to make it even if it is there.
     """
 
     kind: str
@@ -77,20 +155,20 @@ class Job:
 
 @dataclass(frozen=True)
 class TruthScore:
-    """How one model of one hidden body did; what only an identification says is None for others.
+    """How one model of one hidden body did.
 
     Attributes:
-        kind: of truth.
-        name: of the outline.
-        seed: of the body.
+        kind: kind of truth.
+        name: name of the outline.
+        seed: seed of the body.
         model: one of ORDER.
-        pushes: learned from.
+        pushes: number of pushes that were learned from.
         error: mean final cell error of the held-out pushes, m.
         center_error: distance from the true center of mass, m.
-        covered: whether the true center is within the 95 % region.
+        covered: whether the true center is within the 95 % region; None where nothing was learned.
         within: share of the held-out pushes whose final pose is as near to the predicted one as
-            said.
-        region: radius of a circle as large as the 95 % region, m.
+            said; None where nothing was learned.
+        region: radius of a circle as large as the 95 % region, m; None where nothing was learned.
     """
 
     kind: str
@@ -105,65 +183,58 @@ class TruthScore:
     region: float | None = None
 
 
-def run(
-    kinds: Sequence[str] = KINDS,
-    objects: Sequence[str] | None = None,
-    sets: int = SETS,
-    pushes: Sequence[int] = COUNTS,
-    seed: int = 0,
-    execution: Execution = QUIET,
-    *,
-    quick: bool = False,
-    out: Path | None = None,
-    force: bool = False,
-) -> list[Table]:
-    """Measures the default method on hidden bodies.
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant."""
+    sets = min(options.sets, QUICK_SETS)
+    return replace(options, sets=sets, pushes=QUICK_COUNTS, tipped=QUICK_SETS)
 
-    Args:
-        kinds: of truth; OVERHANG is measured by itself, see `bench.truth.overhang`.
-        objects: shipped objects whose outlines the bodies have; five by default.
-        sets: bodies of each kind and outline.
-        pushes: numbers of pushes to learn from.
-        seed: of the first body; the others' follow.
-        execution: how the jobs are run.
-        quick: only `QUICK_SETS` bodies and `QUICK_COUNTS` pushes.
-        out: folder of sets, each in KIND/OUTLINE_SEED; those that are there are read, others are
-            made and left there.
-        force: whether those that are there are made anew, and replaced.
 
-    Returns:
-        A row for each kind and model; of OVERHANG, the pushes' errors and the limit.
+def make_jobs(options: Options) -> list[Job | overhang.OverhangJob | overhang.TippingJob]:
+    """Makes a job for each kind, body and outline, and those of the overhang.
 
     Raises:
-        GridPushError: an argument is out of range, or a set cannot be read or made.
+        GridPushError: an option is out of range.
         MissingExtraError: a set must be made, and MuJoCo is not installed.
-        ObjectError: an object is not shipped.
-        OutputError: a file exists and may not be replaced, or cannot be written.
     """
-    sets, counts = (
-        (min(sets, QUICK_SETS), QUICK_COUNTS) if quick else (sets, tuple(sorted(set(pushes))))
-    )
-    _check(kinds, sets, counts)
-    if out is None:
-        # only sets that lie in a folder already can be read without MuJoCo
+    check_known("kind", options.chosen_kinds, (*KINDS, OVERHANG))
+    if options.sets < 1:
+        raise GridPushError(f"sets: {options.sets}; expected at least 1")
+    counts = options.counts
+    if not counts or not 1 <= counts[0] <= counts[-1] <= TRAINING:
+        given = ", ".join(map(str, counts)) or "none"
+        raise GridPushError(f"pushes: {given}; expected 1 to {TRAINING}")
+    if options.out is None:
+        # Only sets that lie in a folder already can be read without MuJoCo.
         import_extra("mujoco", "bench")
-    names = OUTLINES if objects is None else tuple(objects)
-    flat = [kind for kind in kinds if kind != OVERHANG]
+    folder = None if options.out is None else options.out.resolve()
     jobs = [
-        Job(kind, name, seed + i, counts, out, force)
-        for kind in flat
-        for i in range(sets)
-        for name in names
+        Job(
+            kind=kind,
+            name=name,
+            seed=options.seed + i,
+            counts=counts,
+            out=folder,
+            anew=options.force,
+        )
+        for kind in options.chosen_kinds
+        if kind != OVERHANG
+        for i in range(options.sets)
+        for name in options.names
     ]
-    results = run_jobs(run_job, jobs, lambda job: f"{job.kind}, {job.name} {job.seed}", execution)
-    tables = [tabulate([score for scores in results for score in scores])] if flat else []
-    if OVERHANG in kinds:
-        tables += overhang.run(names, sets, seed, execution, QUICK_SETS if quick else TIPPED_BODIES)
-    return tables
+    if OVERHANG not in options.chosen_kinds:
+        return [*jobs]
+    over = overhang.make_jobs(options.names, options.sets, options.seed, options.tipped)
+    return [*jobs, *over]
 
 
 def run_job(job: Job) -> list[TruthScore]:
-    """Makes or reads one set, and learns from it."""
+    """Makes or reads one set, and learns from it.
+
+    Raises:
+        GridPushError: the set cannot be made or read, or has too few pushes.
+        ObjectError: the outline's object is not shipped.
+        OutputError: a file exists and may not be replaced, or cannot be written.
+    """
     folder = None if job.out is None else job.out / job.kind / f"{job.name}_{job.seed}"
     if folder is not None and folder.exists() and not job.anew:
         made = read_set(folder)
@@ -175,13 +246,19 @@ def run_job(job: Job) -> list[TruthScore]:
         raise GridPushError(
             f"{folder}: holds {len(made.training)} pushes; expected {job.counts[-1]} to learn from"
         )
-    friction, contact = made.params.friction, made.params.contact_friction
-    patch_ratio = MapEnsemble().choose_patch_ratio(made.obj)
+    # What the model does that knows the truth, or nothing.
     loads = CellParameters(
-        np.maximum(made.loads, MIN_LOAD), friction, contact, patch_ratio=patch_ratio
+        np.maximum(made.loads, MIN_LOAD),
+        made.params.friction,
+        made.params.contact_friction,
+        patch_ratio=MapEnsemble().choose_patch_ratio(made.obj),
     )
-    known = {UNIFORM: CellParameters.uniform(made.obj), MASSES: made.params, LOADS: loads}
-    known[SHIFTING] = replace(loads, push_height=made.push_height)
+    known = {
+        UNIFORM: CellParameters.uniform(made.obj),
+        MASSES: made.params,
+        LOADS: loads,
+        SHIFTING: replace(loads, push_height=made.push_height),
+    }
     scores = [_score(made, model, 0, params) for model, params in known.items()]
     for count in job.counts:
         found = identify(made.obj, made.training[:count])
@@ -196,34 +273,37 @@ def _score(
     params: CellParameters,
     found: Identification | None = None,
 ) -> TruthScore:
+    """Judges one model; `found` is the identification that it comes from, if any."""
     physics = QUASI_STATIC if found is None else found.physics
     made_motions = predict(made.obj, params, made.held_out, physics=physics)
     poses = np.array([each.poses[-1] for each in made_motions])
     errors = calc_distances(made.obj, poses, np.array([seen.final_pose for seen in made.held_out]))
     off = params.center_of_mass(made.obj) - made.center_of_mass
-    key = (
-        made.kind,
-        made.name,
-        made.seed,
-        model,
-        pushes,
-        float(errors.mean()),
-        float(np.linalg.norm(off)),
+    score = TruthScore(
+        kind=made.kind,
+        name=made.name,
+        seed=made.seed,
+        model=model,
+        pushes=pushes,
+        error=float(errors.mean()),
+        center_error=float(np.linalg.norm(off)),
     )
     if found is None:
-        return TruthScore(*key)
+        return score
     chi_square, radius = calc_center_region(found, made.center_of_mass)
     within = errors <= [spread.cell_error for spread in predict_spread(found, made.held_out)]
-    return TruthScore(*key, chi_square <= CHI_SQUARE, float(within.mean()), radius)
+    return replace(
+        score, covered=chi_square <= CHI_SQUARE, within=float(within.mean()), region=radius
+    )
 
 
 def calc_distances(obj: GridObject, a: Array, b: Array) -> Array:
-    """Mean distances of the cells (...,), m, at poses (..., 3) and (..., 3)."""
+    """Calculates the mean distances of the cells (...,), m, at poses (..., 3) and (..., 3)."""
     return np.asarray(np.linalg.norm(obj.cells_at(a) - obj.cells_at(b), axis=-1).mean(axis=-1))
 
 
 def calc_center_region(found: Identification, center: Array) -> tuple[float, float]:
-    """Where the center of mass is held to be.
+    """Calculates where the center of mass is held to be.
 
     Args:
         found: the identification.
@@ -238,7 +318,18 @@ def calc_center_region(found: Identification, center: Array) -> tuple[float, flo
     return float(off @ np.linalg.solve(covariance, off)), float(radius)
 
 
-def tabulate(scores: Sequence[TruthScore]) -> Table:
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates the bodies by kind and model, and what is measured at an edge."""
+    scores = [score for scores in done.of(TASK) for score in scores]
+    tables = [tabulate_scores(scores)] if scores else []
+    pushed = [score for scores in done.of(overhang.PUSHED) for score in scores]
+    if pushed:
+        tables.append(overhang.tabulate_pushes(pushed))
+        tables.append(overhang.tabulate_limit(done.of(overhang.TIPPED)))
+    return tables
+
+
+def tabulate_scores(scores: Sequence[TruthScore]) -> Table:
     """Sums up scores by kind and model."""
     rows: list[list[Value]] = []
     for kind in dict.fromkeys(score.kind for score in scores):
@@ -248,44 +339,64 @@ def tabulate(scores: Sequence[TruthScore]) -> Table:
         )
         for pushes, model in models:
             chosen = [s for s in scores if (s.kind, s.model, s.pushes) == (kind, model, pushes)]
-            rows.append([kind, model if model != LEARNED else f"{pushes} pushes", *_sum_up(chosen)])
+            name = f"{pushes} pushes" if model == LEARNED else model
+            rows.append([kind, name, *_sum_up(chosen)])
     notes = (
-        "Mean final cell error of held-out pushes, and the 95 % bootstrap interval of its mean over the bodies.",
-        "True masses, true loads: what the model does when it is given each cell's mass, or its load at rest, N/g.",
-        "Center: mean distance from the true center of mass; within: bodies whose center is in the 95 % region;",
+        "Mean final cell error of held-out pushes, and the 95 % bootstrap interval of its mean over "
+        "the bodies.",
+        "True masses, true loads: what the model does when it is given each cell's mass, or its load "
+        "at rest, N/g.",
+        "Center: mean distance from the true center of mass; within: bodies whose center is in the "
+        "95 % region;",
         "region: median radius of a circle as large as that region.",
-        f"Held-out within: pushes that end as near to the prediction as is said of {INTERVAL:.0%} of them.",
+        f"Held-out within: pushes that end as near to the prediction as is said of {INTERVAL:.0%} of "
+        "them.",
     )
     columns = (
-        "truth", "model", "bodies", "held-out, mm", "from", "to", "center, mm", "within, %", "region, mm",
+        "truth",
+        "model",
+        "bodies",
+        "held-out, mm",
+        "from",
+        "to",
+        "center, mm",
+        "within, %",
+        "region, mm",
         "held-out within, %",
-    )  # fmt: skip
-    return Table("Bodies that do not obey the model, in MuJoCo", columns, rows, notes, keys=2)
-
-
-ORDER = {UNIFORM: 0, MASSES: 1, LOADS: 2, SHIFTING: 3, LEARNED: 4}
-"""Of models in the table."""
+    )
+    title = "Bodies that do not obey the model, in MuJoCo"
+    return Table(title, columns, rows, notes, keys=2)
 
 
 def _sum_up(scores: Sequence[TruthScore]) -> list[Value]:
+    """Makes the figures of a row of the table."""
     error = calc_interval([score.error for score in scores])
     row: list[Value] = [len(scores), *(MM * value for value in (error.mean, error.low, error.high))]
     row.append(MM * float(np.mean([score.center_error for score in scores])))
     covered = [score.covered for score in scores if score.covered is not None]
     if not covered:
         return [*row, None, None, None]
-    region = MM * float(np.median([score.region for score in scores if score.region is not None]))
-    within = PERCENT * float(
-        np.mean([score.within for score in scores if score.within is not None])
-    )
-    return [*row, PERCENT * float(np.mean(covered)), region, within]
+    regions = [score.region for score in scores if score.region is not None]
+    within = [score.within for score in scores if score.within is not None]
+    return [
+        *row,
+        PERCENT * float(np.mean(covered)),
+        MM * float(np.median(regions)),
+        PERCENT * float(np.mean(within)),
+    ]
 
 
-def _check(kinds: Sequence[str], sets: int, counts: Sequence[int]) -> None:
-    check_known("kind", kinds, (*KINDS, OVERHANG))
-    if sets < 1:
-        raise GridPushError(f"sets: {sets}; expected at least 1")
-    if not counts or not 1 <= counts[0] <= counts[-1] <= TRAINING:
-        raise GridPushError(
-            f"pushes: {', '.join(map(str, counts)) or 'none'}; expected 1 to {TRAINING}"
-        )
+TASK = Task(job=Job, run=run_job, describe=lambda job: f"{job.kind}, {job.name} {job.seed}")
+"""What is done with a hidden body."""
+
+STUDY = Study(
+    name="truth",
+    help="Learn bodies that do not obey the model: MuJoCo pushes them, on feet, foundations and "
+    "uneven bottoms.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(TASK, overhang.PUSHED, overhang.TIPPED),
+    tabulate=tabulate,
+)
+"""`gridpush bench truth`."""

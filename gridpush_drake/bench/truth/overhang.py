@@ -7,22 +7,28 @@ side of the limit the model lets it tip.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 from zlib import crc32
 
 import numpy as np
 from shapely import LineString, Point
 
-from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.paper import calc_interval
 from gridpush_drake.bench.plant import PUSH_HEIGHT, PlantWorld
-from gridpush_drake.bench.table import MM, Table, Value
+from gridpush_drake.bench.study import Task
+from gridpush_drake.bench.table import (
+    MM,
+    Column,
+    Interval,
+    Table,
+    by_object,
+    calc_interval,
+    count_of,
+)
 from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TABLE_HALF, MujocoWorld
 from gridpush_drake.bench.truth.sets import (
     CLEARANCE,
     HALF_HEIGHT,
     MIN_MOTION,
-    OUTLINES,
     SLANT,
     draw_masses,
     make_body,
@@ -107,7 +113,14 @@ TRIES = 300
 
 @dataclass(frozen=True)
 class OverhangJob:
-    """Pushes of one body with some of its cells over the edge."""
+    """Pushes of one body with some of its cells over the edge.
+
+    Attributes:
+        world: name of the world that the model is compared with.
+        name: name of the outline.
+        seed: seed of the body and its pushes.
+        pushes: number of pushes.
+    """
 
     world: WorldName
     name: str
@@ -117,18 +130,18 @@ class OverhangJob:
 
 @dataclass(frozen=True)
 class OverhangScore:
-    """How far the model's last pose is from the truth's, with the table and without.
+    """How far the model's last pose is from the true one.
 
     Attributes:
-        world: that the truth is of.
-        name: of the outline.
-        seed: of the body.
-        share: of the cells beyond the edge at the end.
+        world: name of the world in which the body was pushed.
+        name: name of the outline.
+        seed: seed of the body.
+        share: share of the cells beyond the edge at the end.
         moved: mean distance that the cells went, m.
-        position: distance of the centers of mass, m, knowing of the table.
-        angle: rad.
-        endless: the distance of a model that does not know of it, m.
-        tips: whether the model says that it tips; it did not.
+        position: distance of the centers of mass of a model that knows of the table, m.
+        angle: difference of its angle, rad.
+        endless: distance of the centers of mass of a model that knows of no edge, m.
+        tips: whether the model says that the body tips; it did not.
     """
 
     world: str
@@ -144,7 +157,12 @@ class OverhangScore:
 
 @dataclass(frozen=True)
 class TippingJob:
-    """A body that is pushed across the limit."""
+    """A body that is pushed across the limit.
+
+    Attributes:
+        name: name of the outline.
+        seed: seed of the body and its pushes.
+    """
 
     name: str
     seed: int
@@ -155,8 +173,8 @@ class TippingScore:
     """What the model says of pushes that end before and behind the limit.
 
     Attributes:
-        name: of the outline.
-        seed: of the body.
+        name: name of the outline.
+        seed: seed of the body.
         stayed: whether the model lets it tip where it truly stays.
         tipped: whether it lets it tip where it truly tips.
     """
@@ -167,29 +185,17 @@ class TippingScore:
     tipped: bool
 
 
-def run(
-    objects: Sequence[str] | None,
-    sets: int,
-    seed: int,
-    execution: Execution = QUIET,
-    bodies: int = TIPPED_BODIES,
-) -> list[Table]:
-    """Sets the model beside both worlds.
+def make_jobs(
+    names: Sequence[str], sets: int, seed: int, bodies: int
+) -> list[OverhangJob | TippingJob]:
+    """Makes the jobs of both measurements.
 
     Args:
-        objects: shipped objects' names; five by default.
-        sets: bodies of each object that are pushed over the edge.
-        seed: of the first body; the others' follow.
-        execution: how the jobs are run.
-        bodies: of each object that are pushed until they tip.
-
-    Returns:
-        A table of the pushes' errors, and one of the limit.
-
-    Raises:
-        GridPushError: MuJoCo is not installed, or no such push is found.
+        names: names of the outlines.
+        sets: number of bodies of each outline that are pushed over the edge.
+        seed: seed of the first body; the others' follow.
+        bodies: number of bodies of each outline that are pushed until they tip.
     """
-    names = OUTLINES if objects is None else tuple(objects)
     pushes = [
         OverhangJob(world, name, seed + i)
         for world in WORLDS
@@ -197,11 +203,7 @@ def run(
         for name in names
     ]
     limits = [TippingJob(name, seed + i) for i in range(bodies) for name in names]
-    found = run_jobs(
-        run_overhang, pushes, lambda job: f"{job.world}, {job.name} {job.seed}", execution
-    )
-    sides = run_jobs(run_tipping, limits, lambda job: f"tipping, {job.name} {job.seed}", execution)
-    return [tabulate_pushes([score for scores in found for score in scores]), tabulate_limit(sides)]
+    return [*pushes, *limits]
 
 
 def run_overhang(job: OverhangJob) -> list[OverhangScore]:
@@ -400,42 +402,64 @@ def _tips(world: MujocoWorld, push: Push, pose: Array) -> bool:
 
 
 def tabulate_pushes(scores: Sequence[OverhangScore]) -> Table:
-    """Errors by world and object."""
-    rows: list[list[Value]] = []
-    for world in dict.fromkeys(score.world for score in scores):
-        chosen = [score for score in scores if score.world == world]
-        for name in (*dict.fromkeys(score.name for score in chosen), "all"):
-            some = [score for score in chosen if name in (score.name, "all")]
-            position = calc_interval([score.position for score in some])
-            angle = calc_interval([score.angle for score in some])
-            rows.append([
-                world, name, len(some), 100 * float(np.mean([s.share for s in some])),
-                MM * float(np.mean([s.moved for s in some])), MM * position.mean, MM * position.high,
-                float(np.degrees(angle.mean)), float(np.degrees(angle.high)),
-                MM * float(np.mean([s.endless for s in some])), sum(s.tips for s in some),
-            ])  # fmt: skip
+    """Tabulates the errors by world and object."""
+    groups = [
+        group
+        for world in dict.fromkeys(score.world for score in scores)
+        for group in _group_by_name([score for score in scores if score.world == world], world)
+    ]
+    columns: dict[str, Column] = {
+        "pushes": len,
+        "over, %": lambda some: 100 * float(np.mean([score.share for score in some])),
+        "moved, mm": lambda some: MM * float(np.mean([score.moved for score in some])),
+        "mean, mm": lambda some: MM * _calc_interval(some, "position").mean,
+        "to": lambda some: MM * _calc_interval(some, "position").high,
+        "mean, °": lambda some: float(np.degrees(_calc_interval(some, "angle").mean)),
+        "to, °": lambda some: float(np.degrees(_calc_interval(some, "angle").high)),
+        "endless, mm": lambda some: MM * float(np.mean([score.endless for score in some])),
+        "tips": count_of("tips", True),
+    }
     notes = (
-        f"Pushes of {DISTANCE * 100:g} cm, {SHARE[0]:.0%} to {SHARE[1]:.0%} of the cells over the edge; true masses.",
-        "mm: distance of the center of mass from the truth's; to: the upper end of the mean's 95 % interval.",
-        "endless: of a model that does not know of the edge. tips: pushes that the model lets tip; none did.",
+        f"Pushes of {DISTANCE * 100:g} cm, {SHARE[0]:.0%} to {SHARE[1]:.0%} of the cells over the "
+        "edge; true masses.",
+        "mm: distance of the center of mass from the truth's; to: the upper end of the mean's 95 % "
+        "interval.",
+        "endless: of a model that does not know of the edge. tips: pushes that the model lets tip; "
+        "none did.",
     )
-    columns = (
-        "world", "object", "pushes", "over, %", "moved, mm", "mean, mm", "to", "mean, °", "to, °", "endless, mm",
-        "tips",
-    )  # fmt: skip
-    return Table("Pushes over a table's edge", columns, rows, notes, keys=2)
+    return Table.of("Pushes over a table's edge", ("world", "object"), groups, columns, notes)
 
 
 def tabulate_limit(scores: Sequence[TippingScore]) -> Table:
-    """What the model says on both sides of the limit, by object."""
-    rows: list[list[Value]] = []
-    for name in (*dict.fromkeys(score.name for score in scores), "all"):
-        some = [score for score in scores if name in (score.name, "all")]
-        rows.append([name, len(some), sum(not s.stayed for s in some), sum(s.tipped for s in some)])
+    """Tabulates by object what the model says on both sides of the limit."""
+    columns: dict[str, Column] = {
+        "bodies": len,
+        "said to stay before": count_of("stayed", False),
+        "said to tip behind": count_of("tipped", True),
+    }
     notes = (
-        f"Bodies in MuJoCo, pushed across the edge; the model is asked {TIP_SLACK * MM:g} mm of the pusher's path "
-        "before and behind the place where the body begins to tip.",
+        f"Bodies in MuJoCo, pushed across the edge; the model is asked {TIP_SLACK * MM:g} mm of the "
+        "pusher's path before and behind the place where the body begins to tip.",
     )
-    return Table(
-        "The limit", ("object", "bodies", "said to stay before", "said to tip behind"), rows, notes
-    )
+    return Table.of("The limit", ("object",), _group_by_name(scores), columns, notes)
+
+
+def _group_by_name(scores: Sequence[Any], *keys: str) -> list[tuple[tuple[str, ...], list[Any]]]:
+    """Groups scores by the outlines that they are of, with a group of all."""
+    return by_object(scores, list(dict.fromkeys(score.name for score in scores)), *keys)
+
+
+def _calc_interval(scores: Sequence[OverhangScore], field: str) -> Interval:
+    """Calculates the mean of a field and its interval."""
+    return calc_interval([getattr(score, field) for score in scores])
+
+
+PUSHED = Task(
+    job=OverhangJob, run=run_overhang, describe=lambda job: f"{job.world}, {job.name} {job.seed}"
+)
+"""What is done with a body that is pushed over the edge."""
+
+TIPPED = Task(
+    job=TippingJob, run=run_tipping, describe=lambda job: f"tipping, {job.name} {job.seed}"
+)
+"""What is done with a body that is pushed until it tips."""

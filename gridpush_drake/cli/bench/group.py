@@ -1,53 +1,59 @@
-"""`gridpush bench`: the measurements, as tables. What one of them needs is imported when it runs."""
+"""`gridpush bench`: the measurements, as tables. What one of them needs is imported when it runs.
+
+Each target below is a `bench.study.Study`; `cli.bench.command` makes a command of it.
+"""
+
+from importlib import import_module
+from typing import Any
 
 import typer
 
-from gridpush_drake.cli.lazy_group import LazyCommand, LazyGroup
+from gridpush_drake.cli.lazy_group import LazyCommand, LazyGroup, make_single
 
 BENCHES: dict[str, LazyCommand] = {
     "speed": LazyCommand(
-        "gridpush_drake.cli.bench.speed:speed",
+        "gridpush_drake.bench.speed:STUDY",
         "Time a push, its gradient, MuJoCo beside, the cost against the number of cells, "
         "identification and start-up.",
     ),
     "paper": LazyCommand(
-        "gridpush_drake.cli.bench.paper:paper",
+        "gridpush_drake.bench.paper_figures:STUDY",
         "Repeat the paper's simulated identification, every method beside the others.",
     ),
     "real": LazyCommand(
-        "gridpush_drake.cli.bench.real:real",
+        "gridpush_drake.bench.real:STUDY",
         "Learn from real robots' pushes (--data), or simulated ones in their place, and "
         "predict others of them.",
     ),
     "planning": LazyCommand(
-        "gridpush_drake.cli.bench.planning:planning",
+        "gridpush_drake.bench.planning:STUDY",
         "Choose contact points, and push objects to goal poses on the paper's round table.",
     ),
     "pregrasp": LazyCommand(
-        "gridpush_drake.cli.bench.pregrasp:pregrasp",
+        "gridpush_drake.bench.pregrasp.experiments:STUDY",
         "Slide objects of hidden masses to the table's edge, and compare pokes by design with "
         "random ones.",
     ),
     "grasp": LazyCommand(
-        "gridpush_drake.cli.bench.grasp:grasp",
+        "gridpush_drake.bench.grasp:STUDY",
         "Let the whole station poke objects, slide them to the table's edge, grasp and lift them.",
     ),
     "truth": LazyCommand(
-        "gridpush_drake.cli.bench.truth:truth",
+        "gridpush_drake.bench.truth.learning:STUDY",
         "Learn bodies that do not obey the model: MuJoCo pushes them, on feet, foundations "
         "and uneven bottoms.",
     ),
     "drake": LazyCommand(
-        "gridpush_drake.cli.bench.drake:drake",
+        "gridpush_drake.bench.drake:STUDY",
         "Set Drake's plant beside the grid LCP, time the LCP system, and let the whole "
         "station learn.",
     ),
     "perception": LazyCommand(
-        "gridpush_drake.cli.bench.perception:perception",
+        "gridpush_drake.bench.perception:STUDY",
         "Find objects in photographs, real and rendered, and track them while they are pushed.",
     ),
     "gym": LazyCommand(
-        "gridpush_drake.cli.bench.gym:gym",
+        "gridpush_drake.bench.gym:STUDY",
         "Time the Gymnasium environments; let our planner, a small learned player and chance "
         "play them.",
     ),
@@ -59,6 +65,14 @@ class BenchGroup(LazyGroup):
     """The commands of `gridpush bench`."""
 
     lazy_commands = BENCHES
+
+    def load(self, name: str, target: str) -> Any:
+        """Imports a study, and makes a command of it."""
+        # what makes commands stands on the benches' tables and jobs, which the list does not need
+        command = import_module("gridpush_drake.cli.bench.command")
+        module, _, attribute = target.partition(":")
+        study = getattr(import_module(module), attribute)
+        return make_single(name, command.make_command(study))
 
 
 app = typer.Typer(
