@@ -62,3 +62,27 @@ def test_tutorials_need_the_package_and_what_comes_with_it_only(tutorial):
                 name = module.partition(".")[0]
                 known = name == "gridpush_drake" or name in sys.stdlib_module_names
                 assert known or INSTALLED.get(name, name) in come_along, f"{tutorial}: {module}"
+
+
+def test_names_of_files_in_tables_break_between_their_words(site):
+    code = '<code class="docutils literal"><span class="pre">a_b/c_d.py</span></code>'
+    broken = site.add_break_places(f"<p>{code}</p><td><p>{code} and/or</p></td>")
+    assert broken.count("<wbr>") == 3
+    assert (
+        '<td><p><code class="docutils literal"><span class="pre">a_<wbr>b/<wbr>c_<wbr>d.py<'
+        in broken
+    )
+
+
+def test_the_page_of_commands_marks_examples_and_options_as_code(site):
+    assert site.mark_code("Example: gridpush demo --out x") == "Example: `gridpush demo --out x`"
+    marked = "With `--go` or `--pose-delay` a-b--c, `gridpush --help`"
+    assert site.mark_code("With --go or --pose-delay a-b--c, `gridpush --help`") == marked
+
+
+def test_the_page_of_commands_has_whole_sentences(site):
+    page = site.make_command_line_page()
+    said = re.findall(r"^\* `([a-z][\w-]*)`: (.*)$", page, re.MULTILINE)
+    assert len(said) > 30
+    assert [name for name, sentence in said if not sentence.endswith(".")] == []
+    assert "* `--version`: Print the version." in page

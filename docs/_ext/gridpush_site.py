@@ -345,7 +345,12 @@ def write_pages(app: Sphinx) -> None:
 
 
 def make_command_line_page() -> str:
-    """The help of every command, as Typer writes it in Markdown, but with whole sentences in the lists of commands."""
+    """Returns the help of every command as a page in Markdown.
+
+    It is what Typer writes, with two changes. In the lists of commands, Typer cuts long sentences
+    off; here they are whole. And examples and options in the text are marked as code, for
+    otherwise the site would turn the two hyphens of an option into a dash.
+    """
     command = [
         sys.executable,
         "-m",
@@ -357,12 +362,12 @@ def make_command_line_page() -> str:
         "gridpush",
     ]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    said = dict(re.findall(r"^#+ `(gridpush[ \w]*)`\n\n(.+)$", text, re.MULTILINE))
-    parts = re.split(r"^(#+ `(gridpush[ \w]*)`)$", text, flags=re.MULTILINE)
+    said = dict(re.findall(r"^#+ `(gridpush[ \w-]*)`\n\n(.+)$", text, re.MULTILINE))
+    parts = re.split(r"^(#+ `(gridpush[ \w-]*)`)$", text, flags=re.MULTILINE)
     for i in range(3, len(parts), 3):
         above = parts[i - 1]
         parts[i] = re.sub(
-            r"^\* `(\w+)`: .*$",
+            r"^\* `(\w[\w-]*)`: .*$",
             lambda found, above=above: (
                 f"* `{found[1]}`: {said.get(f'{above} {found[1]}', found[0])}"
             ),
@@ -370,7 +375,37 @@ def make_command_line_page() -> str:
             flags=re.MULTILINE,
         )
         parts[i - 1] = ""
-    return "".join(parts)
+    return "\n".join(map(mark_code, "".join(parts).split("\n")))
+
+
+def mark_code(line: str) -> str:
+    """Marks a line's example, or the options in its text, as code; what is code already stays."""
+    if line.startswith("Example: "):
+        return f"Example: `{line.removeprefix('Example: ')}`"
+    pieces = line.split("`")
+    # every other piece stands between two backquotes
+    pieces[::2] = [re.sub(r"(?<![\w-])--[a-z][\w-]*", r"`\g<0>`", piece) for piece in pieces[::2]]
+    return "`".join(pieces)
+
+
+def allow_breaks(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: Any) -> None:
+    """Lets a page's browser break the names of files in tables after a slash or an underscore."""
+    if "body" in context:
+        context["body"] = add_break_places(context["body"])
+
+
+def add_break_places(body: str) -> str:
+    """Adds to the code in the tables of a page where a browser may break it.
+
+    Otherwise a column with names of files is either so wide that nothing is left for the others, or
+    breaks the names anywhere.
+    """
+
+    def mark(cell: re.Match[str]) -> str:
+        return re.sub(r"(?<=[\w.])([/_])(?=\w)", r"\1<wbr>", cell[0])
+
+    code = r'(?<=<span class="pre">)[^<]+'
+    return re.sub(r"<td.*?</td>", lambda cell: re.sub(code, mark, cell[0]), body, flags=re.DOTALL)
 
 
 def _write(path: Path, text: str) -> None:
@@ -394,4 +429,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("build-finished", check_pictures)
     app.connect("autodoc-process-signature", shorten_types, priority=900)
     app.connect("missing-reference", link_public_name)
+    app.connect("html-page-context", allow_breaks)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
