@@ -8,17 +8,26 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line
-from gridpush_drake.errors import ObjectWarning, PerceptionError, TagError
+from gridpush_drake.errors import (
+    NoObjectError,
+    NoTableError,
+    ObjectWarning,
+    PerceptionError,
+    SeveralObjectsError,
+    TagError,
+)
 from gridpush_drake.files import write_whole
 from gridpush_drake.objects.object_file import SeenSchema, TagSchema, dump_object
 from gridpush_drake.perception import (
     Camera,
     DetectedObject,
     DetectorOptions,
+    ObjectHint,
     detect_object,
     detect_tags,
     read_color,
     read_depth,
+    read_mask,
     solve_tag_to_body,
     write_picture,
 )
@@ -30,6 +39,15 @@ MM = 1e3
 
 CM2 = 1e4
 """Square centimeters in a square meter."""
+
+MAX_PIXEL = 1e6
+"""Greatest coordinate of a pixel that is believed."""
+
+HELPED = (NoObjectError, SeveralObjectsError, NoTableError)
+"""Refusals that a hint helps against."""
+
+HINTS = "; --click X,Y, --box LEFT,TOP,RIGHT,BOTTOM or --mask MASK.png can say where it is"
+"""What is added to them."""
 
 Photo = Annotated[
     Path,
@@ -91,6 +109,29 @@ def make_object(
             show_default="as --depth shows it",
         ),
     ] = None,
+    mask: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MASK.png",
+            help="Which pixels of PHOTO show the object: an image of the same size, black where it "
+            "is not, as any segmenter writes. It is taken as it is.",
+        ),
+    ] = None,
+    box: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LEFT,TOP,RIGHT,BOTTOM",
+            help="A box in PHOTO that holds all of the object and nothing else but table, pixels. "
+            "Helps where the object is hard to tell from the table.",
+        ),
+    ] = None,
+    click: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y",
+            help="A pixel of PHOTO that shows the object: chooses among several objects.",
+        ),
+    ] = None,
     cell_size: Annotated[
         float | None,
         typer.Option(
@@ -128,16 +169,19 @@ def make_object(
 
     Example: gridpush object photo.png --depth depth.png --camera camera.yaml --out object.yaml
     """
-    options.check_outputs(force, out, picture, inputs=(photo, camera, depth))
+    options.check_outputs(force, out, picture, inputs=(photo, camera, depth, mask))
     seen_by = Camera.read(camera)
     color = read_color(photo, seen_by)
     measured = None if depth is None else read_depth(depth, seen_by)
+    hint = _read_hint(mask, box, click, seen_by)
     try:
-        found = detect_object(color, measured, seen_by, DetectorOptions(height=height, parts=parts))
+        chosen = DetectorOptions(height=height, parts=parts, hint=hint)
+        found = detect_object(color, measured, seen_by, chosen)
     except PerceptionError as error:
         if picture is not None and error.picture is not None:
             write_picture(picture, error.picture, force)
-        raise type(error)(f"{photo}: {error}", error.picture) from error
+        help_there = "" if hint is not None or not isinstance(error, HELPED) else HINTS
+        raise type(error)(f"{photo}: {error}{help_there}", error.picture) from error
     if found.contradiction > CONTRADICTION:
         warn(
             f"{photo}: color and depth contradict each other about {found.contradiction:.0%} of "
@@ -171,6 +215,41 @@ def make_object(
         print_line(
             f"{obj.name}: {found.outline.area * CM2:.1f} cm2, {tall}, {obj.n} cells. Wrote {out}."
         )
+
+
+def _read_hint(
+    mask: Path | None, box: str | None, click: str | None, camera: Camera
+) -> ObjectHint | None:
+    """Reads what is said of where the object is; None where nothing is.
+
+    Raises:
+        OptionError: two hints are given, or a number is none.
+        ImageError: the mask cannot be read.
+    """
+    given = {"--mask": mask, "--box": box, "--click": click}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise options.OptionError(f"{' and '.join(names)}: both are given; expected one of them")
+    if mask is not None:
+        return ObjectHint(mask=read_mask(mask, camera))
+    if box is not None:
+        left, top, right, bottom = _read_numbers("--box", box, 4, "left,top,right,bottom")
+        return ObjectHint(box=(left, top, right, bottom))
+    if click is not None:
+        x, y = _read_numbers("--click", click, 2, "x,y")
+        return ObjectHint(click=(x, y))
+    return None
+
+
+def _read_numbers(option: str, text: str, count: int, form: str) -> list[float]:
+    """Reads numbers with commas between them. Raises OptionError where they are no pixels."""
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(abs(number) < MAX_PIXEL for number in numbers):
+        raise options.OptionError(f"{option}: is {text!r}; expected {form} (pixels)")
+    return numbers
 
 
 def _find_tag(photo: Path, color: Color, found: DetectedObject, tag: int, size: float) -> TagSchema:

@@ -7,7 +7,9 @@ from .frames import Frame as Frame
 from .frames import read_color as read_color
 from .frames import read_depth as read_depth
 from .frames import read_frames as read_frames
+from .frames import read_mask as read_mask
 from .frames import write_picture as write_picture
+from .hints import ObjectHint as ObjectHint
 from .tags import DetectedTag as DetectedTag
 from .tags import TagBoard as TagBoard
 from .tags import calibrate_pose as calibrate_pose

@@ -44,6 +44,13 @@ from gridpush_drake.perception.foreground import (
     to_lab,
 )
 from gridpush_drake.perception.frames import Color, Depth
+from gridpush_drake.perception.hints import (
+    ObjectHint,
+    choose_by_click,
+    choose_by_mask,
+    choose_in_box,
+    join_pieces,
+)
 from gridpush_drake.perception.table_plane import TablePlane, fit_table
 
 Mask = NDArray[np.bool_]
@@ -148,12 +155,14 @@ class DetectorOptions:
         height: height of the object, m, where it is known; it goes before what depth says.
         parts: whether the object's parts are told apart by color.
         cues: what is looked at.
+        hint: where somebody says that the object is; None where the object is found by itself.
     """
 
     min_area: float = 2e-4
     height: float | None = None
     parts: bool = False
     cues: Cues = "both"
+    hint: ObjectHint | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,12 +275,12 @@ def detect_object(
 
     # Table and everything else (section 1). Without depth, only an even color tells the table.
     found = find_foreground(color, plane, options.cues)
-    if plane is None and found.deviation.max() > MAX_TABLE_DEVIATION:
+    uneven = plane is None and found.deviation.max() > MAX_TABLE_DEVIATION
+    if uneven and options.hint is None:
         raise NoTableError("no even color takes the picture's rim; expected a table in view", color)
 
     # The object's pixels, with the boundary drawn anew by color.
-    rough = _choose_object(found, color, camera, options)
-    mask, coverage = refine_boundary(rough, found)
+    mask, coverage = _find_pixels(found, color, camera, options)
     if not mask.any():
         raise NoObjectError("no object is in view; expected one on the table", color)
 
@@ -439,6 +448,51 @@ def draw_outline(
     return picture
 
 
+def _find_pixels(
+    found: Foreground, color: Color, camera: Camera, options: DetectorOptions
+) -> tuple[Mask, NDArray[np.float32]]:
+    """Finds the pixels that show the object, by itself or where a hint says.
+
+    Returns:
+        (height, width) bool, the mask; and how much of each pixel is object, 0 to 1.
+    """
+    hint = options.hint
+    if hint is None:
+        return refine_boundary(_choose_object(found, color, camera, options), found)
+    try:
+        drawn = hint.place(camera)
+        if hint.mask is not None:
+            # Whoever made the mask has drawn the boundary; only its steps of a pixel are smoothed.
+            mask = choose_by_mask(drawn)
+            _check_in_view(mask, color)
+            return mask, mask.astype(np.float32)
+        boxed = hint.box is not None
+        rough = choose_in_box(color, found, drawn) if boxed else choose_by_click(found, drawn)
+    except PerceptionError as error:
+        raise type(error)(str(error), color) from error
+    if not rough.any():
+        where = "in the box" if boxed else "where the click is"
+        raise NoObjectError(f"nothing stands out from the table {where}", color)
+    if boxed:
+        # The boundary of each piece is drawn before they are joined: what joins them may have the
+        # table's color. (Nothing is covered; saying so keeps more pieces than the largest.)
+        pieces, coverage = refine_boundary(rough, found, covered=np.zeros_like(rough))
+        mask = join_pieces(pieces, drawn, found)
+        coverage = np.where(mask == pieces, coverage, mask).astype(np.float32)
+    else:
+        mask, coverage = refine_boundary(rough, found)
+    _check_in_view(mask, color)
+    return mask, coverage
+
+
+def _check_in_view(mask: Mask, color: Color) -> None:
+    """Raises ObjectAtBorderError where the picture's border cuts an object."""
+    inner = mask[BORDER:-BORDER, BORDER:-BORDER]
+    if inner.sum() < mask.sum():
+        problem = "the object touches the picture's border; expected all of it in view"
+        raise ObjectAtBorderError(problem, draw_contours(color, mask))
+
+
 def _choose_object(
     found: Foreground, color: Color, camera: Camera, options: DetectorOptions
 ) -> Mask:
@@ -470,10 +524,7 @@ def _choose_object(
         problem = f"{len(large)} objects are in view; expected one"
         raise SeveralObjectsError(problem, draw_contours(color, chosen))
 
-    inner = chosen[BORDER:-BORDER, BORDER:-BORDER]
-    if inner.sum() < chosen.sum():
-        problem = "the object touches the picture's border; expected all of it in view"
-        raise ObjectAtBorderError(problem, draw_contours(color, chosen))
+    _check_in_view(chosen, color)
     return keep_largest(chosen)
 
 

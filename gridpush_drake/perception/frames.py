@@ -132,6 +132,29 @@ def read_depth(path: Path | str, camera: Camera) -> Depth:
     return depth
 
 
+def read_mask(path: Path | str, camera: Camera) -> NDArray[np.bool_]:
+    """Reads a mask: an image whose pixels are 0, or black, where the object is not.
+
+    Args:
+        path: PNG or any other image that OpenCV reads, of any number of channels; an alpha channel
+            is not looked at.
+        camera: camera that took the photograph that the mask is of.
+
+    Returns:
+        (height, width) bool, True where the object is.
+
+    Raises:
+        ImageError: the file cannot be read, is no image, or has another size than the camera.
+    """
+    what = "a mask (an image that is black where the object is not)"
+    image = _decode(path, what, cv2.IMREAD_UNCHANGED)
+    _check_size(path, camera, image)
+    if image.ndim == 2:
+        return np.asarray(image > 0)
+    colors = image[..., :3] if image.shape[2] > 2 else image[..., :1]
+    return np.asarray((colors > 0).any(axis=2))
+
+
 def read_frames(path: Path | str, camera: Camera) -> Iterator[Frame]:
     """Reads a video, or a folder of images.
 

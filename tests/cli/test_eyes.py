@@ -13,7 +13,7 @@ from gridpush_drake.objects.object_file import read_object_file
 from gridpush_drake.perception import Camera, TagBoard
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.command_line import run_gridpush
-from tests.helpers.pictures import calc_outline_error, make_camera, paint, paint_tag
+from tests.helpers.pictures import calc_outline_error, cover, make_camera, paint, paint_tag
 
 L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [
     0.05,
@@ -334,3 +334,35 @@ def test_track_names_the_file_or_option_that_is_wrong(capsys, folder):
         )
         assert done.code == 2, options
         assert message in done.err
+
+
+def test_hints_of_where_the_object_is(capsys, folder):
+    square = 0.03 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    aside = np.array([-0.16, 0.1, 0.2])
+    camera = make_camera()
+    frame = paint(camera, [(L_SHAPE, POSE, HEIGHT, BROWN), (square, aside, HEIGHT, (60, 90, 150))])
+    save(folder / "two.png", frame.color)
+    cv2.imwrite(
+        str(folder / "mask.png"), (cover(camera, square, aside, HEIGHT) > 0.5).astype(np.uint8)
+    )
+    x, y = camera.project([*aside[:2], 0.0])
+
+    def run(*options):
+        given = ("--camera", folder / "camera.yaml", "--height", HEIGHT, "--force", "--json")
+        return run_gridpush(
+            capsys, "object", folder / "two.png", *given, "--out", folder / "o.yaml", *options
+        )
+
+    refused = run()
+    assert refused.code == 2
+    assert "2 objects are in view; expected one; --click X,Y, --box" in refused.err
+    box = f"{x - 50:.0f},{y - 50:.0f},{x + 50:.0f},{y + 50:.0f}"
+    for hint in (("--click", f"{x:.0f},{y:.0f}"), ("--box", box), ("--mask", folder / "mask.png")):
+        done = run(*hint)
+        assert done.code == 0, done.err
+        assert json.loads(done.out)["area"] == pytest.approx(0.0036, rel=0.03)
+    assert "--click: is '1'; expected x,y (pixels)" in run("--click", "1").err
+    assert "--box: is '1,2,3,inf'" in run("--box", "1,2,3,inf").err
+    both = run("--box", box, "--click", "1,2")
+    assert both.code == 2 and "--box and --click: both are given" in both.err
+    assert "none.png: cannot be read" in run("--mask", folder / "none.png").err
