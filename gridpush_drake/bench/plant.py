@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.geometry import Box, CollisionFilterDeclaration, GeometrySet, Sphere
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
     ModelInstanceIndex,
@@ -48,6 +48,7 @@ from gridpush_drake.multibody.ground_truth import (
     SetGridObjectVelocity,
     sample_ground_truth,
 )
+from gridpush_drake.multibody.parser import AddPlantAndSceneGraph
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -370,7 +371,7 @@ class PlantWorld(TrackedWorld):
         self.tracking_error = 0.0
         self._support = None if surface is None else CenterOfMassSupport(obj, params, surface)
         builder = DiagramBuilder()
-        self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, self.dt)
+        self.plant, self.scene_graph = AddPlantAndSceneGraph(builder, self.dt)
         self.plant.set_stiction_tolerance(STICTION_TOLERANCE)
         middle = [0.0 if edge is None else edge - TABLE_SIZE[0] / 2, 0.0, -TABLE_SIZE[2] / 2]
         table = self.plant.RegisterCollisionGeometry(

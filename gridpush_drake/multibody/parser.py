@@ -18,6 +18,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import ModelDirective, PackageMap, Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import MAX_TEXT_SIZE, open_file, read_text
@@ -42,6 +43,33 @@ def MakeParser(plant: MultibodyPlant) -> Parser:
     parser = Parser(plant)
     AddModelsPackage(parser.package_map())
     return parser
+
+
+def AddPlantAndSceneGraph(
+    builder: DiagramBuilder, time_step: float
+) -> tuple[MultibodyPlant, SceneGraph]:
+    """Adds an empty plant with its scene graph, as Drake's `AddMultibodyPlantSceneGraph` does.
+
+    What Drake's own function adds from Python is never freed, with the whole Diagram: about 0.1 MB
+    of an empty plant, 1 MB of a station (Drake 1.51).
+
+    Args:
+        builder: of the Diagram.
+        time_step: of the plant, s.
+
+    Returns:
+        The plant and the scene graph, with the names and the connections that Drake gives them.
+    """
+    plant = builder.AddNamedSystem("plant", MultibodyPlant(time_step))
+    scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
+    source = plant.RegisterAsSourceForSceneGraph(scene_graph)
+    builder.Connect(plant.get_geometry_pose_output_port(), scene_graph.get_source_pose_port(source))
+    builder.Connect(
+        plant.get_deformable_body_configuration_output_port(),
+        scene_graph.get_source_configuration_port(source),
+    )
+    builder.Connect(scene_graph.get_query_output_port(), plant.get_geometry_query_input_port())
+    return plant, scene_graph
 
 
 MAX_DIRECTIVES = 10_000

@@ -18,7 +18,7 @@ from pydrake.geometry import (
     Role,
     SceneGraph,
 )
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from gridpush_drake.display.server import KeepToItsThread
@@ -30,7 +30,12 @@ from gridpush_drake.multibody.ground_truth import (
     SetGridObjectPose,
     resample_parameters,
 )
-from gridpush_drake.multibody.parser import AddVisualMeshes, MakeParser, find_drake_models
+from gridpush_drake.multibody.parser import (
+    AddPlantAndSceneGraph,
+    AddVisualMeshes,
+    MakeParser,
+    find_drake_models,
+)
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -254,7 +259,7 @@ def AddWorld(
     true_obj = resolved.obj if found is None else found.true_obj
 
     # The plant: scene, object, other objects.
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
+    plant, scene_graph = AddPlantAndSceneGraph(builder, scenario.simulation.time_step)
     plant.set_name("plant")
     plant.set_stiction_tolerance(scenario.simulation.stiction_tolerance)
     scene_graph.set_name("scene_graph")

@@ -17,7 +17,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import SceneGraph, SceneGraphInspector, Sphere
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
@@ -25,7 +25,7 @@ from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.grid_object import AddGridObject, GridObjectInPlant
-from gridpush_drake.multibody.parser import MakeParser
+from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
@@ -230,7 +230,7 @@ def _MakeScene(
 ) -> CheckedScene:
     """Builds the scene that is checked, and photographed by a color and depth camera."""
     builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
+    plant, scene_graph = AddPlantAndSceneGraph(builder, scenario.simulation.time_step)
     AddScene(MakeParser(plant), scenario)
     object_in_plant = None
     others_in_plant = []

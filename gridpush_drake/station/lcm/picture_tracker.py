@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 from drake import lcmt_image_array, lcmt_schunk_wsg_status
 from numpy.typing import NDArray
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import GridPushError, PerceptionError
-from gridpush_drake.multibody.parser import MakeParser
+from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.detection import DetectedObject, find_off_table
 from gridpush_drake.perception.frames import MILLIMETERS, Frame
@@ -77,9 +76,7 @@ class RobotSilhouette:
         """
         scenario = resolved.scenario
         builder = DiagramBuilder()
-        self.plant, scene_graph = AddMultibodyPlantSceneGraph(
-            builder, scenario.simulation.time_step
-        )
+        self.plant, scene_graph = AddPlantAndSceneGraph(builder, scenario.simulation.time_step)
         AddScene(MakeParser(self.plant), scenario)
         self.plant.Finalize()
         self.table_top = resolved.table_top
