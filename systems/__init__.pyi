@@ -6,6 +6,8 @@ from .contact_point_controller import ContactPointController as ContactPointCont
 from .estimate_visualizer import EstimateVisualizer as EstimateVisualizer
 from .grasp_executor import GraspExecutor as GraspExecutor
 from .grid_identifier import GridIdentifier as GridIdentifier
+from .grid_lcp_step import GridLcpStep as GridLcpStep
+from .grid_lcp_step import GridLcpStep_ as GridLcpStep_
 from .grid_lcp_system import GridLcpSystem as GridLcpSystem
 from .messages import GraspCommand as GraspCommand
 from .messages import GraspOutcome as GraspOutcome

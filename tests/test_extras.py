@@ -18,7 +18,17 @@ from tests.helpers.simulated_pushes import make_pushes
 
 PROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
-OF_EXTRAS = {"cma", "clarabel", "mujoco", "gymnasium", "rosbags", "distributed"}
+OF_EXTRAS = {
+    "clarabel",
+    "cma",
+    "distributed",
+    "gymnasium",
+    "h5py",
+    "jax",
+    "mujoco",
+    "rosbags",
+    "torch",
+}
 """Packages that `pip install .` does not install."""
 
 MISSING = f"""
@@ -57,8 +67,9 @@ def test_only_the_extras_bring_them():
 
 
 def test_whoever_works_on_the_project_gets_what_its_tests_need():
-    """MuJoCo is left out: it is large, and its tests are skipped without it."""
-    assert name_packages(read_project()["optional-dependencies"]["dev"]) >= OF_EXTRAS - {"mujoco"}
+    """What is large is left out, and its tests are skipped without it."""
+    large = {"jax", "mujoco", "torch"}
+    assert name_packages(read_project()["optional-dependencies"]["dev"]) >= OF_EXTRAS - large
 
 
 def test_every_command_and_the_demo_work_without_extras():
@@ -67,6 +78,20 @@ def test_every_command_and_the_demo_work_without_extras():
     code = f"import importlib\nfor name in {modules}:\n    importlib.import_module(name)\n"
     done = run_without_extras(code)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("framework", ["jax", "torch"])
+def test_a_framework_that_is_not_there_is_named_with_its_extra(framework):
+    done = run_without_extras(
+        "from gridpush_drake.errors import MissingExtraError\n"
+        "try:\n"
+        f"    import gridpush_drake.interop.{framework}\n"
+        "except MissingExtraError as error:\n"
+        "    print(error)\n"
+    )
+    assert done.stdout == (
+        f"{framework}: is not installed; expected pip install 'gridpush-drake[{framework}]'\n"
+    ), done.stderr
 
 
 @pytest.mark.parametrize("module", ["maximal_solvers", "isotropic_socp"])

@@ -209,6 +209,7 @@ def test_every_block_is_tried_somewhere():
             "docs/extending.md",
             "yaml",
         ): 4,  # a robot, its scene and its gripper (tests/station/test_robot.py), two objects
+        ("docs/howto/autodiff.md", "{code-block} python"): 1,  # tests/interop/test_examples.py
         ("docs/howto/own_object.md", "yaml"): 1,
         ("docs/howto/own_pushes.md", "csv"): 1,
     }

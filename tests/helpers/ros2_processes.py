@@ -16,6 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from tests.helpers import two_processes
 
@@ -394,24 +395,22 @@ def see_by_pictures(folder: Path) -> dict:
     return told | {"tracker_code": tracker.returncode, "tracker_err": err} | finish(twin)
 
 
-def whole_story(folder: Path, robot: str, *seeds: str) -> list[dict]:
-    """Poked, learned, slid, grasped and lifted in real time, for each of some seeds; minutes each, so no test."""
-    story = (Path(__file__).parents[2] / "models/scenarios/grasp.yaml").read_text()
-    (folder / "scenario.yaml").write_text(story)
+def whole_story(folder: Path, robot: str, rate: str, *seeds: str) -> list[dict]:
+    """Poked, learned, slid, grasped and lifted, for each of some seeds; minutes each, so no test."""
+    shipped = Path(__file__).parents[2] / "models/scenarios/grasp.yaml"
+    scenario = yaml.safe_load(shipped.read_text())
     if robot != "iiwa14":
-        lines = story.splitlines()
-        at = next(i for i, line in enumerate(lines) if line.startswith("directives:"))
-        kept = [line for i, line in enumerate(lines) if i < at or not line.startswith(("-", " "))]
-        kept = [line for line in kept if not line.startswith("directives:")]
-        (folder / "scenario.yaml").write_text("\n".join([*kept, f"robot: {robot}", ""]))
+        del scenario["directives"]
+        scenario["robot"] = robot
+    (folder / "scenario.yaml").write_text(yaml.safe_dump(scenario))
     told = []
     for seed in seeds:
         stranger = Stranger(UR5E if robot == "ur5e" else IIWA)
-        twin = start("twin", folder, "--seed", seed, rate=1.0)
+        twin = start("twin", folder, "--seed", seed, rate=float(rate))
         stranger.until_there()
         stranger.node.destroy_node()
         more = ["--task", "pregrasp", "--go", "--json", "--seed", seed, "--out", str(folder / seed)]
-        process = start("robot", folder, *more, rate=1.0)
+        process = start("robot", folder, *more, rate=float(rate))
         out, err = process.communicate()
         told.append(
             {"seed": seed, "code": process.returncode, **json.loads(out or "{}"), "err": err}
