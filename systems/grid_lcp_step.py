@@ -64,8 +64,8 @@ class PushStep:
             used = used.with_regime("quasi_static")
         if used.inertial or True not in used.law.gradients:
             raise SimulationError(
-                f"physics: a step without memory is quasi-static and has exact gradients; regime is "
-                f"{used.regime!r} and friction_law {used.friction_law!r}"
+                f"physics: a step without memory is quasi-static and has exact gradients; regime "
+                f"is {used.regime!r} and friction_law {used.friction_law!r}"
             )
         radius = obj.prior.pusher_radius if pusher_radius is None else pusher_radius
         self.radius = DEFAULT_PUSHER_RADIUS if radius is None else float(radius)
@@ -79,7 +79,7 @@ class PushStep:
         self._table = None if table is None else get_edges(table)
 
     def calc_next(self, q: Array, u: Array, params: CellParameters) -> Array:
-        """The pose (3,) after a step from q (3,) with the pusher u (4,); q itself without a pusher."""
+        """The pose (3,) after a step from q (3,) with the pusher u (4,); q if there is no pusher."""
         return self._run(q, u, params, np.empty((0, POSE_SIZE, 0)))
 
     def differentiate(

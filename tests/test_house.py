@@ -89,6 +89,7 @@ dynamics           10.3        25      2     1.8      0     2
 dynamics/kernels   11.1        25      2     0.5      0     1
 geometry           14.5         0     40     0.3      5    51
 gym                11.8         0     50     5.7      9    38
+interop            10.4        25      0     0.0      0     0
 identification     10.1        35     11     1.0      1    13
 multibody           9.1         0     11     1.4     10    51
 objects            10.8         0     16     0.3      6    36

@@ -47,5 +47,7 @@ for _ in range(60):
 
 share = np.exp(log_mass) / np.exp(log_mass).sum()
 miss = np.linalg.norm(share @ obj.p_BC - truth.center_of_mass(obj))
-print(f"Root of the mean squared miss: {losses[0] ** 0.5:.2f} mm before, {losses[-1] ** 0.5:.2f} mm after.")
+print(
+    f"Root of the mean squared miss: {losses[0] ** 0.5:.2f} mm before, {losses[-1] ** 0.5:.2f} mm after."
+)
 print(f"The center of mass is {1e3 * miss:.1f} mm off.")

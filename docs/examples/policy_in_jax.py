@@ -51,5 +51,7 @@ for _ in range(80):
     weights = optax.apply_updates(weights, updates)
     losses.append(float(loss))
 
-print(f"Distance from the origin, root mean square: {np.mean(losses[:5]) ** 0.5:.2f} cm before, "
-      f"{np.mean(losses[-5:]) ** 0.5:.2f} cm after.")
+print(
+    f"Distance from the origin, root mean square: {np.mean(losses[:5]) ** 0.5:.2f} cm before, "
+    f"{np.mean(losses[-5:]) ** 0.5:.2f} cm after."
+)

@@ -1,4 +1,6 @@
-"""What the doors to JAX and torch share: arrays with any leading dimensions in, poses and exact derivatives out.
+"""What the doors to JAX and torch share: arrays in, poses and exact derivatives out.
+
+The arrays may have any leading dimensions, which broadcast.
 
 A straight push of a disc is a function of six arguments, `ARGUMENTS`. Its derivatives are the
 named blocks of `Motion.jacobian`; only those by the pusher's velocity are put together here. With
@@ -144,6 +146,7 @@ class PushFunction:
     def _broadcast(self, values: Sequence[ArrayLike]) -> tuple[list[Array], tuple[int, ...]]:
         """The arguments as (B, ...) each, and the leading dimensions, whose product is B."""
         given = [np.asarray(value, dtype=np.float64) for value in values]
+        # What stands before an argument's own dimensions are the leading ones of a batch.
         self.check_shapes([value.shape for value in given])
         own = [
             value.shape[: value.ndim - len(shape)]
@@ -174,6 +177,8 @@ class PushFunction:
         times = None
         if setting.steps is not None:
             times = np.linspace(0.0, setting.duration, setting.steps + 1)
+
+        # Every push by itself, on all cores; the result does not depend on their number.
         motions = simulate_batch(
             self.obj,
             params,
@@ -185,29 +190,33 @@ class PushFunction:
             physics=setting.physics,
             table=setting.table,
         )
-        first = 0 if setting.path else -1
-        poses = np.array([motion.poses[first:] for motion in motions])
+        poses = np.array([motion.poses for motion in motions])
+        if not setting.path:
+            poses = poses[:, -1:]
         if not derive:
             return poses, []
-        jacobians = [motion.jacobian for motion in motions]
-        blocks = [
-            np.array([jacobian.mass for jacobian in jacobians]),
-            np.array([jacobian.friction for jacobian in jacobians]),
-            np.array([jacobian.contact_friction for jacobian in jacobians]),
-            np.array([jacobian.start for jacobian in jacobians]),
-            np.array(
-                [
-                    calc_velocity_block(jacobian, velocity[i], setting.duration)
-                    for i, jacobian in enumerate(jacobians)
-                ]
-            ),
-            np.array([jacobian.pose for jacobian in jacobians]),
-        ]
-        return poses, blocks
+
+        # The named blocks of each motion, in the order of `ARGUMENTS`.
+        blocks: list[list[Array]] = [[] for _ in ARGUMENTS]
+        for motion, pushed in zip(motions, velocity, strict=True):
+            found = motion.jacobian
+            moved = calc_velocity_block(found, pushed, setting.duration)
+            of_motion = (
+                found.mass,
+                found.friction,
+                found.contact_friction,
+                found.start,
+                moved,
+                found.pose,
+            )
+            for block, rows in zip(blocks, of_motion, strict=True):
+                block.append(rows)
+        return poses, [np.array(block) for block in blocks]
 
 
 def calc_velocity_block(jacobian: Jacobian, velocity: Array, duration: float) -> Array:
-    """Derivatives (R, 3, 2) of poses by the pusher's velocity (2,), whose push lasts `duration`, s."""
+    """Derivatives (R, 3, 2) of poses by the velocity (2,) of a push that lasts `duration`, s."""
+    # The two directions in which a velocity changes: it grows, and it turns.
     speed = np.linalg.norm(velocity)
     along = velocity / speed
     across = np.array([-along[1], along[0]])

@@ -1,4 +1,4 @@
-"""Pushes in JAX: `simulate` as a differentiable function, with `grad`, `jacfwd`, `jacrev`, `vmap` and `jit`.
+"""Pushes in JAX: `simulate` with `grad`, `jacfwd`, `jacrev`, `vmap` and `jit`.
 
     pip install 'gridpush-drake[jax]'
 
@@ -80,12 +80,15 @@ def _make_differentiable(function: PushFunction, leading: tuple[int, ...]) -> An
     """The function with its own rule of differentiation, for arrays with leading dimensions."""
     output = leading + function.output_shape
 
+    # Without derivatives: the poses alone, which are quicker.
     @jax.custom_jvp
     def run(*values: Any) -> Any:
         return jax.pure_callback(
             function.calc_poses, _describe(output), *values, vmap_method=BATCHING
         )
 
+    # Forward: the change of the poses is linear in the tangents. So JAX can also transpose it,
+    # which gives the reverse mode from the same blocks.
     @run.defjvp
     def differentiate(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
         shapes = [_describe(output + shape) for shape in function.shapes]
@@ -108,6 +111,7 @@ def _describe(shape: tuple[int, ...]) -> Any:
 
 def _apply(block: Any, tangent: Any, of_argument: int, of_result: int) -> Any:
     """The change of the result, block times tangent, whose leading dimensions broadcast."""
+    # The result's dimensions stand between the leading ones and the argument's own.
     inserted = tuple(range(tangent.ndim - of_argument, tangent.ndim - of_argument + of_result))
     spread = jax.numpy.expand_dims(tangent, inserted)
     last = tuple(range(block.ndim - of_argument, block.ndim))

@@ -1,4 +1,4 @@
-"""Pushes in torch: `simulate` as a differentiable function, with `backward`, `gradcheck` and `torch.func`.
+"""Pushes in torch: `simulate` with `backward`, `gradcheck` and `torch.func`.
 
     pip install 'gridpush-drake[torch]'
 
@@ -58,7 +58,7 @@ def simulate(
 
 
 def _make_tensor(value: Any) -> Any:
-    """A tensor as it is, anything else as a copy: torch wants no arrays that cannot be written to."""
+    """A tensor as it is, anything else as a copy, as torch wants arrays it can write to."""
     if isinstance(value, torch.Tensor):
         return value.to(torch.float64)
     return torch.tensor(value, dtype=torch.float64)
@@ -94,9 +94,12 @@ class _Simulate(torch.autograd.Function):  # type: ignore[misc, name-defined]
         for block, shape, own in zip(
             ctx.saved_tensors, ctx.shapes, ctx.function.shapes, strict=True
         ):
+            # One dimension for each of the argument's own, behind those of the result.
             spread = cotangent[(..., *(None,) * len(own))]
-            at = block.ndim - len(own) - results
-            gradient = (block * spread).sum(dim=tuple(range(at, at + results)))
+            first = block.ndim - len(own) - results
+            places = tuple(range(first, first + results))
+            gradient = (block * spread).sum(dim=places)
+            # What was broadcast on the way there is summed on the way back.
             gradients.append(gradient.sum_to_size(shape))
         return (None, *gradients)
 
@@ -110,26 +113,28 @@ class _Simulate(torch.autograd.Function):  # type: ignore[misc, name-defined]
         ):
             if tangent is None:
                 continue
-            leading = tangent.ndim - len(own)
-            inserted = (slice(None),) * leading + (None,) * results
-            product = block * tangent[(*inserted, ...)]
-            change = change + (product.sum(dim=tuple(range(-len(own), 0))) if own else product)
+            # The result's dimensions stand between the leading ones and the argument's own.
+            leading = (slice(None),) * (tangent.ndim - len(own))
+            product = block * tangent[(*leading, *(None,) * results, ...)]
+            if own:
+                product = product.sum(dim=tuple(range(-len(own), 0)))
+            change = change + product
         return (change, *(None,) * len(ctx.saved_tensors))
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple[Any, ...], function: PushFunction, *values: Any) -> Any:
-        """A batch is one more leading dimension; what is not batched has it with a size of 1."""
+        """Simulates a batch, which is one more leading dimension."""
+        # The batch in front of every argument; with a size of 1 where it is not batched.
+        fronts = []
+        for value, dim in zip(values, in_dims[1:], strict=True):
+            fronts.append(value.unsqueeze(0) if dim is None else value.movedim(dim, 0))
+        # All arguments get equally many leading dimensions behind it, so that they broadcast.
+        leading = []
+        for front, own in zip(fronts, function.shapes, strict=True):
+            leading.append(front.ndim - len(own))
         batched = []
-        for value, dim, own in zip(values, in_dims[1:], function.shapes, strict=True):
-            front = value.unsqueeze(0) if dim is None else value.movedim(dim, 0)
-            # so that the leading dimensions of all arguments are as many, and broadcast
-            most = max(
-                v.ndim - len(s) - (d is not None)
-                for v, d, s in zip(values, in_dims[1:], function.shapes, strict=True)
-            )
-            missing = most + 1 - (front.ndim - len(own))
-            batched.append(front.reshape(front.shape[:1] + (1,) * missing + front.shape[1:]))
+        for front, count in zip(fronts, leading, strict=True):
+            missing = (1,) * (max(leading) - count)
+            batched.append(front.reshape(front.shape[:1] + missing + front.shape[1:]))
         outputs = _Simulate.apply(function, *batched)
-        if outputs[0].shape[0] != info.batch_size:
-            outputs = tuple(each.expand(info.batch_size, *each.shape[1:]) for each in outputs)
         return outputs, (0,) * len(outputs)

@@ -21,7 +21,7 @@ from gridpush_drake.cli.main import app
 from gridpush_drake.cli.ros_args import split_ros_arguments
 from gridpush_drake.dynamics.kernels.friction import LAWS
 from gridpush_drake.dynamics.physics import QUASI_STATIC
-from gridpush_drake.errors import PushLogError
+from gridpush_drake.errors import MissingExtraError, PushLogError
 from gridpush_drake.identification.baselines.search import Bounds, SearchStatus, run_search
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
@@ -110,7 +110,10 @@ def test_the_python_names_public_things_only(name):
         r"^ *from gridpush_drake([\w.]*) import (?:\(([^)]*)\)|([^\n]*))", code, re.MULTILINE
     )
     for module, many, few in ours:
-        package = import_module(f"gridpush_drake{module}")
+        try:
+            package = import_module(f"gridpush_drake{module}")
+        except MissingExtraError:  # its own tests are skipped, too
+            continue
         names = {
             part.strip() for part in (many or few).replace("\n", " ").split(",") if part.strip()
         }

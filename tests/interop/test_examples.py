@@ -23,7 +23,9 @@ def run(name):
         env={"PYTHONPATH": str(ROOT), "PATH": ""},
     )
     assert done.returncode == 0, done.stderr
-    return done.stdout, [float(number) for number in re.findall(r"(\d+\.\d+) (?:mm|cm)", done.stdout)]
+    return done.stdout, [
+        float(number) for number in re.findall(r"(\d+\.\d+) (?:mm|cm)", done.stdout)
+    ]
 
 
 def test_a_map_is_learned_with_optax():
