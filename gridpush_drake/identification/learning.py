@@ -5,14 +5,17 @@ turns what that finds into a model with its spread. The fit itself is not here, 
 `robust_fit` and `map_ensemble`, or in `baselines`.
 """
 
+import warnings
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from numbers import Integral
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
-from gridpush_drake.errors import IdentificationError, ParameterError
+from gridpush_drake.errors import IdentificationError, ParameterError, PushLogWarning
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
 from gridpush_drake.identification.baselines.search import (
     Bounds,
@@ -42,9 +45,11 @@ from gridpush_drake.identification.result import (
     Progress,
 )
 from gridpush_drake.identification.robust_fit import FitTask, fit_robustly
+from gridpush_drake.identification.turned_poses import TurnedPoses, find_turned_poses
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
-from gridpush_drake.pushes.plausibility import check_plausible
+from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
+from gridpush_drake.pushes.plausibility import check_plausible, explain_unused_forces
 from gridpush_drake.pushes.push_log import PushLog
 
 METHODS = ("default", *SEARCH_METHODS)
@@ -59,7 +64,7 @@ to it, because the logarithm of the coefficient is an unknown, and zero has none
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def identify(
     obj: GridObject,
-    log: PushLog,
+    log: PushLogOrFile,
     prior: PhysicalPrior | None = None,
     method: str = "default",
     seed: int = 0,
@@ -75,9 +80,10 @@ def identify(
 
     Args:
         obj: the object.
-        log: the training pushes, with at least one observed pose each after the first. Those during
-            which a part of the object hung over the table's edge are passed over where the log has
-            no table, and by all methods but the default.
+        log: the training pushes, or the name of their CSV file (`PushLog.read_csv`), with at least
+            one observed pose each after the first. Those during which a part of the object hung
+            over the table's edge are passed over where the log has no table, and by all methods but
+            the default.
         prior: what is known beforehand; `obj.prior` by default.
         method: one of METHODS: "default", the paper's, or a baseline.
         seed: seed of everything random.
@@ -97,14 +103,20 @@ def identify(
         The model, its spread, and what the log cannot tell. Where it is far off from the very
         pushes that it was learned from, its status is "explains_little", and it should not be used.
 
+    Warns:
+        PushLogWarning: the log may be true, but hardly is, or forces in it are not learned from.
+
     Raises:
         IdentificationError: the method is unknown, or needs gradients that the friction law does
             not have; the seed is no whole number or negative; the log is empty or lacks
             observations; or no loads of the cells explain it with what is told of the object.
         SimulationError: the regime is unknown, or the friction law does not know it.
         PushLogError: the object hung over the table's edge during every push, or the log cannot be
-            true of the object, see `pushes.plausibility`.
+            true of the object, see `pushes.plausibility`; or its file cannot be read.
+        TypeError: an argument is of another type, or they are swapped.
     """
+    check_types("identify", obj=(obj, (GridObject,)), log=(log, LOG_TYPES))
+    log = read_log(log, obj, require_final=True)
     if method not in METHODS:
         raise IdentificationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
     asked = make_physics(physics, regime)
@@ -139,6 +151,7 @@ def identify(
     tracker = Tracker(problem, progress)
     # The prior is told of mu_c, while the unknown is log mu_c: d(log mu_c) = d(mu_c) / mu_c.
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
+    touching = screened.log
     if not len(screened.log):
         fit = ensemble.fit_prior(obj, z0, log_contact_friction_std)
     elif method == "default":
@@ -178,7 +191,32 @@ def identify(
         unused=unused,
         noise=ensemble.noise,
     )
+    fit_field = partial(
+        ensemble.fit_field,
+        z0=z0,
+        log_contact_friction_std=log_contact_friction_std,
+        center_of_mass=CenterOfMass.of_prior(obj.prior),
+    )
+    problem = PushProblem(obj, touching, uniform, used)
+    turned = find_turned_poses(problem, touching, z0, ensemble.noise, fit_field)
+    for doubt in _list_doubts(obj, screened.log, used, turned):
+        warnings.warn(
+            f"{log.source}: {doubt}" if log.source else doubt, PushLogWarning, stacklevel=2
+        )
     return _note_poor_fit(result, screened.log)
+
+
+def _list_doubts(
+    obj: GridObject, used: PushLog, physics: Physics, turned: TurnedPoses | None
+) -> Iterator[str]:
+    """What in the pushes learned from hardly leads to a good model, or is not learned from, and why."""
+    forces = explain_unused_forces(obj, used, physics.inertial)
+    if forces is not None:
+        yield forces
+    # those that were refused are named already, and may as well be another object's
+    names = {seen.name for seen in used}
+    if turned is not None and names.intersection(turned.names):
+        yield turned.describe(obj.name)
 
 
 def _note_poor_fit(result: Identification, log: PushLog) -> Identification:
@@ -389,7 +427,7 @@ def _make_result(
 
     # Measured forces give the common scale (section 10), but only those of slow pushes.
     force = None
-    if not physics.inertial and screened.log:
+    if screened.log and explain_unused_forces(obj, screened.log, physics.inertial) is None:
         force = calc_force_scale(obj, params, posterior, screened.log, physics, seed)
     if force is not None:
         params = force.rescale(obj, params)

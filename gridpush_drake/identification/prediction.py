@@ -22,6 +22,7 @@ from gridpush_drake.identification.result import Identification, IdentificationS
 from gridpush_drake.notebook import DEGREES, MM, describe_pose, draw_paths, make_page
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -93,7 +94,7 @@ class PoseError:
 def predict(
     obj: GridObject,
     params: CellParameters,
-    log: PushLog,
+    log: PushLogOrFile,
     regime: Regime | None = None,
     *,
     physics: Physics | None = None,
@@ -103,7 +104,7 @@ def predict(
     Args:
         obj: the object.
         params: the model.
-        log: pushes, with or without later observations.
+        log: pushes, with or without later observations, or the name of their CSV file.
         regime: takes the place of the one in `physics`. "auto", the default, is the one that suits
             the log's fastest push, for all of them.
         physics: physics of the simulations, such as `Identification.physics`; `Physics()` by
@@ -113,8 +114,17 @@ def predict(
         One prediction a push.
 
     Raises:
-        PushLogError: the log cannot be true of the object, see `pushes.plausibility`.
+        PushLogError: the log cannot be true of the object, see `pushes.plausibility`, or its file
+            cannot be read.
+        TypeError: an argument is of another type, or they are swapped.
     """
+    check_types(
+        "predict",
+        obj=(obj, (GridObject,)),
+        params=(params, (CellParameters,)),
+        log=(log, LOG_TYPES),
+    )
+    log = read_log(log, obj, require_final=False)
     check_plausible(obj, log, learning=False)
     used = resolve_physics(make_physics(physics, regime), obj, log, params)
     return [_predict_push(obj, params, push, used, log.table) for push in log]
@@ -146,7 +156,7 @@ class Spread:
 
 
 def predict_spread(
-    model: Identification, log: PushLog, physics: Physics | None = None
+    model: Identification, log: PushLogOrFile, physics: Physics | None = None
 ) -> list[Spread]:
     """Predicts how far the final poses of a log's pushes may be off.
 
@@ -155,12 +165,18 @@ def predict_spread(
 
     Args:
         model: what was learned, with its posterior, and the noise that its pushes showed.
-        log: pushes, with or without later observations.
+        log: pushes, with or without later observations, or the name of their CSV file.
         physics: physics of the simulations; the model's by default.
 
     Returns:
         One spread a push.
+
+    Raises:
+        PushLogError: the log's file cannot be read.
+        TypeError: an argument is of another type, or they are swapped.
     """
+    check_types("predict_spread", model=(model, (Identification,)), log=(log, LOG_TYPES))
+    log = read_log(log, model.obj, require_final=False)
     obj = model.obj
     noise = model.noise
 

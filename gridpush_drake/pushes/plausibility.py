@@ -1,12 +1,13 @@
 """Whether a push log can be true of an object: units, frames, and poses that no push can lead to.
 
-Bounds are those of a rigid body that slides on dry friction, taken generously. A pusher that
-travels s moves the centroid by no more than about s and turns the body by no more than s / (2 rho),
-rho the radius of gyration; a body that is let go at speed v slides on for v^2 / (2 mu g).
+What cannot be true is refused, what hardly can is warned of. Bounds are those of a rigid body that
+slides on dry friction, taken generously. A pusher that travels s moves the centroid by no more than
+about s and turns the body by no more than s / (2 rho), rho the radius of gyration; a body that is
+let go at speed v slides on for v^2 / (2 mu g).
 """
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from shapely import LineString, Point
 
 from gridpush_drake.dynamics import GRAVITY
-from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.errors import GridPushError, PushLogError, PushLogWarning
 from gridpush_drake.geometry.se2 import transform, transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -45,8 +46,72 @@ MIN_PUSH = 1e-3
 millimeters."""
 
 MM = 1e-3  # meters in a millimeter
+MM_PER_M = 1e3  # millimeters in a meter
 
 IN_DEGREES = "object_theta: in degrees? expected rad"
+
+SLOW_SPEED = 2e-4
+"""Speed of a pusher below which times are probably not in seconds, m/s, at the median of a log. The
+slowest published pushes are ten times as fast."""
+
+LONG_PUSH = 200.0
+"""Duration of a push from which on times are probably not in seconds, s, at the median of a log."""
+
+USUAL_SPEED = 1e-3
+"""Speed of a pusher that a unit of the times must at least lead to, to be named as the likely one,
+m/s."""
+
+TIME_UNITS = (("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9))
+"""Units that times are often in by mistake, s."""
+
+MAX_MASS = 500.0
+"""Mass of an object that is not doubted, kg."""
+
+MAX_AREAL_DENSITY = 2000.0
+"""Mass by area of an object whose height is not known, where it is not doubted, kg/m²: a quarter of a
+meter of steel."""
+
+MAX_DENSITY = 23000.0
+"""Mass by area and height that is not doubted, kg/m³; nothing on earth is denser."""
+
+FORCE_FACTOR = 20.0
+"""Times the greatest friction of an object of known mass, from which on its forces are doubted."""
+
+MAX_FORCE = 1e4
+"""Force on an object of unknown mass that is not doubted, N."""
+
+PULLING_SHARE = 0.5
+"""Share of the pushes with forces that may do negative work before the forces are doubted."""
+
+FRAME_PUSHES = 5
+"""Pushes that move the object, at least, from which it is told whether the pusher was at its
+outline."""
+
+FRAME_TOLERANCE = 0.004
+"""How far off the outline the pushers are at the ends of pushes, on average, before the body frame is
+doubted, m."""
+
+FRAME_CAP = 0.25
+"""Distance from the outline beyond which a push counts as no further off, diameters of the object."""
+
+FRAME_GAIN = 0.3
+"""Share of that distance that must be left where the outline is shifted, for the shift to be named as
+the likely cause."""
+
+MOVED_SHARE = 0.1
+"""Share of the pusher's path by which its object must move, at the mean of the cells, for the push to
+count as one that moves it."""
+
+SHIFT_COST = 0.05
+"""How much nearer to the outline a shift must bring the pushers, by its length."""
+
+FRAME_STEPS = ((0.03, 8), (0.01, 3), (0.003, 3))
+"""Steps of the search for the shift, diameters of the object, and how many of them either way: one
+search about what the one before found."""
+
+SLIDING_SPEED = 0.2
+"""Speed of the pusher, in square roots of g times the object's diameter, from which on the object may
+slide on when the pusher has stopped; such pushes do not tell where the outline is."""
 
 
 class Finding(NamedTuple):
@@ -117,13 +182,46 @@ def find_implausible(obj: GridObject, log: PushLog) -> list[Finding]:
 
 def explain_no_contact(obj: GridObject, log: PushLog) -> str:
     """Says of a log in which nothing touches which push comes nearest, and what may be wrong."""
-    gaps = [_calc_gap(obj, seen, AS_SAID)[0] for seen in log]
+    gaps, depths = np.array([_calc_gap(obj, seen, AS_SAID) for seen in log]).T
     nearest = int(np.argmin(gaps))
+    seen, gap, depth = log[nearest], float(gaps[nearest]), float(depths[nearest])
+    if gap > 0:
+        how = f"passes its outline at {gap:.3g} m"
+    elif depth > 0:
+        how = f"begins with the pusher {depth:.3g} m inside its outline"
+    else:
+        how = "only grazes its outline"
     return (
-        f"{log.source or 'push log'}: no push touches {obj.name}; the nearest, {log[nearest].name!r}, passes its "
-        f"outline at {max(gaps[nearest], 0.0):.3g} m; expected tip_x, tip_y and object_x, object_y, object_theta (m, "
-        "rad) in one frame, and of this object"
+        f"{log.source or 'push log'}: no push touches {obj.name} from outside; the nearest, {seen.name!r}, {how}; "
+        "expected tip_x, tip_y and object_x, object_y, object_theta (m, rad) in one frame, and of this object"
     )
+
+
+def check_size(obj: GridObject, kind: type[GridPushError]) -> None:
+    """Raises an error of a kind where an object is larger than any that is pushed about."""
+    for message in _find_large_objects(obj, PushLog(())):
+        raise kind(message)
+
+
+def explain_unused_forces(obj: GridObject, log: PushLog, inertial: bool) -> str | None:
+    """Says why the forces of a log cannot be learned from; None where they can, or there are none.
+
+    Args:
+        obj: the object.
+        log: the pushes.
+        inertial: whether the pushes are simulated with inertia, as fast ones are.
+    """
+    if all(seen.force is None for seen in log):
+        return None
+    for find in (_find_large_forces, _find_pulling_forces):
+        for message in find(obj, log):
+            return f"{message}; the forces are not used"
+    if inertial:
+        return (
+            "columns force_x, force_y: the forces are not used, as the pushes are fast: in part they "
+            "accelerate the object, and only those of slow pushes show its friction"
+        )
+    return None
 
 
 def _find_units(obj: GridObject, log: PushLog) -> Iterator[str]:
@@ -171,6 +269,143 @@ def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
                 f"push {seen.name!r}, column t: the pusher moves {seen.push.length:.3g} m in {seen.push.duration:.3g} "
                 f"s; expected at most {MAX_SPEED:g} m/s: are times in s, and tip_x, tip_y in m?"
             )
+
+
+def _find_slow_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
+    durations = np.array([seen.push.duration for seen in log])
+    lengths = np.array([seen.push.length for seen in log])
+    if not len(log):
+        return
+    duration, length = float(np.median(durations)), float(np.median(lengths))
+    speed = float(np.median(lengths / durations))
+    if speed >= SLOW_SPEED and duration <= LONG_PUSH:
+        return
+    likely = next(
+        (name for name, unit in TIME_UNITS if speed / unit >= USUAL_SPEED), "another unit"
+    )
+    yield (
+        f"column t: in {likely}? expected s; as they stand, pushes of {length:.3g} m take {duration:.3g} s "
+        "(medians)"
+    )
+
+
+def _find_heavy_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
+    mass, area = obj.prior.total_mass, float(obj.outline.area)
+    if mass is None:
+        return
+    limit = MAX_AREAL_DENSITY if obj.height is None else MAX_DENSITY * obj.height
+    if mass > min(MAX_MASS, limit * area):
+        height = "" if obj.height is None else f" and {obj.height:.3g} m high"
+        yield (
+            f"{obj.name}: total_mass is {mass:.4g} kg, of an object of {area:.3g} m²{height}: in grams? expected kg"
+        )
+
+
+def _find_large_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
+    mass = obj.prior.total_mass
+    limit = MAX_FORCE
+    if mass is not None:
+        limit = min(MAX_FORCE, FORCE_FACTOR * obj.prior.friction_max * mass * GRAVITY)
+    for seen in log:
+        if seen.force is None:
+            continue
+        size = float(np.median(np.linalg.norm(seen.force, axis=1)))
+        if size > limit:
+            held = "" if mass is None else f" for an object of {mass:.3g} kg"
+            yield (
+                f"push {seen.name!r}, columns force_x, force_y: are {size:.3g} N at the median; expected at most "
+                f"{limit:.3g} N{held}: in N, and not a sensor's counts?"
+            )
+
+
+def _find_pulling_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Forces against the pusher's motion: those on the pusher, or of another frame."""
+    work = {seen.name: _calc_work(seen) for seen in log if seen.force is not None}
+    pulling = [name for name, value in work.items() if value < 0]
+    if len(pulling) > PULLING_SHARE * len(work):
+        for name in pulling:
+            yield (
+                f"push {name!r}, columns force_x, force_y: pull the object against the pusher's motion; expected "
+                "the force on the object, in the frame of tip_x, tip_y: is it that on the pusher?"
+            )
+
+
+def _calc_work(seen: ObservedPush) -> float:
+    """Work of a push's measured force along the pusher's path, J."""
+    assert seen.force_t is not None and seen.force is not None
+    ends = np.append(seen.force_t[1:], seen.push.duration)
+    path = seen.push.tip_at(ends) - seen.push.tip_at(seen.force_t)
+    return float((seen.force * path).sum())
+
+
+def _find_other_body_frames(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """An outline that is not where the pushers are when slow pushes end: a body frame that is off.
+
+    Where a slow push ends, its disc touches the outline. So the disc's center, in body axes, is its
+    radius away from it; a body frame that is off by d shows there as an outline shifted by d.
+    """
+    ends = [
+        (seen.push.radius, transform_back(seen.final_pose, seen.push.xy[-1:])[0])
+        for seen in log
+        if _ends_in_contact(obj, seen)
+    ]
+    if len(ends) < FRAME_PUSHES:
+        return
+    diameter = _calc_diameter(obj)
+    radii = np.array([radius for radius, _ in ends])
+    tips = np.array([tip for _, tip in ends])
+
+    def calc_off(shift: NDArray[np.float64]) -> float:
+        """Mean distance of the discs from the outline shifted by `shift`, m; one that is far counts as less so."""
+        points = shapely.points(tips - shift)
+        distance = shapely.distance(obj.outline.boundary, points)
+        signed = np.where(shapely.contains(obj.outline, points), -distance, distance)
+        return float(np.minimum(np.abs(signed - radii), FRAME_CAP * diameter).mean())
+
+    off = calc_off(np.zeros(2))
+    if off <= FRAME_TOLERANCE:
+        return
+    shift, left = _search_shift(calc_off, diameter)
+    seen = f"where {len(ends)} pushes end, the pusher is {off * MM_PER_M:.3g} mm off the outline on average"
+    if left <= FRAME_GAIN * off * (1 - len(shift) / len(ends)):  # two numbers are fitted
+        x, y = shift * MM_PER_M
+        yield (
+            f"object_x, object_y: of another body frame than the outline of {obj.name}, which then lies at "
+            f"({x:.0f}, {y:.0f}) mm in it? {seen}, there {left * MM_PER_M:.2g} mm"
+        )
+    # where tips slip off, they end far off and yet were at the outline when the pushes began
+    elif _are_misplaced(obj, log, AS_SAID).mean() >= FEW:
+        yield (
+            f"object_x, object_y, object_theta: in the frame of tip_x, tip_y, of {obj.name}, and pusher.radius "
+            f"right? {seen}"
+        )
+
+
+def _ends_in_contact(obj: GridObject, seen: ObservedPush) -> bool:
+    """Whether a push moves the object, slowly enough for the pusher to touch it at the end."""
+    if not len(seen.poses_observed) or seen.t_observed[-1] < seen.push.duration:
+        return False
+    speed = seen.push.length / seen.push.duration
+    if speed > SLIDING_SPEED * np.sqrt(GRAVITY * _calc_diameter(obj)):
+        return False
+    cells = obj.cells_at([seen.pose, seen.final_pose])
+    moved = float(np.linalg.norm(cells[1] - cells[0], axis=1).mean())
+    return moved > MOVED_SHARE * seen.push.length
+
+
+def _search_shift(
+    calc_off: Callable[[NDArray[np.float64]], float], diameter: float
+) -> tuple[NDArray[np.float64], float]:
+    """The shift (2,), m, of the outline at which the pushers are nearest to it, and how near, m."""
+    best, left = np.zeros(2), np.inf
+    for share, count in FRAME_STEPS:
+        steps = share * diameter * np.arange(-count, count + 1)
+        tried = best + np.array([[x, y] for x in steps for y in steps])
+        off = [calc_off(shift) for shift in tried]
+        # of shifts that explain the pushes alike the least is the most likely
+        k = int(np.argmin(off + SHIFT_COST * np.linalg.norm(tried, axis=1)))
+        best, left = tried[k], off[k]
+    return best, left
 
 
 def _find_begun_off_table(obj: GridObject, log: PushLog) -> Iterator[str]:
@@ -276,6 +511,9 @@ KINDS = (
     (_find_large_objects, True, False),
     (_find_large_angles, False, True),
     (_find_large_tables, False, True),
+    (_find_slow_pushers, False, True),
+    (_find_heavy_objects, False, True),
+    (_find_other_body_frames, False, True),
 )
 """What finds what is wrong, whether it is certain, and whether it is about what a prediction begins
 with."""

@@ -6,6 +6,7 @@ import pytest
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import make_path_times
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import PushLogWarning
 from gridpush_drake.identification.identifiability import (
     _calc_box_of_known_scale,
     calc_center_of_mass_box,
@@ -136,7 +137,8 @@ def test_forces_that_point_backwards_are_left_out_or_not_believed_at_all() -> No
     assert any(
         "Left out are the forces of 2 pushes" in text for text in some.identifiability.statements
     )
-    none = learn(1, backwards=6)
+    with pytest.warns(PushLogWarning, match=r"pull the object .*; the forces are not used"):
+        none = learn(1, backwards=6)
     assert none.force is None
     np.testing.assert_array_equal(none.params.mass, learn_without_forces(1).params.mass)
 

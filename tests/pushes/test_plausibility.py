@@ -1,5 +1,6 @@
 """Logs that cannot be true are refused with push, column and cause; real ones pass without a word."""
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.geometry.se2 import compose
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
@@ -238,7 +240,9 @@ def test_a_log_that_misses_is_explained():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_plausible(obj, away, learning=True)
-    assert "no push touches block; the nearest, 'push_" in explain_no_contact(obj, away)
+    assert "no push touches block from outside; the nearest, 'push_" in explain_no_contact(
+        obj, away
+    )
 
 
 def test_a_log_that_misses_is_not_taken_for_millimeters_where_the_body_frame_is_at_a_corner():
@@ -269,3 +273,131 @@ def test_degrees_are_named_where_the_body_frame_is_far_from_the_centroid():
         match=r"push 'a', column object_theta: the object turns 17\.2 rad .* in degrees",
     ):
         check_plausible(aside, PushLog((seen,)), learning=True)
+
+
+def shift_body_frame(log: PushLog, shift) -> PushLog:
+    """The log of one whose tracked frame is `shift`, m, away from the outline's, in body axes."""
+    X = np.array([*shift, 0.0])
+    return replace(
+        log,
+        source="log.csv",
+        pushes=tuple(
+            replace(
+                seen,
+                pose=compose(seen.pose, X),
+                poses_observed=np.array([compose(pose, X) for pose in seen.poses_observed]),
+            )
+            for seen in log
+        ),
+    )
+
+
+@pytest.mark.parametrize("name", ["claw_hammer", "open_book", "pliers", "toolbox"])
+def test_another_body_frame_is_doubted_and_told(name):
+    obj = GridObject.from_yaml(find_shipped_object(name))
+    log = simulated(obj)
+    for angle in np.radians([20, 110, 200, 290]):
+        shift = 0.03 * np.array([np.cos(angle), np.sin(angle)])
+        (found,) = find_implausible(obj, shift_body_frame(log, shift))
+        assert not found.certain and "object_x, object_y" in found.message
+
+
+def test_how_far_the_body_frame_is_off_is_told():
+    obj = GridObject.from_yaml(find_shipped_object("toolbox"))
+    log = shift_body_frame(simulated(obj), (0.02, 0.01))
+    with pytest.warns(
+        PushLogWarning, match=r"^log\.csv: object_x, object_y: of another body frame"
+    ) as caught:
+        check_plausible(obj, log, learning=True)
+    x, y = map(float, str(caught[0].message).split("lies at (")[1].split(") mm")[0].split(","))
+    np.testing.assert_allclose([x, y], [-20, -10], atol=3)
+
+
+@pytest.mark.parametrize(
+    "unit, factor", [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)]
+)
+def test_times_in_other_units_are_doubted(unit, factor):
+    obj = make_block()
+    log = simulated(obj)
+    slow = replace(
+        log,
+        pushes=tuple(
+            replace(
+                seen,
+                push=Push.along(seen.push.t * factor, seen.push.xy, seen.push.radius),
+                t_observed=np.minimum(seen.t_observed * factor, seen.push.t[-1] * factor),
+            )
+            for seen in log
+        ),
+    )
+    with pytest.warns(PushLogWarning, match=rf"column t: in {unit}\? expected s; as they stand"):
+        check_plausible(obj, slow, learning=True)
+
+
+def test_heavy_objects_are_doubted():
+    block = make_block()
+    log = simulated(block)
+    for mass in (600.0, 30.0):
+        obj = replace(block, prior=replace(block.prior, total_mass=mass))
+        with pytest.warns(PushLogWarning, match=rf"total_mass is {mass:g} kg, .*: in grams\?"):
+            check_plausible(obj, log, learning=True)
+    obj = replace(block, prior=replace(block.prior, total_mass=5.0))
+    assert find_implausible(obj, log) == []
+
+
+def with_forces(log: PushLog, factor: float = 1.0, count: int = 20) -> PushLog:
+    """The log with a force along the pusher's motion, N."""
+    pushes = []
+    for seen in log:
+        t = np.linspace(0, seen.push.duration, count)
+        along = (seen.push.xy[-1] - seen.push.xy[0]) / np.linalg.norm(
+            seen.push.xy[-1] - seen.push.xy[0]
+        )
+        pushes.append(replace(seen, force_t=t, force=np.tile(factor * along, (count, 1))))
+    return replace(log, pushes=tuple(pushes), source="log.csv")
+
+
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [
+        (
+            1e8,
+            r"push 'push_1', columns force_x, force_y: are 1e\+08 N at the median; .* a sensor's counts",
+        ),
+        (
+            -2.0,
+            r"push 'push_1', columns force_x, force_y: pull the object .* is it that on the pusher",
+        ),
+    ],
+)
+def test_forces_that_cannot_be_are_not_used_and_it_is_said_why(factor, says):
+    obj = make_block()
+    log = simulated(obj, 4)
+    with pytest.warns(PushLogWarning, match=rf"^log\.csv: {says}.*; the forces are not used$"):
+        found = identify(obj, with_forces(log, factor), regime="quasi_static")
+    assert found.force is None
+    assert identify(obj, with_forces(log, 2.0), regime="quasi_static").force is not None
+
+
+def test_forces_of_fast_pushes_are_not_used_and_it_is_said_why():
+    obj = make_block()
+    log = with_forces(simulated(obj, 4), 2.0)
+    with pytest.warns(
+        PushLogWarning, match=r"^log\.csv: columns force_x, force_y: .* the pushes are fast"
+    ):
+        assert identify(obj, log, regime="inertial").force is None
+
+
+def test_why_nothing_touches_is_told_without_contradiction():
+    obj = make_block()
+    x = obj.outline.bounds[2]
+    inside = Push((0.0, 0.0), (0.01, 0.0), 1.0, 0.005)
+    away = Push((x + 0.105, 0.0), (0.01, 0.0), 1.0, 0.005)
+    for push, says in (
+        (inside, r"begins with the pusher 0\.0\d+ m inside its outline"),
+        (away, "passes its outline at 0.1 m"),
+    ):
+        seen = ObservedPush("a", push, np.zeros(3), [1.0], np.zeros((1, 3)))
+        text = explain_no_contact(obj, PushLog((seen,), "log.csv"))
+        assert "at 0 m" not in text
+        assert re.search(says, text), text

@@ -66,6 +66,7 @@ from gridpush_drake.planning.pregrasp.slides import (
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.plausibility import check_size
 
 Action = Literal["poke", "slide", "grasp", "fail"]
 
@@ -217,8 +218,10 @@ class PreGraspPlanner:
         """Finds the graspable parts; `parts` are the narrow ones, where they are known already.
 
         Raises:
-            PlanningError: there is no graspable part, or the table is smaller than the object.
+            PlanningError: there is no graspable part, the table is smaller than the object, or the
+                object is larger than any that is pushed about.
         """
+        check_size(obj, PlanningError)
         self.obj = obj
         self.surface = surface
         self.limits = limits

@@ -1,0 +1,255 @@
+"""Poses that are a turn of a symmetric outline off: what a tracker does that takes one end for the other.
+
+Half a turn of a rectangle looks like none. A tracker that finds the outline anew before each push
+may so tell the same object's pose now this way round and now the other. The pushes then contradict
+each other, and a fit of all of them puts the center of friction in the middle, and calls it known.
+
+Let c be the center of friction from the outline's center, and R_j the turns by which the outline is
+left as it is. A push whose poses are R_j off is explained by R_j c as well as the others are by c:
+
+    r_p + J_p R_j(p) c = 0     for all pushes p
+
+with r_p the residuals of an even object and J_p their derivatives by the center. The turns j(p) and
+c that fit best are found first, to first order; what they gain is then confirmed by fitting both
+readings of the log in full, and weighing one against the other by their evidence.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import affinity
+
+from gridpush_drake.geometry.se2 import Array, compose, make_rotation
+from gridpush_drake.identification.map_fit import MapFit
+from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+ORDERS = (6, 5, 4, 3, 2)
+"""Numbers of turns by which an outline may look the same that are looked for, the most first."""
+
+ALIKE = 0.02
+"""Share of the outline's area by which it may differ from itself, turned."""
+
+MIN_PUSHES = 4
+"""Fewest pushes that can tell."""
+
+STARTS = 12
+"""Directions of the center of friction from which the search begins."""
+
+START_DISTANCES = (0.2, 0.5)
+"""Distances of the center of friction from which it begins, radii of gyration."""
+
+ROUNDS = 20
+"""Most rounds of choosing the turns by the center, and the center by the turns."""
+
+CENTER_STD = 0.6
+"""Standard deviation per axis of the center of friction, before any push, radii of gyration."""
+
+SURE = 10.0
+"""Log odds for poses that are turned, by the evidence of both fits, from which on they are told of.
+The odds beforehand are those of any set of turned pushes alike."""
+
+NAMED = 3.0
+"""Log odds for a push's poses to be turned, from which on it is named: one through the center of
+friction does not tell."""
+
+MIN_SHIFT = 1e-6
+"""Standard deviation of the load's center from push to push in the search to first order, m: as good
+as none."""
+
+MAX_NAMED = 8
+"""Pushes that a message names."""
+
+Turns = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class TurnedPoses:
+    """Pushes whose poses are a turn of a symmetric outline off those of the others.
+
+    Attributes:
+        names: of those pushes that tell; there may be more.
+        pushes: how many pushes the log has.
+        angle: by how much they are off, in words.
+    """
+
+    names: tuple[str, ...]
+    pushes: int
+    angle: str
+
+    def describe(self, name: str) -> str:
+        """Says so in a sentence, of an object of that name."""
+        more = f" and {len(self.names) - MAX_NAMED} more" if len(self.names) > MAX_NAMED else ""
+        shown = ", ".join(self.names[:MAX_NAMED]) + more
+        return (
+            f"column object_theta: the poses of at least {len(self.names)} of {self.pushes} pushes ({shown}) seem "
+            f"to be {self.angle} off those of the others, by which the outline of {name} looks the same; does the "
+            "tracker take one end for the other? The center of friction is not to be believed"
+        )
+
+
+def find_symmetry(obj: GridObject) -> int:
+    """The number of turns, a full one among them, after which the outline looks the same; 1 for none."""
+    outline = shapely.Polygon(obj.outline.exterior)
+    center = outline.centroid
+    for order in ORDERS:
+        turned = affinity.rotate(outline, 360 / order, origin=center)
+        if outline.symmetric_difference(turned).area <= ALIKE * outline.area:
+            return order
+    return 1
+
+
+def find_turned_poses(
+    problem: PushProblem,
+    log: PushLog,
+    z0: Array,
+    noise: NoiseModel,
+    fit: Callable[[PushProblem], MapFit],
+) -> TurnedPoses | None:
+    """Finds the pushes whose poses are a turn of a symmetric outline off; None where none are.
+
+    Args:
+        problem: of the log.
+        log: the pushes, all of which touch the object.
+        z0: (n+1,) z of the even object.
+        noise: what is held of the pushes' noise.
+        fit: fits the pushes of a problem in full.
+    """
+    obj = problem.obj
+    order = find_symmetry(obj)
+    if order == 1 or len(log) < MIN_PUSHES:
+        return None
+    turns = _search_turns(problem, z0, noise, order)
+    if not turns.any():
+        return None
+    turned = fit(problem.replace_log(turn_poses(obj, log, turns, order)))
+    # pushes through the center hardly tell to first order which way round they are, but in full
+    better = np.argmin(_calc_losses(problem, log, turned, order), axis=1)
+    if not np.array_equal(better, turns):
+        again = fit(problem.replace_log(turn_poses(obj, log, better, order)))
+        if again.log_evidence > turned.log_evidence:
+            turned, turns = again, better
+    gain = turned.log_evidence - fit(problem).log_evidence - calc_occam(len(log), order)
+    if gain < SURE:
+        return None
+    losses = _calc_losses(problem, log, turned, order)
+    usual = find_usual(turns, order)
+    turns = (turns - usual) % order
+    # by how much less each push is explained if its poses are taken as they are
+    told = losses[:, usual] - losses.min(axis=1) > NAMED
+    turns[~told] = 0
+    names = [seen.name for seen, turn in zip(log, turns, strict=True) if turn]
+    if not names:
+        return None
+    half = bool((2 * turns[turns > 0] == order).all())
+    return TurnedPoses(
+        tuple(names), len(log), "half a turn" if half else f"turns of {360 / order:.0f}°"
+    )
+
+
+def calc_occam(pushes: int, order: int) -> float:
+    """Log of the number of ways in which pushes can be turned: each is as probable as any other beforehand."""
+    return (pushes - 1) * float(np.log(order))
+
+
+def turn_poses(obj: GridObject, log: PushLog, turns: Turns, order: int) -> PushLog:
+    """The log with the poses of each push turned back by some of the outline's turns.
+
+    Args:
+        obj: the object, whose outline's center stays where it is.
+        log: the pushes.
+        turns: (P,) how many of the turns each push's poses are off.
+        order: how many make a full turn.
+    """
+    center = shapely.Polygon(obj.outline.exterior).centroid
+    p_BC = np.array([center.x, center.y])
+
+    def turn(seen: ObservedPush, count: int) -> ObservedPush:
+        if not count:
+            return seen
+        angle = 2 * np.pi * count / order
+        # the outline's center keeps its place: X_WB' = X_WB X_BB', p_BC = p_BB' + R p_BC
+        X_BB = np.append(p_BC - make_rotation(angle) @ p_BC, angle)
+        poses = [compose(pose, X_BB) for pose in seen.poses_observed]
+        return replace(seen, pose=compose(seen.pose, X_BB), poses_observed=np.array(poses))
+
+    pushes = (turn(seen, int(count)) for seen, count in zip(log, turns, strict=True))
+    return replace(log, pushes=tuple(pushes))
+
+
+def _search_turns(problem: PushProblem, z0: Array, noise: NoiseModel, order: int) -> Turns:
+    """The turns (P,) that explain the pushes best to first order; none where they hardly gain anything."""
+    linear = problem.linearize(z0)
+    # the center is what is looked for: as noise from push to push it would hide itself
+    whitenings = replace(noise, load_shift=MIN_SHIFT).make_whitenings(
+        linear.by_inputs, NoiseScale()
+    )
+    r = [W.apply(values) for W, values in zip(whitenings, linear.residuals, strict=True)]
+    J = [W.apply(inputs[:, 3:]) for W, inputs in zip(whitenings, linear.by_inputs, strict=True)]
+    # the loss of push p at a center c is a_p + 2 b_p·c + c·H_p c
+    a = np.array([one @ one for one in r])
+    b = np.array([slope.T @ one for slope, one in zip(J, r, strict=True)])
+    H = np.array([slope.T @ slope for slope in J])
+    turns = [make_rotation(2 * np.pi * j / order) for j in range(order)]
+    rho = problem.obj.radius_of_gyration
+    prior = np.eye(2) / (CENTER_STD * rho) ** 2
+
+    def calc_losses(c: Array) -> Array:
+        """(P, order) of each push with each turn."""
+        centers = np.array([R @ c for R in turns])
+        quadratic = np.einsum("jx,pxy,jy->pj", centers, H, centers)
+        return np.asarray(a[:, None] + 2 * b @ centers.T + quadratic)
+
+    def find_center(chosen: Turns) -> Array:
+        A = prior + sum(turns[j].T @ H[p] @ turns[j] for p, j in enumerate(chosen))
+        pull = sum(turns[j].T @ b[p] for p, j in enumerate(chosen))
+        return np.asarray(np.linalg.solve(A, -pull))
+
+    def calc_loss(c: Array, chosen: Turns) -> float:
+        return float(calc_losses(c)[np.arange(len(a)), chosen].sum() + c @ prior @ c)
+
+    def improve(c: Array) -> tuple[float, Turns]:
+        chosen = np.zeros(len(a), dtype=np.int64)
+        for _ in range(ROUNDS):
+            best = np.argmin(calc_losses(c), axis=1)
+            c = find_center(best)
+            if np.array_equal(best, chosen):
+                break
+            chosen = best
+        return calc_loss(c, chosen), chosen
+
+    angles = 2 * np.pi * np.arange(STARTS) / STARTS
+    found = [
+        improve(distance * rho * np.array([np.cos(angle), np.sin(angle)]))
+        for distance in START_DISTANCES
+        for angle in angles
+    ]
+    least, best = min(found, key=lambda one: one[0])
+    none = np.zeros_like(best)
+    # what is left of the residuals says how large the noise is, so that more of it tells nothing
+    scale = max(1.0, least / sum(calc_effective_count(len(one)) for one in r))
+    gain = 0.5 * (calc_loss(find_center(none), none) - least) / scale
+    if gain < calc_occam(len(best), order):
+        return none
+    return np.asarray((best - find_usual(best, order)) % order, dtype=np.int64)
+
+
+def _calc_losses(problem: PushProblem, log: PushLog, fit: MapFit, order: int) -> Array:
+    """Negative log likelihood (P, order) of each push with each turn by a fit, but for a constant."""
+    losses = []
+    for turn in range(order):
+        turned = turn_poses(problem.obj, log, np.full(len(log), turn), order)
+        residuals = problem.replace_log(turned).residuals(fit.z)
+        whitened = zip(fit.linearized.whitenings, residuals, strict=True)
+        losses.append([fit.linearized.noise.calc_loss(W.apply(r)) for W, r in whitened])
+    return np.array(losses).T
+
+
+def find_usual(turns: Turns, order: int) -> int:
+    """The turn of most pushes, which is taken for none: the turns are known but for a common one."""
+    return int(np.argmax(np.bincount(turns, minlength=order)))

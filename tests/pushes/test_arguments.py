@@ -1,0 +1,84 @@
+"""A push log's file will do where a log is wanted, and swapped arguments are named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake import PushLog, identify, predict
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.identification.prediction import predict_spread
+from gridpush_drake.multibody.ground_truth import sample_ground_truth
+from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.made_identifications import make_block, make_identification
+from tests.helpers.simulated_pushes import make_pushes
+
+RADIUS = 0.006
+
+
+@pytest.fixture(scope="module")
+def obj():
+    block = make_block()
+    return replace(block, prior=replace(block.prior, pusher_radius=RADIUS))
+
+
+@pytest.fixture(scope="module")
+def log(obj):
+    return make_pushes(obj, sample_ground_truth(obj, 1), 3, seed=1)
+
+
+@pytest.fixture(params=[str, lambda path: path], ids=["str", "Path"])
+def file(request, log, tmp_path):
+    log.write_csv(tmp_path / "pushes.csv")
+    return request.param(tmp_path / "pushes.csv")
+
+
+def test_a_file_is_as_good_as_the_log_in_it(obj, file):
+    log = PushLog.read_csv(file, radius=RADIUS)
+    learned, of_file = identify(obj, log), identify(obj, file)
+    np.testing.assert_array_equal(of_file.params.mass, learned.params.mass)
+    for one, other in zip(
+        predict(obj, learned.params, log), predict(obj, learned.params, file), strict=True
+    ):
+        np.testing.assert_array_equal(one.poses, other.poses)
+    for one, other in zip(predict_spread(learned, log), predict_spread(learned, file), strict=True):
+        np.testing.assert_array_equal(one.std, other.std)
+
+
+def test_a_file_that_is_not_there_is_named(obj):
+    with pytest.raises(PushLogError, match=r"none\.csv: cannot be read"):
+        identify(obj, "none.csv")
+
+
+def test_swapped_arguments_are_named(obj, log):
+    uniform = CellParameters.uniform(obj)
+    swapped = "the arguments are swapped; expected"
+    with pytest.raises(
+        TypeError,
+        match=rf"^identify: obj is a PushLog and log is a GridObject: {swapped} identify\(obj, log\)$",
+    ):
+        identify(log, obj)
+    with pytest.raises(TypeError, match=rf"{swapped} identify\(obj, log\)"):
+        identify("pushes.csv", obj)
+    with pytest.raises(
+        TypeError, match=rf"params is a PushLog .*: {swapped} predict\(obj, params, log\)"
+    ):
+        predict(obj, log, uniform)
+    with pytest.raises(TypeError, match=rf"{swapped} predict\(obj, params, log\)"):
+        predict(uniform, log, obj)
+    with pytest.raises(TypeError, match=rf"{swapped} predict_spread\(model, log\)"):
+        predict_spread(log, make_identification())
+
+
+def test_other_things_are_named(obj, log):
+    with pytest.raises(
+        TypeError,
+        match=r"obj is a str; expected for obj a GridObject, such as GridObject.from_yaml",
+    ):
+        identify("claw_hammer", log)
+    with pytest.raises(TypeError, match=r"log is a list; .* PushLog\(pushes\) makes a log"):
+        identify(obj, list(log))
+    with pytest.raises(TypeError, match=r"obj is an Identification; .* give its .obj and .params"):
+        predict(make_identification(), CellParameters.uniform(obj), log)
+    with pytest.raises(TypeError, match="log is a NoneType; expected for log a PushLog"):
+        identify(obj, None)
