@@ -191,14 +191,16 @@ def identify(
         unused=unused,
         noise=ensemble.noise,
     )
-    fit_field = partial(
-        ensemble.fit_field,
-        z0=z0,
-        log_contact_friction_std=log_contact_friction_std,
-        center_of_mass=CenterOfMass.of_prior(obj.prior),
-    )
-    problem = PushProblem(obj, touching, uniform, used)
-    turned = find_turned_poses(problem, touching, z0, ensemble.noise, fit_field)
+    turned = None
+    if method == "default":  # it needs gradients, which the baselines do without
+        fit_field = partial(
+            ensemble.fit_field,
+            z0=z0,
+            log_contact_friction_std=log_contact_friction_std,
+            center_of_mass=CenterOfMass.of_prior(obj.prior),
+        )
+        problem = PushProblem(obj, touching, uniform, used)
+        turned = find_turned_poses(problem, touching, screened.log, z0, ensemble.noise, fit_field)
     for doubt in _list_doubts(obj, screened.log, used, turned):
         warnings.warn(
             f"{log.source}: {doubt}" if log.source else doubt, PushLogWarning, stacklevel=2
@@ -213,9 +215,7 @@ def _list_doubts(
     forces = explain_unused_forces(obj, used, physics.inertial)
     if forces is not None:
         yield forces
-    # those that were refused are named already, and may as well be another object's
-    names = {seen.name for seen in used}
-    if turned is not None and names.intersection(turned.names):
+    if turned is not None:
         yield turned.describe(obj.name)
 
 

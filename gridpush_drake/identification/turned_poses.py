@@ -107,6 +107,7 @@ def find_symmetry(obj: GridObject) -> int:
 def find_turned_poses(
     problem: PushProblem,
     log: PushLog,
+    kept: PushLog,
     z0: Array,
     noise: NoiseModel,
     fit: Callable[[PushProblem], MapFit],
@@ -116,6 +117,8 @@ def find_turned_poses(
     Args:
         problem: of the log.
         log: the pushes, all of which touch the object.
+        kept: those of them, with their poses, that contradict the others so little that they were
+            learned from.
         z0: (n+1,) z of the even object.
         noise: what is held of the pushes' noise.
         fit: fits the pushes of a problem in full.
@@ -135,7 +138,7 @@ def find_turned_poses(
         if again.log_evidence > turned.log_evidence:
             turned, turns = again, better
     gain = turned.log_evidence - fit(problem).log_evidence - calc_occam(len(log), order)
-    if gain < SURE:
+    if gain < SURE or not _explains_kept(problem, log, kept, turns, order, fit):
         return None
     losses = _calc_losses(problem, log, turned, order)
     usual = find_usual(turns, order)
@@ -150,6 +153,30 @@ def find_turned_poses(
     return TurnedPoses(
         tuple(names), len(log), "half a turn" if half else f"turns of {360 / order:.0f}°"
     )
+
+
+def _explains_kept(
+    problem: PushProblem,
+    log: PushLog,
+    kept: PushLog,
+    turns: Turns,
+    order: int,
+    fit: Callable[[PushProblem], MapFit],
+) -> bool:
+    """Whether the pushes that were learned from, by themselves, speak for the turns, too.
+
+    A few pushes of another object contradict the others likewise, and turns can explain them. But
+    once they are left out, the others agree as they are. Where the pushes that were left out are
+    the turned ones, the others show the right center, and nothing is to be said beside that they
+    were left out.
+    """
+    turn_of = {seen.name: turn for seen, turn in zip(log, turns, strict=True)}
+    turns_kept = np.array([turn_of[seen.name] for seen in kept])
+    if not turns_kept.any():
+        return False
+    turned = fit(problem.replace_log(turn_poses(problem.obj, kept, turns_kept, order)))
+    gain = turned.log_evidence - fit(problem.replace_log(kept)).log_evidence
+    return gain > calc_occam(len(kept), order)
 
 
 def calc_occam(pushes: int, order: int) -> float:

@@ -1,4 +1,5 @@
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -38,6 +39,14 @@ def test_plans_draws_and_writes(gridpush, pan, tmp_path):
     assert not shapely.box(0.1, -0.15, 0.7, 0.35).contains(shapely.Point(grasp))
     with Image.open(picture) as image:
         assert image.width > 600
+
+
+def test_refuses_an_object_of_160_m_at_once(refuses, tmp_path):
+    plate = GridObject.from_outline(shapely.box(-80, -1, 80, 1), max_cells=40, name="plate")
+    plate.write_yaml(tmp_path / "plate.yaml")
+    begin = time.process_time()
+    refuses("slide", tmp_path / "plate.yaml", *TABLE, says=["plate: its outline spans 160 m", "at most 10"])
+    assert time.process_time() - begin < 5.0
 
 
 def test_a_tray_is_taken_by_its_rim_where_the_pads_hold_it(gridpush, refuses, tmp_path):
