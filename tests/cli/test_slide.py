@@ -45,7 +45,12 @@ def test_refuses_an_object_of_160_m_at_once(refuses, tmp_path):
     plate = GridObject.from_outline(shapely.box(-80, -1, 80, 1), max_cells=40, name="plate")
     plate.write_yaml(tmp_path / "plate.yaml")
     begin = time.process_time()
-    refuses("slide", tmp_path / "plate.yaml", *TABLE, says=["plate: its outline spans 160 m", "at most 10"])
+    refuses(
+        "slide",
+        tmp_path / "plate.yaml",
+        *TABLE,
+        says=["plate: its outline spans 160 m", "at most 10"],
+    )
     assert time.process_time() - begin < 5.0
 
 
