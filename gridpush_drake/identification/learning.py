@@ -211,7 +211,7 @@ def identify(
 def _list_doubts(
     obj: GridObject, used: PushLog, physics: Physics, turned: TurnedPoses | None
 ) -> Iterator[str]:
-    """What in the pushes learned from hardly leads to a good model, or is not learned from, and why."""
+    """Says what in the pushes may spoil the model, or is not learned from, and why."""
     forces = explain_unused_forces(obj, used, physics.inertial)
     if forces is not None:
         yield forces

@@ -1,4 +1,6 @@
-"""Poses that are a turn of a symmetric outline off: what a tracker does that takes one end for the other.
+"""Poses that are a turn of a symmetric outline off.
+
+That is what a tracker does that takes one end of the object for the other.
 
 Half a turn of a rectangle looks like none. A tracker that finds the outline anew before each push
 may so tell the same object's pose now this way round and now the other. The pushes then contradict
@@ -59,8 +61,9 @@ NAMED = 3.0
 friction does not tell."""
 
 MIN_SHIFT = 1e-6
-"""Standard deviation of the load's center from push to push in the search to first order, m: as good
-as none."""
+"""Standard deviation of the load's center from push to push in the search to first order, m.
+
+It is as good as none."""
 
 MAX_NAMED = 8
 """Pushes that a message names."""
@@ -87,14 +90,18 @@ class TurnedPoses:
         more = f" and {len(self.names) - MAX_NAMED} more" if len(self.names) > MAX_NAMED else ""
         shown = ", ".join(self.names[:MAX_NAMED]) + more
         return (
-            f"column object_theta: the poses of at least {len(self.names)} of {self.pushes} pushes ({shown}) seem "
-            f"to be {self.angle} off those of the others, by which the outline of {name} looks the same; does the "
-            "tracker take one end for the other? The center of friction is not to be believed"
+            f"column object_theta: the poses of at least {len(self.names)} of {self.pushes} pushes "
+            f"({shown}) seem to be {self.angle} off those of the others, by which the outline of "
+            f"{name} looks the same; does the tracker take one end for the other? The center of "
+            "friction is not to be believed"
         )
 
 
 def find_symmetry(obj: GridObject) -> int:
-    """The number of turns, a full one among them, after which the outline looks the same; 1 for none."""
+    """The number of turns after which the outline looks the same, a full one among them.
+
+    It is 1 if the outline has no symmetry.
+    """
     outline = shapely.Polygon(obj.outline.exterior)
     center = outline.centroid
     for order in ORDERS:
@@ -180,7 +187,10 @@ def _explains_kept(
 
 
 def calc_occam(pushes: int, order: int) -> float:
-    """Log of the number of ways in which pushes can be turned: each is as probable as any other beforehand."""
+    """Log of the number of ways in which pushes can be turned.
+
+    Each is as probable as any other beforehand.
+    """
     return (pushes - 1) * float(np.log(order))
 
 
@@ -210,7 +220,10 @@ def turn_poses(obj: GridObject, log: PushLog, turns: Turns, order: int) -> PushL
 
 
 def _search_turns(problem: PushProblem, z0: Array, noise: NoiseModel, order: int) -> Turns:
-    """The turns (P,) that explain the pushes best to first order; none where they hardly gain anything."""
+    """The turns (P,) that explain the pushes best to first order.
+
+    They are none if turns hardly gain anything.
+    """
     linear = problem.linearize(z0)
     # the center is what is looked for: as noise from push to push it would hide itself
     whitenings = replace(noise, load_shift=MIN_SHIFT).make_whitenings(
@@ -267,7 +280,10 @@ def _search_turns(problem: PushProblem, z0: Array, noise: NoiseModel, order: int
 
 
 def _calc_losses(problem: PushProblem, log: PushLog, fit: MapFit, order: int) -> Array:
-    """Negative log likelihood (P, order) of each push with each turn by a fit, but for a constant."""
+    """Negative log likelihood (P, order) of each push with each turn by a fit.
+
+    A constant is left out.
+    """
     losses = []
     for turn in range(order):
         turned = turn_poses(problem.obj, log, np.full(len(log), turn), order)
@@ -278,5 +294,8 @@ def _calc_losses(problem: PushProblem, log: PushLog, fit: MapFit, order: int) ->
 
 
 def find_usual(turns: Turns, order: int) -> int:
-    """The turn of most pushes, which is taken for none: the turns are known but for a common one."""
+    """The turn of most pushes, which is taken for none.
+
+    The turns are known but for a common one.
+    """
     return int(np.argmax(np.bincount(turns, minlength=order)))
