@@ -321,8 +321,8 @@ class GuardState(Unchanging):
 
     Attributes:
         status: what the guard does, as it is on the port `status`.
-        position: (n,) the joint positions that are commanded, rad; None before the arm was measured.
-        velocity: (n,) how fast the commanded positions move, rad/s.
+        position: (n,) the joint positions that are commanded, rad; None before the arm was
+        measured. velocity: (n,) how fast the commanded positions move, rad/s.
         desired: (n,) the joint positions that were desired at the last update, rad.
         moved: when the commanded positions moved last, s.
         seen: what is remembered of the robot's statuses.

@@ -1,4 +1,4 @@
-"""Pushing an object to a goal pose, push by push, as a Drake system: `planning.goal.push_to_goal` between ports."""
+"""`ContactPointController`: pushes an object to a goal; `planning.goal` between ports."""
 
 from dataclasses import replace
 
@@ -17,9 +17,9 @@ from gridpush_drake.systems.object_controller import ObjectController
 class ContactPointController(ObjectController[PushToGoalState]):
     """Pushes an object to a goal pose, as `PushToGoalLoop` decides.
 
-    One push at a time is commanded, when the executor is ready and the object lies still. A command
-    that was not taken up when the object went out of sight is withdrawn, and its id not used again.
-    With another goal on the port everything begins anew, after the push under way.
+    One push at a time is commanded, when the executor is ready and the object lies still. If the
+    object goes out of sight before a command was taken up, the command is withdrawn, and its id is
+    not used again. With another goal on the port everything begins anew, after the push under way.
 
     .. pydrake_system::
 
@@ -34,17 +34,17 @@ class ContactPointController(ObjectController[PushToGoalState]):
         - status
         - push_command
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object
-      was not seen.
-    * identification: abstract `Identification`; without `push_names` what was learned before
-      counts, see `params`.
-    * push_log: abstract `PushLog`, all pushes so far; need not be connected.
-    * push_status: abstract `PushStatus` of the executor.
-    * goal_pose: vector of 3, where the object should lie, (x, y, theta) of B in W, m and rad; NaN
-      for nowhere.
-    * status: abstract `ContactPointStatus`.
-    * push_command: vector of 6, see `PushCommand`; id 0 before the first, and where it was
-      withdrawn.
+    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN if the object was not
+      seen.
+    * identification: abstract `Identification`, what was learned; while it has no `push_names`,
+      `params` is the model.
+    * push_log: abstract `PushLog`, all pushes so far; it need not be connected.
+    * push_status: abstract `PushStatus` of the executor of pushes.
+    * goal_pose: vector of 3, X_WB of the object at the goal, (x, y, theta), m and rad; NaN for no
+      goal.
+    * status: abstract `ContactPointStatus`, how the controller stands.
+    * push_command: vector of 6, see `PushCommand`; its id is 0 before the first command, and after
+      one was withdrawn.
 
     Abstract state: one `PushToGoalState`.
     """
@@ -64,10 +64,10 @@ class ContactPointController(ObjectController[PushToGoalState]):
 
         Args:
             obj: the object.
-            rules: table, obstacles, finger, arm, how near to the goal, and how pushes are chosen.
-            params: the model before anything was learned; the prior's by default.
-            options: how to go about it.
-            answer_delay: s after which a decision is taken; None for real time, see
+            rules: table, obstacles, finger, arm, tolerance of the goal, and how pushes are chosen.
+            params: the model before anything was learned; that of the object's prior by default.
+            options: options of the loop.
+            answer_delay: time after which a decision is taken, s; None for real time, see
                 `worker.make_worker`.
         """
         super().__init__(obj, PushToGoalLoop(obj, rules, params, options), answer_delay)

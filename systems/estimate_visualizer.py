@@ -1,7 +1,7 @@
-"""`EstimateVisualizer`: what is believed of an object, drawn over it in Meshcat while it is learned.
+"""`EstimateVisualizer`: draws the estimate of an object over it in Meshcat while it is learned.
 
-What has been drawn is part of the Context. Each new estimate and each new push is drawn at a path
-with a number of its own (see `display.shapes`), once: what is there already is not sent again.
+What has been drawn is part of the Context. Each new estimate and each new push is drawn once, at a
+path with a number of its own (see `display.shapes`). What is there already is not sent again.
 """
 
 from dataclasses import dataclass, replace
@@ -39,18 +39,18 @@ from gridpush_drake.systems.object_controller import AbstractStateSystem
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """What is to be seen, apart from the object's pose.
+    """What is to be seen in Meshcat, apart from the object's pose.
 
     Attributes:
-        estimate: counts the estimates drawn, from 1; 0 stands for none.
-        mass: (n,) of the present one, kg.
-        friction: (n,) likewise.
-        center: (2,) its center of mass, body frame, m; empty where there is none.
-        covariance: (4,) of the center, row by row, m².
-        push: counts the pushes drawn, from 1; 0 stands for none.
-        command: the present one.
-        predicted: (3,) the pose (x, y, theta) in which it is expected to leave the object, m and
-            rad; empty where the push cannot be simulated.
+        estimate: number of the present estimate, from 1; 0 if there is none.
+        mass: (n,) estimated mass of each cell, kg.
+        friction: (n,) estimated friction coefficient of each cell.
+        center: (2,) estimated center of mass p_BBcm, m; empty if it is not known.
+        covariance: (4,) covariance of the center in B, row-major, m²; empty if it is not known.
+        push: number of the present push, from 1; 0 if there is none.
+        command: the command of the present push.
+        predicted: (3,) X_WB that the object is expected to have after the push, m and rad; empty if
+            the push cannot be simulated.
     """
 
     estimate: int
@@ -63,7 +63,7 @@ class Drawing:
     predicted: Array
 
     def has_estimate(self, mass: Array, friction: Array, center: Array, covariance: Array) -> bool:
-        """Whether an estimate is the one that is drawn."""
+        """Returns whether an estimate is the one that is drawn."""
         pairs = (
             (self.mass, mass),
             (self.friction, friction),
@@ -74,22 +74,33 @@ class Drawing:
 
 
 EMPTY = np.empty(0)
+"""Stands for a vector that is not known."""
 
-NOTHING = Drawing(0, EMPTY, EMPTY, EMPTY, EMPTY, 0, PushCommand(), EMPTY)
+NOTHING = Drawing(
+    estimate=0,
+    mass=EMPTY,
+    friction=EMPTY,
+    center=EMPTY,
+    covariance=EMPTY,
+    push=0,
+    command=PushCommand(),
+    predicted=EMPTY,
+)
+"""The drawing before the first estimate."""
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """Where and how an object's estimate is drawn.
+    """The place in Meshcat where an object's estimate is drawn, and how it is drawn.
 
     Attributes:
         obj: the object.
-        meshcat: the scene.
-        path: below which everything is drawn.
-        height: of the object, m.
-        lift: of everything above the table, m.
-        colors: of the cells.
-        period: between two updates of the scene, s.
+        meshcat: Meshcat in which it is drawn.
+        path: path in Meshcat below which everything is drawn.
+        height: height of the object, m.
+        lift: height above the table at which everything is drawn, m.
+        colors: colors of the cells.
+        period: time between two updates of the scene, s.
     """
 
     obj: GridObject
@@ -107,14 +118,13 @@ class Canvas:
 
         Args:
             drawing: what is to be seen.
-            pose: (3,) of the object, x, y, theta, m and rad; with NaN where it is not seen, and
-                stays where it was.
-            time: of the Context, s; what is recorded, is recorded for this time.
-            X_WB: of the object where it is known to be, lifted or tipped, instead of `pose`.
+            pose: (3,) X_WB of the object, m and rad. With NaN, for an object that is not seen, the
+                drawing stays where it was.
+            time: time of the Context, for which a recording keeps the changes, s.
+            X_WB: pose of the object, which may be lifted or tipped, instead of `pose`.
         """
-        moment = max(
-            time, self.meshcat.get_mutable_recording().start_time()
-        )  # an earlier one would end the process
+        # Drake ends the process over a time before the recording's beginning.
+        moment = max(time, self.meshcat.get_mutable_recording().start_time())
         self._SendEstimate(drawing, moment)
         self._SendPush(drawing, moment)
         if X_WB is not None:
@@ -130,6 +140,7 @@ class Canvas:
         self.meshcat.Delete(self.path)
 
     def _SendEstimate(self, drawing: Drawing, time: float) -> None:
+        """Draws the estimate if that was not done yet."""
         path = f"{self.path}/object/{drawing.estimate}"
         if not drawing.estimate or self.meshcat.HasPath(path):
             return
@@ -142,6 +153,7 @@ class Canvas:
         self._Turn("object", drawing.estimate, time)
 
     def _SendPush(self, drawing: Drawing, time: float) -> None:
+        """Draws the push if that was not done yet."""
         path = f"{self.path}/push/{drawing.push}"
         if not drawing.push or self.meshcat.HasPath(path):
             return
@@ -156,7 +168,7 @@ class Canvas:
         self._Turn("push", drawing.push, time)
 
     def _Turn(self, group: str, count: int, time: float) -> None:
-        """Shows a group's newest drawing instead of the one before it."""
+        """Shows the newest drawing of a group, "object" or "push", instead of the one before it."""
         before = f"{self.path}/{group}/{count - 1}" if count > 1 else None
         SwapVisible(self.meshcat, f"{self.path}/{group}/{count}", before, time, self.period)
 
@@ -165,20 +177,20 @@ PUBLISH_PERIOD = 1 / 30
 """Time between two updates of the scene, s."""
 
 DEFAULT_PATH = "estimate"
-"""In Meshcat: everything is drawn below it where no other path is asked for."""
+"""Path in Meshcat below which everything is drawn by default."""
 
 OBJECT_PATH = f"{DEFAULT_PATH}/object"
-"""In Meshcat: what moves with the object is drawn below it."""
+"""Path in Meshcat below which is drawn, by default, whatever moves with the object."""
 
 
 class EstimateVisualizer(AbstractStateSystem[Drawing]):
-    """Colors an object's cells by their estimate, live and in a recording, and shows what the next push will do.
+    """Colors an object's cells by their estimate, and shows what the next push is expected to do.
 
-    Drawn are the cells in the colors of their mass or friction; the estimated center of mass, with
-    the ellipse of `display.shapes.SIGMAS` standard deviations about it; the commanded push as an
-    arrow; and, as a translucent ghost, the pose that the estimate at the time of the command
-    predicts for its end. Everything is below `path`: the cells and the center at
-    `path`/object/<count of estimates>, arrow and ghost at `path`/push/<count of pushes>.
+    It draws live and in a recording: the cells in the colors of their mass or friction; the
+    estimated center of mass, with the ellipse of `display.shapes.SIGMAS` standard deviations about
+    it; the commanded push as an arrow; and, as a translucent ghost, the pose of the object at the
+    push's end, as predicted with the estimate at the time of the command. Cells and center are at
+    `path`/object/<number of the estimate>, arrow and ghost at `path`/push/<number of the push>.
 
     .. pydrake_system::
 
@@ -193,18 +205,18 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         - push_command
         - body_poses
 
-    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad.
+    * object_pose: vector of 3, X_WB, (x, y, theta), m and rad.
     * mass: vector of n, estimated mass of each cell, kg.
     * friction: vector of n, estimated friction coefficient of each cell against the support.
-    * contact_friction: vector of 1, estimated friction coefficient of the tip against the object;
-      need not be connected.
-    * center_of_mass: vector of 2, estimated p_BBcm in B, m; need not be connected.
-    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; need not be
-      connected.
-    * push_command: vector of 6, see `PushCommand`; need not be connected.
-    * body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it; need not be
-      connected. Where it is, and `body` is given, the object is drawn where that body is, lifted
-      and tipped as it may be.
+    * contact_friction: vector of 1, estimated friction coefficient of the tip against the object.
+    * center_of_mass: vector of 2, estimated p_BBcm in B, m.
+    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m².
+    * push_command: vector of 6, the push, see `PushCommand`.
+    * body_poses: abstract `list[RigidTransform]`, X_WB of all bodies, as a MultibodyPlant has it.
+      If it is connected, and `body` is given, the object is drawn where that body is, even lifted
+      or tipped.
+
+    Only object_pose, mass and friction must be connected.
 
     Initializing a Simulator wipes what is below `path` and begins anew.
     """
@@ -230,17 +242,17 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
 
         Args:
             obj: the object.
-            meshcat: where to draw.
-            height: of the object, m.
-            path: in Meshcat, below which everything is drawn.
+            meshcat: Meshcat in which it is drawn.
+            height: height of the object, m.
+            path: path in Meshcat below which everything is drawn.
             shows: which of the cells' values gives their color, see `CellColors`.
-            limits: of the color scale, see `CellColors`.
-            period: between two updates of the scene, s.
-            pusher_radius: of the finger's tip, m; by default the object's file's, or
-                DEFAULT_PUSHER_RADIUS.
-            physics: of the prediction, see `simulate`; `Physics()` by default.
-            lift: of everything above the table, m.
-            body: index of the object among `body_poses`.
+            limits: limits of the color scale, see `CellColors`.
+            period: time between two updates of the scene, s.
+            pusher_radius: radius of the finger's tip, m; by default that of the object's file, or
+                `DEFAULT_PUSHER_RADIUS`.
+            physics: physics of the prediction, see `simulate`; `Physics()` by default.
+            lift: height above the table at which everything is drawn, m.
+            body: index of the object in `body_poses`.
 
         Raises:
             StationError: `shows` or `limits` is not what `CellColors` takes.
@@ -249,7 +261,13 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         KeepToItsThread(meshcat)
         self._obj = obj
         self._canvas = Canvas(
-            obj, meshcat, path.rstrip("/"), height, lift, CellColors(shows, limits), period
+            obj=obj,
+            meshcat=meshcat,
+            path=path.rstrip("/"),
+            height=height,
+            lift=lift,
+            colors=CellColors(shows, limits),
+            period=period,
         )
         self._radius = pusher_radius or obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._physics = physics
@@ -284,7 +302,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         return self._Publish(context)
 
     def _PublishNow(self, context: Context) -> EventStatus:
-        """Draws the inputs as they are where no Simulator was initialized, and as a periodic event otherwise."""
+        """Draws at once; if no Simulator was initialized, it draws what is on the inputs now."""
         drawing = self._get_state(context)
         if not drawing.estimate:
             self._canvas.Wipe()
@@ -297,12 +315,11 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         return EventStatus.Succeeded()
 
     def _CalcDrawing(self, context: Context, drawn: Drawing) -> Drawing:
-        """What the inputs ask for; `drawn` itself where that is drawn already."""
-        mass, friction = self._Eval(self._mass, context), self._Eval(self._friction, context)
-        center, covariance = (
-            self._Eval(self._center, context),
-            self._Eval(self._covariance, context),
-        )
+        """Makes the drawing that the inputs ask for; `drawn` itself if it is the one."""
+        mass = self._Eval(self._mass, context)
+        friction = self._Eval(self._friction, context)
+        center = self._Eval(self._center, context)
+        covariance = self._Eval(self._covariance, context)
         present = drawn
         if not drawn.estimate or not drawn.has_estimate(mass, friction, center, covariance):
             present = replace(
@@ -323,28 +340,27 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
     def _Predict(
         self, context: Context, command: PushCommand, mass: Array, friction: Array
     ) -> Array:
-        """The pose (3,) after a push; empty where the model cannot say."""
+        """Predicts the pose X_WB (3,) after a push; empty if the model cannot say."""
         if not (command.command_id and command.distance > 0 and command.speed > 0):
+            return EMPTY
+        pose = self._Eval(self._object_pose, context)
+        if not np.isfinite(pose).all():
             return EMPTY
         contact = self._Eval(self._contact_friction, context)
         mu = float(contact[0]) if len(contact) else self._obj.prior.contact_friction
-        pose, duration = self._Eval(self._object_pose, context), command.distance / command.speed
-        if not np.isfinite(pose).all():
-            return EMPTY
+        duration = command.distance / command.speed
+        velocity = (command.end - command.start) / duration
         try:
-            push = Push(
-                command.start, (command.end - command.start) / duration, duration, self._radius
-            )
+            push = Push(command.start, velocity, duration, self._radius)
             params = CellParameters(mass, friction, mu)
             motion = simulate(self._obj, params, push, pose, physics=self._physics)
-        except (
-            GridPushError
-        ):  # an estimate or a command out of range has no ghost; whoever made it says why
+        except GridPushError:
+            # An estimate or a command that is out of range; the system that made it says why.
             return EMPTY
         return motion.final_pose
 
     def _Eval(self, port: InputPort, context: Context) -> Array:
-        """A port's value; empty where an optional one is not connected."""
+        """Returns the value of a vector port; empty if it is not connected."""
         return np.array(port.Eval(context)) if port.HasValue(context) else EMPTY
 
     def _Send(self, context: Context, drawing: Drawing) -> None:

@@ -1,18 +1,11 @@
-"""`GraspExecutor`: from a grasp command to the tool's desired pose and the gripper's opening.
+"""`GraspExecutor`: desired poses of the tool, and openings of the gripper, from grasp commands.
 
-The tool takes the object from beyond the table's edge, and goes back: up from the pushing finger's
-rest, over to above the standoff while the tool turns, down beyond the edge, in, close, up.
-
-The gripper's grasp frame G is fixed to the tip's frame P. The fingers point along P's x axis, which
-is W's -x at yaw 0:
-
-    yaw = approach - pi,   p_WP = p_WG - R_WP(yaw) p_PG
+How the tool and the gripper move is in `systems.grasp_trajectory`. Here the trajectory is gone
+through, the gripper is watched, and a grasp that fails is given up.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from math import pi
-from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -20,16 +13,21 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.frozen import Unchanging
-from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.multibody.tool_motion import (
     ToolPose,
     ToolTrajectorySegment,
     calc_tool_pose,
-    calc_tool_rotation,
     make_transform,
 )
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-from gridpush_drake.planning.pregrasp.gripper import Gripper
+from gridpush_drake.systems.grasp_trajectory import (
+    GraspTrajectoryOptions,
+    TurningReach,
+    find_speed_scale,
+    make_homing_trajectory,
+    make_retreat_trajectory,
+    plan_grasp,
+)
 from gridpush_drake.systems.messages import (
     GRASP_COMMAND_SIZE,
     GraspCommand,
@@ -39,245 +37,22 @@ from gridpush_drake.systems.messages import (
     PushStatus,
 )
 from gridpush_drake.systems.object_controller import AbstractStateSystem
-from gridpush_drake.systems.push_executor import NOT_FINITE, SPEED_SCALES, UNREADABLE
+from gridpush_drake.systems.push_executor import NOT_FINITE, UNREADABLE
 
-CONTROLLER_STIFFNESS = 200.0
-"""Of Drake's SchunkWsgPositionController between the opening that is asked for and the one there
-is, N/m."""
-
-
-@dataclass(frozen=True)
-class GraspTrajectoryOptions:
-    """How grasps are carried out.
-
-    Attributes:
-        p_PG: (3,) from the tip's center to the grasp point, in the tip's frame P, m.
-        travel_height: of the tip's center while it passes over the object, m.
-        standoff: from where the gripper comes down to where it closes, m.
-        travel_speed: m/s.
-        vertical_speed: of coming down and going up beyond the edge, m/s.
-        entering_speed: of going in and out, m/s.
-        lifting_speed: m/s.
-        travel_acceleration: m/s².
-        careful_acceleration: of going in and lifting, m/s².
-        force: of the gripper, N.
-        opening: of the gripper but when it grasps, m.
-        closing_speed: change of the opening asked for until the pads would meet, m/s.
-        squeeze_time: over which the whole force is asked for afterwards, s.
-        settle_time: with the whole force before the opening is looked at, s.
-        opening_time: of letting go, s.
-        hold_time: how long the object is held up before it counts as held, s.
-        min_width: of what is between the pads where something is, m.
-        max_slip: the least that the opening falls by where the object is being lost, m.
-        max_lift: that is not refused, m.
-        period: of the state's update, s.
-    """
-
-    p_PG: tuple[float, float, float] = (0.169383, 0.0, -0.235)
-    travel_height: float = 0.12
-    standoff: float = Gripper.standoff
-    travel_speed: float = 0.3
-    vertical_speed: float = 0.15
-    entering_speed: float = 0.05
-    lifting_speed: float = 0.05
-    travel_acceleration: float = 1.0
-    careful_acceleration: float = 0.1
-    force: float = Gripper.max_force
-    opening: float = Gripper.opening
-    closing_speed: float = Gripper.closing_speed
-    squeeze_time: float = 0.5
-    settle_time: float = 0.3
-    opening_time: float = 0.6
-    hold_time: float = 3.0
-    min_width: float = 0.004
-    max_slip: float = 0.006
-    max_lift: float = 0.2
-    period: float = 0.005
-
-    @classmethod
-    def of_gripper(cls, gripper: Gripper, force: float, **others: Any) -> "GraspTrajectoryOptions":
-        """How a gripper grasps that is asked to press with a force, N.
-
-        Args:
-            gripper: says opening, closing speed, standoff and the greatest force.
-            force: asked for, N; no more than the gripper's greatest is used.
-            **others: fields that the gripper does not say.
-        """
-        return cls(
-            standoff=gripper.standoff,
-            force=gripper.limit_force(force),
-            opening=gripper.opening,
-            closing_speed=gripper.closing_speed,
-            **others,
-        )
-
-    @property
-    def squeeze(self) -> float:
-        """Opening at which the gripper's controller, whose spring pulls towards it, asks for the whole force, m."""
-        return -self.force / CONTROLLER_STIFFNESS
-
-
-def calc_yaws(approach: float) -> tuple[float, float]:
-    """The tool's yaws whose fingers point along `approach` (rad) and that a wrist may have, the smaller first, rad."""
-    near = (approach - pi + pi) % (2 * pi) - pi
-    return near, near - np.copysign(2 * pi, near)
-
-
-def calc_tip(style: GraspTrajectoryOptions, p_WG: Array, yaw: float) -> Array:
-    """p_WP (3,) of the tip's center where the grasp point is p_WG (3,), m."""
-    return np.asarray(p_WG - calc_tool_rotation(yaw).matrix() @ np.array(style.p_PG))
-
-
-def make_grasp_trajectory(
-    command: GraspCommand,
-    rest: ToolPose,
-    style: GraspTrajectoryOptions,
-    yaw: float,
-    speed_scale: float = 1.0,
-) -> tuple[ToolTrajectorySegment, ...]:
-    """Makes the trajectory of a grasp: up, over, down, in, close, lift, hold.
-
-    Args:
-        command: the grasp.
-        rest: where the tool is.
-        style: heights, speeds and times.
-        yaw: of the tool in the grasp, rad.
-        speed_scale: share of the speeds at which the tool travels.
-
-    Returns:
-        The segments.
-    """
-    x, y, z, turn = rest
-    high = style.travel_height
-    x1, y1, low = calc_tip(style, command.p_WG, yaw).tolist()
-    x0, y0 = (np.array([x1, y1]) - style.standoff * command.heading).tolist()
-    above, outside, inside = (x0, y0, high, yaw), (x0, y0, low, yaw), (x1, y1, low, yaw)
-    lifted = (x1, y1, low + command.lift, yaw)
-    opened, squeezed = (style.opening, style.opening), (style.squeeze, style.squeeze)
-    fast, careful = style.travel_acceleration, style.careful_acceleration
-    vertical = speed_scale * style.vertical_speed
-    approaching, closing = GraspPhase.APPROACHING, GraspPhase.CLOSING
-    segments = (
-        [
-            ToolTrajectorySegment(
-                approaching, rest, (x, y, high, turn), vertical, fast, opening=opened
-            )
-        ]
-        if z != high
-        else []
-    )
-    segments += [
-        ToolTrajectorySegment(
-            approaching,
-            (x, y, high, turn),
-            above,
-            speed_scale * style.travel_speed,
-            fast,
-            opening=opened,
-        ),
-        ToolTrajectorySegment(approaching, above, outside, vertical, fast, opening=opened),
-        ToolTrajectorySegment(
-            GraspPhase.ENTERING, outside, inside, style.entering_speed, careful, opening=opened
-        ),
-        ToolTrajectorySegment(
-            closing,
-            inside,
-            inside,
-            wait=style.opening / style.closing_speed,
-            opening=(style.opening, 0.0),
-        ),
-        ToolTrajectorySegment(
-            closing, inside, inside, wait=style.squeeze_time, opening=(0.0, style.squeeze)
-        ),
-        ToolTrajectorySegment(closing, inside, inside, wait=style.settle_time, opening=squeezed),
-        ToolTrajectorySegment(
-            GraspPhase.LIFTING, inside, lifted, style.lifting_speed, careful, opening=squeezed
-        ),
-        ToolTrajectorySegment(
-            GraspPhase.HOLDING, lifted, lifted, wait=style.hold_time, opening=squeezed
-        ),
-    ]
-    return tuple(segments)
-
-
-def make_retreat_trajectory(
-    pose: ToolPose,
-    opening: float,
-    rest: ToolPose,
-    approach: float,
-    style: GraspTrajectoryOptions,
-    speed_scale: float = 1.0,
-) -> tuple[ToolTrajectorySegment, ...]:
-    """Makes the trajectory back from a grasp that failed: open, straight out, up, over, and down to the rest.
-
-    Args:
-        pose: where the tool is.
-        opening: of the gripper, m.
-        rest: where the tool is to go.
-        approach: heading in which the fingers point, rad.
-        style: heights, speeds and times.
-        speed_scale: share of the speeds at which the tool travels.
-
-    Returns:
-        The segments.
-    """
-    x1, y1, z, yaw = pose
-    x0, y0 = (np.array([x1, y1]) - style.standoff * make_direction(approach)).tolist()
-    outside = (x0, y0, z, yaw)
-    opened, phase = (style.opening, style.opening), GraspPhase.RETREATING
-    return (
-        ToolTrajectorySegment(
-            GraspPhase.OPENING,
-            pose,
-            pose,
-            wait=style.opening_time,
-            opening=(opening, style.opening),
-        ),
-        ToolTrajectorySegment(
-            phase, pose, outside, style.entering_speed, style.careful_acceleration, opening=opened
-        ),
-        *make_homing_trajectory(outside, rest, style, speed_scale),
-    )
-
-
-def make_homing_trajectory(
-    pose: ToolPose, rest: ToolPose, style: GraspTrajectoryOptions, speed_scale: float = 1.0
-) -> tuple[ToolTrajectorySegment, ...]:
-    """Makes the trajectory from a free place to the rest: up, over, down; as `make_retreat_trajectory`."""
-    x0, y0, z, yaw = pose
-    x, y, _, turn = rest
-    high = max(style.travel_height, z)
-    phase, vertical, opened = (
-        GraspPhase.RETREATING,
-        speed_scale * style.vertical_speed,
-        (style.opening, style.opening),
-    )
-    acceleration = style.travel_acceleration
-    corners = [(pose, (x0, y0, high, yaw), vertical)]
-    corners.append(((x0, y0, high, yaw), (x, y, high, turn), speed_scale * style.travel_speed))
-    corners.append(((x, y, high, turn), rest, vertical))
-    return tuple(
-        ToolTrajectorySegment(phase, start, end, speed, acceleration, opening=opened)
-        for start, end, speed in corners
-        if start != end
-    )
-
-
-TurningReach = Callable[[Array, Array, Array], str | None]
-"""Of the tip's path (k, 3), m in W, speeds (k - 1,) on its pieces, m/s, and yaws (k,), rad: None,
-or what stops it."""
+MM = 1e3
+"""Millimeters in a meter."""
 
 Validator = Callable[[GraspCommand], str | None]
-"""Of a command: None, or why it must not be carried out."""
+"""A function that says why a command must not be carried out; None if it may."""
 
 GRIPPER_STATE_SIZE = 4
-"""Positions of left and right finger, m, and their velocities, m/s."""
+"""Length of a gripper's state: positions of the left and right finger, m, and velocities, m/s."""
 
 GRASPING = (GraspPhase.CLOSING, GraspPhase.LIFTING, GraspPhase.HOLDING)
-"""Phases with something in the gripper, or so it should be."""
+"""Phases in which something is in the gripper, or should be."""
 
 SAME_PLACE = 1e-6
-"""m and rad, of two poses that need no motion between them."""
+"""Two poses that differ by less than this, m and rad, need no motion from one to the other."""
 
 
 @dataclass(frozen=True)
@@ -285,15 +60,14 @@ class GraspState(Unchanging):
     """All that the executor remembers.
 
     Attributes:
-        segments: the current one and those still to come; none while it passes the push executor's
-            pose through.
-        segment_start: when the current one began, s.
-        command: the last one taken up.
-        speed_scale: share of the traveling speeds at which the arm can follow it.
-        closed: opening when the gripper had closed on the object, m.
-        status: as on the port, but for what is not finite at present.
-        fault: what on the ports is not finite, and keeps the executor from going on; empty for
-            nothing.
+        segments: the current segment and those still to come; none while nothing is grasped.
+        segment_start: time at which the current segment began, s.
+        command: the last command that was taken up.
+        speed_scale: factor of the traveling speeds at which the arm can follow it.
+        closed: opening after the gripper had closed on the object, m.
+        status: the status on the port, but for `fault`.
+        fault: what on the input ports is not finite at present, and keeps the executor from going
+            on; empty if nothing is.
     """
 
     segments: tuple[ToolTrajectorySegment, ...] = ()
@@ -306,7 +80,7 @@ class GraspState(Unchanging):
 
     @property
     def shown_status(self) -> GraspStatus:
-        """As on the port."""
+        """The status on the port."""
         if not self.fault:
             return self.status
         outcome = GraspOutcome.REFUSED if self.fault == UNREADABLE else self.status.outcome
@@ -314,13 +88,15 @@ class GraspState(Unchanging):
 
 
 class GraspExecutor(AbstractStateSystem[GraspState]):
-    """Grasps what overhangs the table's edge, from the side, lifts it and holds it; else passes the finger's pose on.
+    """Grasps from the side what overhangs the table's edge, lifts it and holds it.
 
-    A command is taken up when the push executor is idle, this one too, and the command's id is not
-    the last one's. It is refused, with its reason in the status, where its numbers are not usable
-    and where the arm cannot follow. While what it needs to see is not finite it waits where it is,
-    and the status says why. After a grasp that failed the tool goes back to the push executor's
-    pose. The pose is continuous, and so are its first two derivatives.
+    While nothing is grasped, the pose that the executor of pushes desires is passed on.
+
+    A command is taken up when both executors are idle and the command's id differs from the last
+    one's. It is refused, with the reason in the status, if its numbers are not usable, or if the
+    arm cannot follow. While an input that it needs is not finite, it waits where it is, and the
+    status says why. After a grasp that failed the tool goes back to the pose of the executor of
+    pushes. The pose is continuous, and so are its first two derivatives.
 
     .. pydrake_system::
 
@@ -336,16 +112,17 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         - gripper_force_limit
         - status
 
-    * push_tip_pose: abstract `RigidTransform`, X_WP that the push executor desires, m; at rest
-      while that is idle.
-    * push_status: abstract `PushStatus` of the push executor.
-    * grasp_command: vector of 6, see `GraspCommand`: command_id, x, y, z (m), approach (rad), lift
-      (m). Need not be connected where nothing is grasped.
-    * gripper_state: vector of 4, the fingers' positions, left and right, m, and velocities, m/s.
-    * tip_pose: abstract `RigidTransform`, X_WP desired, m.
-    * gripper_position: vector of 1, the opening asked for, m.
-    * gripper_force_limit: vector of 1, the largest force of a finger, N.
-    * status: abstract `GraspStatus`.
+    * push_tip_pose: abstract `RigidTransform`, X_WP that the executor of pushes desires, m; it is
+      at rest while that is idle.
+    * push_status: abstract `PushStatus` of the executor of pushes.
+    * grasp_command: vector of 6, command_id, x, y, z (m), approach (rad) and lift (m), see
+      `GraspCommand`. It need not be connected.
+    * gripper_state: vector of 4, positions of the left and right finger, m, and their velocities,
+      m/s.
+    * tip_pose: abstract `RigidTransform`, desired X_WP, m.
+    * gripper_position: vector of 1, the opening that is asked for, m.
+    * gripper_force_limit: vector of 1, the greatest force of a finger, N.
+    * status: abstract `GraspStatus`, how the executor stands.
 
     Abstract state: one `GraspState`.
     """
@@ -361,13 +138,14 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         """Makes an executor.
 
         Args:
-            reach: whether the arm can follow a path; None trusts it.
+            reach: says what stops the arm on a path; None if nothing ever does.
             style: measures, heights, speeds and times.
-            validator: what else speaks against a command; None for nothing.
+            validator: says what else speaks against a command; None for nothing.
         """
         self.style = style or GraspTrajectoryOptions()
         super().__init__(GraspState(), self.style.period)
-        self._reach, self._validator = reach, validator
+        self._reach = reach
+        self._validator = validator
         self._push_pose = self.DeclareAbstractInputPort(
             "push_tip_pose", AbstractValue.Make(RigidTransform())
         )
@@ -394,14 +172,14 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
         if state.segments:
-            output.set_value(
-                make_transform(state.segments[0].position(context.get_time() - state.segment_start))
-            )
+            pose = state.segments[0].position(context.get_time() - state.segment_start)
+            output.set_value(make_transform(pose))
         else:
             output.set_value(self._push_pose.Eval(context))
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
-        state, opening = self._get_state(context), self.style.opening
+        state = self._get_state(context)
+        opening = self.style.opening
         if state.segments:
             opening = state.segments[0].calc_opening(context.get_time() - state.segment_start)
         output.SetAtIndex(0, opening)
@@ -411,17 +189,18 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
 
     def _go_on(self, context: Context, now: GraspState) -> GraspState:
         """Goes on with a grasp, or takes up or refuses a command."""
-        time, fault = context.get_time(), self._find_bad_input(context, now)
+        time = context.get_time()
+        fault = self._find_bad_input(context, now)
         if fault != now.fault:
             now = replace(now, fault=fault)
         if fault:
             return now
-        return (
-            self._follow(context, now, time) if now.segments else self._take_up(context, now, time)
-        )
+        if now.segments:
+            return self._follow(context, now, time)
+        return self._take_up(context, now, time)
 
     def _find_bad_input(self, context: Context, now: GraspState) -> str:
-        """What is needed at present and not finite; empty for nothing."""
+        """Names an input that is needed at present and is not finite; empty if there is none."""
         busy = bool(now.segments)
         if not busy:
             command_id = self._command.Eval(context)[0] if self._command.HasValue(context) else 0
@@ -440,6 +219,7 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         return ""
 
     def _take_up(self, context: Context, now: GraspState, time: float) -> GraspState:
+        """Takes up or refuses a new command."""
         if not self._command.HasValue(context) or not self._push_status.Eval(context).ready:
             return now
         vector = self._command.Eval(context)
@@ -453,40 +233,60 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
                 command_id=command.command_id, outcome=GraspOutcome.REFUSED, reason=reason
             )
             return replace(now, status=refused)
-        status = GraspStatus(GraspPhase(segments[0].phase), command.command_id)
         return GraspState(
-            segments, time, command, _find_speed_scale(segments, self.style), 0.0, status
+            segments=segments,
+            segment_start=time,
+            command=command,
+            speed_scale=find_speed_scale(segments, self.style),
+            closed=0.0,
+            status=GraspStatus(GraspPhase(segments[0].phase), command.command_id),
         )
 
     def plan(
         self, command: GraspCommand, rest: ToolPose
     ) -> tuple[tuple[ToolTrajectorySegment, ...], str]:
-        """Plans a grasp from a pose of the tool; returns its segments, or none and why it is refused."""
-        reason = self._find_fault(command) or (self._validator and self._validator(command))
+        """Plans a grasp.
+
+        Args:
+            command: the grasp.
+            rest: pose of the tool, which is at rest.
+
+        Returns:
+            The segments, and ""; or no segments, and why the command is refused.
+        """
+        reason = self._find_fault(command)
+        if not reason and self._validator is not None:
+            reason = self._validator(command)
         if reason:
             return (), reason
         return plan_grasp(command, rest, self.style, self._reach)
 
     def _find_fault(self, command: GraspCommand) -> str | None:
+        """Says what is wrong with the numbers of a command; None if nothing is."""
         if not np.isfinite(command.to_vector()).all():
             return NOT_FINITE
         if not 0.0 < command.lift <= self.style.max_lift:
-            return f"lift {command.lift:.3g} m; expected more than 0, at most {self.style.max_lift:.3g}"
+            return (
+                f"lift {command.lift:.3g} m; "
+                f"expected more than 0, at most {self.style.max_lift:.3g}"
+            )
         return None
 
     def _follow(self, context: Context, now: GraspState, time: float) -> GraspState:
-        """Looks at the gripper; the next segment when one is done. What fails is given up as soon as the tool rests."""
-        segment, left = now.segments[0], now.segments[1:]
+        """Goes on with the segments, and looks at the gripper while it grasps.
+
+        A grasp that fails is given up as soon as the tool rests.
+        """
+        segment = now.segments[0]
+        left = now.segments[1:]
         over = time - now.segment_start >= segment.duration
-        if segment.phase in GRASPING and not now.status.outcome:
-            now = self._look(
-                context, now, closed=over and bool(left) and left[0].phase == GraspPhase.LIFTING
-            )
-        if (
-            segment.phase in GRASPING
-            and now.status.outcome in (GraspOutcome.MISSED, GraspOutcome.SLIPPED)
-            and (over or not segment.top_speed)
-        ):
+        grasping = segment.phase in GRASPING
+        if grasping and not now.status.outcome:
+            closed = over and bool(left) and left[0].phase == GraspPhase.LIFTING
+            now = self._look(context, now, closed)
+        failed = now.status.outcome in (GraspOutcome.MISSED, GraspOutcome.SLIPPED)
+        at_rest = over or not segment.top_speed
+        if grasping and failed and at_rest:
             return self._turn_back(context, now, time)
         if not over or now.status.outcome == GraspOutcome.HELD:
             return now
@@ -502,29 +302,31 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         return self._come_home(context, now, time)
 
     def _look(self, context: Context, now: GraspState, closed: bool) -> GraspState:
-        """Notes whether the gripper has closed on something, and whether that is being lost."""
+        """Notes whether the gripper has closed on something, and whether that is being lost.
+
+        Args:
+            context: the system's Context.
+            now: the state.
+            closed: whether the gripper has just closed, and is about to be lifted.
+        """
         opening = self._calc_opening(context)
         if closed and opening < self.style.min_width:
-            return self._fail(
-                now,
-                GraspOutcome.MISSED,
-                f"the gripper closed to {1e3 * opening:.1f} mm: nothing is in it",
-            )
+            reason = f"the gripper closed to {MM * opening:.1f} mm: nothing is in it"
+            return self._fail(now, GraspOutcome.MISSED, reason)
         if closed:
             return replace(now, closed=opening)
         least = max(now.closed - self.style.max_slip, self.style.min_width)
         if now.status.phase == GraspPhase.CLOSING or opening > least:
             return now
-        return self._fail(
-            now,
-            GraspOutcome.SLIPPED,
-            f"the opening fell from {1e3 * now.closed:.1f} to {1e3 * opening:.1f} mm",
-        )
+        reason = f"the opening fell from {MM * now.closed:.1f} to {MM * opening:.1f} mm"
+        return self._fail(now, GraspOutcome.SLIPPED, reason)
 
     def _fail(self, now: GraspState, outcome: GraspOutcome, reason: str) -> GraspState:
+        """Returns the state of a grasp that has failed; the tool still has to come back."""
         return replace(now, status=replace(now.status, outcome=outcome, reason=reason))
 
     def _turn_back(self, context: Context, now: GraspState, time: float) -> GraspState:
+        """Begins the way back from a grasp that has failed."""
         x, y, z, yaw = now.segments[0].end
         rest = calc_tool_pose(self._push_pose.Eval(context))
         opening = self._calc_opening(context)
@@ -540,62 +342,18 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         )
 
     def _come_home(self, context: Context, now: GraspState, time: float) -> GraspState:
-        """Hands back to the push executor, where the tool is where that one has it."""
-        rest, at = calc_tool_pose(self._push_pose.Eval(context)), now.segments[0].end
+        """Hands back to the executor of pushes, once the tool is where that one wants it."""
         if not self._push_status.Eval(context).ready:
             return now
-        if not np.allclose(rest, at, rtol=0.0, atol=SAME_PLACE):
-            return replace(
-                now,
-                segments=make_homing_trajectory(at, rest, self.style, now.speed_scale),
-                segment_start=time,
-            )
-        return replace(
-            now, segments=(), segment_start=time, status=replace(now.status, phase=GraspPhase.IDLE)
-        )
+        rest = calc_tool_pose(self._push_pose.Eval(context))
+        at = now.segments[0].end
+        if np.allclose(rest, at, rtol=0.0, atol=SAME_PLACE):
+            status = replace(now.status, phase=GraspPhase.IDLE)
+            return replace(now, segments=(), segment_start=time, status=status)
+        segments = make_homing_trajectory(at, rest, self.style, now.speed_scale)
+        return replace(now, segments=segments, segment_start=time)
 
     def _calc_opening(self, context: Context) -> float:
+        """Calculates the gripper's opening, m, from the positions of its fingers."""
         left, right, *_ = self._gripper.Eval(context)
         return float(right - left)
-
-
-def plan_grasp(
-    command: GraspCommand, rest: ToolPose, style: GraspTrajectoryOptions, reach: TurningReach | None
-) -> tuple[tuple[ToolTrajectorySegment, ...], str]:
-    """Plans the trajectory of a grasp, as fast as the arm can follow.
-
-    Args:
-        command: the grasp.
-        rest: where the tool is.
-        style: measures, heights, speeds and times.
-        reach: whether the arm can follow a path; None trusts it.
-
-    Returns:
-        The segments, and ""; or no segments, and why the arm cannot follow.
-    """
-    reasons: list[str] = []
-    for yaw in calc_yaws(command.approach):
-        for speed_scale in SPEED_SCALES:
-            segments = make_grasp_trajectory(command, rest, style, yaw, speed_scale)
-            found = reach and reach(*_describe(segments))
-            if not found:
-                return segments, ""
-            reasons.append(found)
-    return (), reasons[len(SPEED_SCALES) - 1]  # of the lesser turn, as slow as can be
-
-
-def _describe(segments: tuple[ToolTrajectorySegment, ...]) -> tuple[Array, Array, Array]:
-    """Path, speeds and yaws of the segments that move."""
-    moving = [segment for segment in segments if segment.top_speed > 0.0]
-    corners = np.array([moving[0].start] + [segment.end for segment in moving])
-    return corners[:, :3], np.array([segment.top_speed for segment in moving]), corners[:, 3]
-
-
-def _find_speed_scale(
-    segments: tuple[ToolTrajectorySegment, ...], style: GraspTrajectoryOptions
-) -> float:
-    """Share of the traveling speeds at which segments were planned."""
-    return (
-        min(segment.speed for segment in segments if segment.phase == GraspPhase.APPROACHING)
-        / style.vertical_speed
-    )

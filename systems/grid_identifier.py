@@ -1,8 +1,8 @@
-"""The identifier as a Drake system: watches pushes, keeps their log, and learns when one ends.
+"""`GridIdentifier`: a Drake system that watches pushes, keeps their log, and learns when one ends.
 
-Every `period` it looks at the object and the tip; `pushes.segmentation` finds the pushes and writes
-them down, and `identify` learns from the log when a push has ended. The estimate is that of
-`identify` on the log it keeps.
+Every `period` it looks at the object and the tip. `pushes.segmentation` finds the pushes and writes
+them down. When a push has ended, `identify` learns from the log. The estimate is the one that
+`identify` makes of this log anywhere else.
 """
 
 from collections.abc import Callable
@@ -43,18 +43,18 @@ from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 from gridpush_drake.systems.worker import Answer, Request, make_worker
 
 SOURCE = "observed pushes"
-"""What the log says of where it comes from."""
+"""The source that is written into the log."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """An identification, and what the ports show of it that it takes time to calculate.
+    """An identification, with what is calculated from it once for the ports.
 
     Attributes:
-        found: the identification, or the prior in its form.
-        center_of_mass: (2,) p_BBcm, m.
-        center_of_mass_covariance: (2, 2) m².
-        loss: mean cell error of the training pushes, m; NaN where there are none.
+        found: the identification; before anything was learned, the prior in the same form.
+        center_of_mass: (2,) estimated center of mass p_BBcm, m.
+        center_of_mass_covariance: (2, 2) covariance of the center of mass, in B, m².
+        loss: mean cell error of the pushes learned from, m; NaN if there are none.
     """
 
     found: Identification
@@ -68,14 +68,15 @@ class IdentifierState(Unchanging):
     """All that the identifier remembers; never changed, only replaced.
 
     Attributes:
-        segmenter: where the present push stands.
+        segmenter: state of the search for pushes.
         log: the pushes so far.
-        estimate: from them.
-        learned_at: when the estimate was asked for, s; NaN before the first.
-        considered: how many of the log's pushes the estimate may be from.
-        request: under way, to learn from one more; None where none is.
-        left_out: names of pushes that nothing could be learned from.
-        message: why not, of the last push; empty where it was learned from, or not meant to be.
+        estimate: the last estimate; None before the first.
+        learned_at: time at which that was asked for, s; NaN before the first.
+        considered: number of the log's pushes that were learned from, or left out.
+        request: the learning under way in a worker; None if there is none.
+        left_out: names of the pushes from which nothing could be learned.
+        message: why nothing could be learned from the last push; empty if it was learned from, or
+            was not meant to be.
     """
 
     segmenter: SegmenterState = field(default_factory=SegmenterState)
@@ -112,9 +113,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         - message
         - age
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object
-      was not seen.
-    * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W; a
+    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN if the object was not
+      seen.
+    * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s; a
       sample with NaN is passed over.
     * mass: vector of n, estimated mass of each cell, kg.
     * friction: vector of n, estimated friction coefficient of each cell against the support.
@@ -125,18 +126,18 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
     * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; see
       `calc_center_of_mass`.
     * loss: vector of 1, mean cell error of the pushes learned from, m; NaN before the first.
-    * num_pushes: vector of 1, pushes in the log.
-    * identification: abstract `Identification`; while nothing was learned the prior's, whose
-      `push_names` are empty.
+    * num_pushes: vector of 1, number of pushes in the log.
+    * identification: abstract `Identification`, the estimate; while nothing was learned it is the
+      prior, with no `push_names`.
     * push_log: abstract `PushLog`, all pushes so far.
-    * message: abstract `str`, why the last push could not be learned from; empty where there is
-      nothing to say. The estimate stays as it was then, and later ones do without that push.
-    * age: vector of 1, since the estimate was asked for, when a push had ended, s; NaN before the
-      first.
+    * message: abstract `str`, why nothing could be learned from the last push; else empty. The
+      estimate then stays as it was, and later estimates do without that push.
+    * age: vector of 1, time since the estimate was asked for, which is when a push had ended, s;
+      NaN before the first.
 
-    Learning takes long. With an answer delay it is done beside the Diagram, see `systems.worker`:
-    one push after another, while the outputs hold and pushes are logged. Before the first push the
-    outputs are the prior's. Abstract state: one `IdentifierState`.
+    Learning takes long. With an answer delay it is done in a worker, see `systems.worker`: one push
+    after another, while the outputs hold and further pushes are logged. Before the first push the
+    outputs are those of the prior. Abstract state: one `IdentifierState`.
     """
 
     __slots__ = NO_SLOTS
@@ -165,30 +166,30 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
 
         Args:
             obj: the object.
-            period: between samples, s.
-            engaged_below: height of the tip's center below which it can touch the object, m.
+            period: time between two samples, s.
+            engaged_below: if the tip's center is lower than this, it can touch the object, m.
             method: one of `identify.METHODS`.
-            ensemble: the default method with its settings.
-            max_learning_pushes: later pushes are logged, not learned from; None for no limit.
+            ensemble: the default method with other settings.
+            max_learning_pushes: number of pushes, the first ones, that are learned from; later ones
+                are only logged. None for all.
             regime: takes the place of the one in `physics`; see `identify`.
-            seed: of everything random.
+            seed: seed of everything random.
             warm_start: whether learning begins where it ended the last time (default method only).
-                The answer is the same to a fraction of its standard deviation; without, it is the
-                offline one bit for bit, on the same machine (another processor may take other BLAS
-                kernels).
+                The estimate then differs by a fraction of its standard deviation from the one that
+                `identify` makes of the log. Without a warm start both are the same bit for bit, on
+                the same computer (on another processor NumPy may take other BLAS kernels).
             physics: friction law, spin, gravity and tolerances of the simulations; `Physics()` by
                 default.
-            pusher_radius: of the tip, m; by default the prior's, or DEFAULT_PUSHER_RADIUS. Where
-                given, it replaces the prior's in `self.obj`, so that the object's file and the
-                log's say the same offline.
+            pusher_radius: radius of the tip, m; by default that of the prior, or
+                `DEFAULT_PUSHER_RADIUS`. If given, it replaces the prior's in `self.obj`, so that
+                the object's file and the log say the same.
             segmenter: other options of finding pushes; its `engaged_below` is replaced by the
                 argument.
-            record: options of writing them down; its `pose_delay` where the sensor's poses are old
-                when they are read.
-            table: (K, 2) corners in W of the table's top, m, which the log carries; None where its
-                edge is far away.
+            record: options of writing pushes down, with the age of the sensor's poses.
+            table: (K, 2) corners in W of the table's top, m, which are written into the log; None
+                if its edge is far away.
             progress: called now and then while learning.
-            answer_delay: s after which what was learned is taken; None for real time, see
+            answer_delay: time after which an estimate is taken, s; None for real time, see
                 `worker.make_worker`.
 
         Raises:
@@ -207,7 +208,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             obj = replace(obj, prior=replace(obj.prior, pusher_radius=pusher_radius))
         no_pushes = PushLog((), SOURCE, table=None if table is None else np.asarray(table))
         super().__init__(IdentifierState(log=no_pushes), period)
-        self.obj, self.max_learning_pushes, self.warm_start = obj, max_learning_pushes, warm_start
+        self.obj = obj
+        self.max_learning_pushes = max_learning_pushes
+        self.warm_start = warm_start
         self._worker = make_worker(answer_delay)
         self._radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
@@ -224,14 +227,21 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         self._declare_outputs(_make_estimate(describe_prior(obj, ensemble, seed, used), None))
 
     def Learn(self, log: PushLog, start: Identification | None = None) -> Identification:
-        """Identifies the object from a log, as the system does when a push ends: from what `select` takes of it."""
+        """Identifies the object from a log as the system does when a push ends.
+
+        Args:
+            log: the log; only the pushes that `select` takes of it are learned from.
+            start: the identification at which learning begins; None for the prior.
+        """
         return identify(self.obj, self.select(log), start=start, **self._learning)
 
     def select(self, log: PushLog) -> PushLog:
-        """The pushes of a log that are learned from."""
+        """Selects the pushes of a log that are learned from."""
         return log[: self.max_learning_pushes]
 
     def _declare_outputs(self, prior: Estimate) -> None:
+        """Declares the output ports; before the first estimate they show the prior."""
+
         def declare(name: str, size: int, show: Callable[[Estimate], Any]) -> None:
             self._declare_vector(name, size, lambda now: show(now.estimate or prior))
 
@@ -264,12 +274,11 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         pose = tuple(self._object_pose.Eval(context).tolist())
         sample = Sample(context.get_time(), pose, pusher[:3], pusher[3:])
         segmenter, episode = advance(now.segmenter, sample, self._segmenter)
-        return self._learn(
-            self._take_in(replace(now, segmenter=segmenter), episode), context.get_time()
-        )
+        logged = self._log_push(replace(now, segmenter=segmenter), episode)
+        return self._learn(logged, context.get_time())
 
-    def _take_in(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
-        """Logs a push that has ended."""
+    def _log_push(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
+        """Logs a push that has ended; `episode` is None if none has."""
         if episode is None:
             return state
         name = name_push(len(state.log))
@@ -279,12 +288,11 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             return replace(state, message=f"A push could not be written down: {error}.")
         if observed is None:
             return state
-        return replace(
-            state, log=replace(state.log, pushes=(*state.log.pushes, observed)), message=""
-        )
+        log = replace(state.log, pushes=(*state.log.pushes, observed))
+        return replace(state, log=log, message="")
 
     def _learn(self, state: IdentifierState, time: float) -> IdentifierState:
-        """Takes what was learned beside the Diagram, and learns from the log's next pushes, one after another."""
+        """Takes what a worker has learned, and learns from the log's next pushes one by one."""
         if state.request is not None and self._worker is not None:
             answer = self._worker.take(state.request, time)
             if answer is None:
@@ -301,7 +309,12 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         return state
 
     def _find_work(self, state: IdentifierState) -> Callable[[], Estimate | str] | None:
-        """What is to be calculated because of the first push that was not considered yet; None for nothing."""
+        """Finds what is to be calculated because of the first push that was not considered yet.
+
+        Returns:
+            A function that returns an estimate, or what is wrong with the push; None if nothing is
+            to be learned from it.
+        """
         log = state.log[: state.considered + 1]
         chosen = self.select(log)
         chosen = chosen.subset(
@@ -313,19 +326,25 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         return partial(_learn_from, weakly(self.Learn), chosen, start)
 
     def _take_answer(self, state: IdentifierState, answer: Answer, asked: float) -> IdentifierState:
-        """With another estimate, or with what was wrong with the push, and not under way any more."""
-        found, name = answer.value, state.log[state.considered].name
+        """Returns the state with a new estimate, or with the reason why there is none.
+
+        Args:
+            state: the state before.
+            answer: what came of the work that `_find_work` has found.
+            asked: time at which it was asked for, s.
+        """
+        name = state.log[state.considered].name
         state = replace(state, request=None, considered=state.considered + 1)
-        if isinstance(found, Estimate):
-            return replace(state, estimate=found, learned_at=asked, message="")
-        message = f"Nothing could be learned from {name}: {found or answer.error}."
+        if isinstance(answer.value, Estimate):
+            return replace(state, estimate=answer.value, learned_at=asked, message="")
+        message = f"Nothing could be learned from {name}: {answer.value or answer.error}."
         return replace(state, left_out=(*state.left_out, name), message=message)
 
 
 def _learn_from(
     learn: Callable[..., Identification], log: PushLog, start: Identification | None
 ) -> Estimate | str:
-    """The estimate, or what is wrong with the last push."""
+    """Learns from a log; returns the estimate, or what is wrong with the last push."""
     try:
         return _make_estimate(learn(log, start), log)
     except UNUSABLE as error:
@@ -333,7 +352,12 @@ def _learn_from(
 
 
 def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
-    """Calculates what the ports show; `log` holds the pushes offered, None before any."""
+    """Calculates what the ports show of an identification.
+
+    Args:
+        found: the identification.
+        log: the pushes that it could learn from; None for the prior.
+    """
     loss = np.nan
     if log is not None and found.push_names:
         used = remove_outliers(log, found.outliers)
@@ -341,4 +365,7 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
         problem = PushProblem(found.obj, used, found.params, found.physics)
         residuals = problem.residuals(problem.unknowns(found.params))
         loss = float(problem.calc_cell_errors(residuals).mean())
-    return Estimate(found, *calc_center_of_mass(found), loss)
+    center, covariance = calc_center_of_mass(found)
+    return Estimate(
+        found=found, center_of_mass=center, center_of_mass_covariance=covariance, loss=loss
+    )

@@ -1,4 +1,4 @@
-"""The grid object under a pusher, as a Drake system: `simulate`, one step at a time.
+"""`GridLcpSystem`: a grid object under a pusher; `simulate` as a Drake system, step by step.
 
 With q = (x, y, theta) the pose X_WB and nu = (vx, vy, w) the velocity of B's origin,
 
@@ -6,9 +6,9 @@ With q = (x, y, theta) the pose X_WB and nu = (vx, vy, w) the velocity of B's or
 
 with t_n = n dt the time of step n, and h the height at which the pusher acts.
 
-The pusher is where its port says when the step begins, and moves on through the step at the
-velocity that its port says then. Where the true motion bends within a step, the next step begins at
-the true place again: no error adds up.
+At the beginning of a step the pusher is where its port says, and through the step it moves at the
+velocity that the port says then. If its true motion bends within a step, the next step begins at
+the true place again, so that no error adds up.
 """
 
 import numpy as np
@@ -39,7 +39,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 NO_PUSHER = -1.0
-"""Radius, m, by which the kernel knows that there is none."""
+"""Radius of the pusher by which the kernel is told that there is no pusher, m."""
 
 _STATE, _MEMORY, _CONTACT_FORCE, _UNSOLVED, _TIPPING = map(DiscreteStateIndex, range(5))
 
@@ -62,11 +62,11 @@ class GridLcpSystem(LeafSystem):
         - unsolved_steps
         - tipping_steps
 
-    * pusher_state: vector of 4, (x, y) of the disc's center p_WP in m and its velocity v_WP in m/s,
-      in W. Not connected, or NaN in it: there is no pusher.
-    * applied_wrench: vector of 3, force in W in N acting at B's origin, and moment in N m, constant
-      during a step; zero where not connected. Inertial regime only. A wrench that is not finite is
-      none.
+    * pusher_state: vector of 4, x and y of the disc's center p_WP, m, and its velocity v_WP, m/s.
+    If
+      it is not connected, or NaN, there is no pusher.
+    * applied_wrench: vector of 3, force on B's origin in W, N, and moment, N m, constant during a
+      step. If it is not connected, or not finite, there is no wrench. Only in the inertial regime.
     * pose: vector of 3, q = (x, y, theta) of B in W, m and rad.
     * velocity: vector of 3, (vx, vy, w) of B's origin in W, m/s and rad/s.
     * cell_positions: vector of 2n, x and y of every cell's center p_WC in turn, m.
@@ -76,10 +76,10 @@ class GridLcpSystem(LeafSystem):
       pusher's place (`start`), direction and path (`length`) during it, and by the push height
       where loads shift; the velocity at the beginning is held. Depends on the inputs directly. Not
       with a friction law that has no exact gradients (a SimulationError).
-    * unsolved_steps: vector of 1, how many steps the solver did not solve to tolerance (as in
-      `simulate`, the motion goes on from what it had).
-    * tipping_steps: vector of 1, how many steps no loads could hold the object: it tips, or falls
-      off the table.
+    * unsolved_steps: vector of 1, number of steps that the solver did not solve to its tolerance.
+      As in `simulate`, the motion goes on from what the solver had.
+    * tipping_steps: vector of 1, number of steps in which no loads could hold the object: it tips,
+      or falls off the table.
 
     * Discrete state: (q, nu); the solver's memory (`dynamics.kernels.step_memory`); the last
       contact force; the unsolved steps; the tipping steps.
@@ -173,7 +173,7 @@ class GridLcpSystem(LeafSystem):
             context.get_mutable_numeric_parameter(index).SetFromVector(value)
 
     def GetParameters(self, context: Context) -> CellParameters:
-        """The Context's parameters."""
+        """Returns the parameters in a Context."""
         count = context.num_numeric_parameter_groups()
         mass, friction, *numbers = (
             context.get_numeric_parameter(i).CopyToVector() for i in range(count)
@@ -188,8 +188,9 @@ class GridLcpSystem(LeafSystem):
         self.DeclareDiscreteState(2)
         self.DeclareDiscreteState(1)
         self.DeclareDiscreteState(1)
-        # Checking and copying n masses at every step would cost as much as the step.
-        # by its index: a cache entry holds its system where the garbage collector does not see it
+        # Checking and copying n masses at every step would cost as much as the step: they are
+        # cached. The entry is kept by its index, for the entry itself would hold the system where
+        # Python's garbage collector does not see it.
         self._params = self.DeclareCacheEntry(
             description="cell parameters",
             value_producer=ValueProducer(
@@ -270,7 +271,13 @@ class GridLcpSystem(LeafSystem):
         )
 
     def _run(self, context: Context, memory: Array, J: Array) -> Steps:
-        """Takes one step from the Context; `memory` is updated and J (1 or 0 rows) filled."""
+        """Takes one step from the state in a Context.
+
+        Args:
+            context: the Context.
+            memory: the solver's memory, which is updated.
+            J: (1, 3, C) to be filled with the step's derivatives, or (0, 3, 0) for none.
+        """
         state = context.get_discrete_state(_STATE).CopyToVector()
         row_of_step = np.array([-1, 0 if len(J) else -1])
         return run_kernel(
@@ -288,45 +295,55 @@ class GridLcpSystem(LeafSystem):
         )
 
     def _calc_load(self, context: Context) -> Load:
+        """Reads what drives the object in the step that begins now."""
         wrench = np.zeros((1, 3))
         if self._wrench is not None and self._wrench.HasValue(context):
             wrench[0] = self._wrench.Eval(context)
             wrench[~np.isfinite(wrench).all(axis=1)] = 0.0
-        pusher = (
-            self._pusher_state.Eval(context)
-            if self._pusher_state.HasValue(context)
-            else np.full(4, np.nan)
-        )
+        pusher = np.full(4, np.nan)
+        if self._pusher_state.HasValue(context):
+            pusher = self._pusher_state.Eval(context)
         if not np.isfinite(pusher).all():
-            return Load(np.zeros((2, 2)), 0.0, NO_PUSHER, wrench, np.zeros(2))
+            return Load(
+                tip=np.zeros((2, 2)),
+                path_length=0.0,
+                radius=NO_PUSHER,
+                wrench=wrench,
+                point=np.zeros(2),
+            )
         path = pusher[2:] * self.dt
-        tip = np.array([pusher[:2], pusher[:2] + path])
-        return Load(tip, float(np.hypot(*path)), self.pusher_radius, wrench, np.zeros(2))
+        return Load(
+            tip=np.array([pusher[:2], pusher[:2] + path]),
+            path_length=float(np.hypot(*path)),
+            radius=self.pusher_radius,
+            wrench=wrench,
+            point=np.zeros(2),
+        )
 
 
 def _list_values(params: CellParameters) -> list[Array]:
-    """What the numeric parameters hold, in their order, which is that of `CellParameters`."""
+    """Lists the values of the numeric parameters, in the order of `CellParameters`."""
     numbers = (params.contact_friction, params.push_height, params.patch_ratio)
     return [params.mass, params.friction, *(np.array([number]) for number in numbers)]
 
 
 def _make_zero_jacobian(n: int) -> Jacobian:
-    """One row of nothing, for n cells."""
-    zeros, by_cell = np.zeros((1, 3)), np.zeros((1, 3, n))
+    """Makes a Jacobian of one row of zeros for n cells, which tells Drake the type of the port."""
+    zeros = np.zeros((1, 3))
+    by_cell = np.zeros((1, 3, n))
     return Jacobian(
-        np.array([1]),
-        by_cell,
-        by_cell,
-        zeros,
-        np.zeros((1, 3, 2)),
-        zeros,
-        zeros,
-        np.zeros((1, 3, 3)),
-        None,
+        steps=np.array([1]),
+        mass=by_cell,
+        friction=by_cell,
+        contact_friction=zeros,
+        start=np.zeros((1, 3, 2)),
+        direction=zeros,
+        length=zeros,
+        pose=np.zeros((1, 3, 3)),
     )
 
 
 def _check_state(pose: ArrayLike, velocity: ArrayLike) -> Array:
-    """The six numbers of a pose and a velocity, (3,) each."""
+    """Checks a pose and a velocity, (3,) each; returns them in one vector (6,)."""
     both = (("pose", pose), ("velocity", velocity))
     return np.concatenate([check_vector(SimulationError, name, value, 3) for name, value in both])

@@ -1,7 +1,7 @@
-"""What systems say to each other on their ports: commands, as vectors, and what becomes of them, as abstract values.
+"""The values on the ports between systems: commands, as vectors, and statuses, as abstract values.
 
-What executors say of themselves is in `planning.robot_status`; what controllers
-say is the status of their loops, `planning.goal.push_to_goal` and
+The statuses are defined elsewhere, and can be imported from here: those of executors are in
+`planning.robot_status`, those of controllers in `planning.goal.push_to_goal` and
 `planning.pregrasp.pregrasp_loop`.
 """
 
@@ -24,19 +24,22 @@ from gridpush_drake.planning.robot_status import PushPhase as PushPhase
 from gridpush_drake.planning.robot_status import PushStatus as PushStatus
 
 PUSH_COMMAND_SIZE = 6
+"""Length of a `PushCommand` as a vector."""
 
 
 @dataclass(frozen=True)
 class _Command:
+    """A command that stands on a port as a vector."""
+
     command_id: int = 0
 
     def to_vector(self) -> NDArray[np.float64]:
-        """(6,) as on a port: the attributes in their order."""
+        """Returns the command as the vector on a port: the attributes in their order."""
         return np.array(astuple(self), dtype=np.float64)
 
     @classmethod
     def from_vector(cls, vector: NDArray[np.float64]) -> Self:
-        """Reads what `to_vector` wrote; an id that is not finite is none, 0."""
+        """Reads a vector that `to_vector` made; an id that is not finite stands for no command."""
         command_id, *rest = vector.tolist()
         return cls(round(command_id) if isfinite(command_id) else 0, *rest)
 
@@ -48,11 +51,11 @@ class PushCommand(_Command):
     Attributes:
         command_id: counts the commands from 1; a command is new when its id is. 0 stands for no
             command.
-        x: of the tip's center where the push begins, m.
-        y: likewise.
-        direction: of the motion, rad from W's x axis, counterclockwise.
-        distance: to move, m.
-        speed: on the way, m/s.
+        x: x of the tip's center where the push begins, m.
+        y: y of the tip's center where the push begins, m.
+        direction: direction of the motion, from W's x axis, counterclockwise, rad.
+        distance: length of the motion, m.
+        speed: speed of the motion, m/s.
     """
 
     x: float = 0.0
@@ -63,25 +66,32 @@ class PushCommand(_Command):
 
     @property
     def start(self) -> NDArray[np.float64]:
-        """(2,) p_WP of the tip's center at the beginning, m."""
+        """Position p_WP (2,) of the tip's center at the beginning, m."""
         return np.array([self.x, self.y])
 
     @property
     def end(self) -> NDArray[np.float64]:
-        """(2,) p_WP at the end, m."""
+        """Position p_WP (2,) of the tip's center at the end, m."""
         return self.start + self.distance * np.array([cos(self.direction), sin(self.direction)])
 
     @classmethod
     def from_push(cls, command_id: int, push: Push | None) -> "PushCommand":
-        """The command for a straight push; no command for None."""
+        """Makes the command for a straight push; no command for None."""
         if push is None:
             return cls()
         x, y = push.start.tolist()
-        direction = atan2(push.velocity[1], push.velocity[0])
-        return cls(command_id, x, y, direction, push.length, push.length / push.duration)
+        return cls(
+            command_id=command_id,
+            x=x,
+            y=y,
+            direction=atan2(push.velocity[1], push.velocity[0]),
+            distance=push.length,
+            speed=push.length / push.duration,
+        )
 
 
 GRASP_COMMAND_SIZE = 6
+"""Length of a `GraspCommand` as a vector."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +101,12 @@ class GraspCommand(_Command):
     Attributes:
         command_id: counts the commands from 1; a command is new when its id is. 0 stands for no
             command.
-        x: of the grasp point p_WG, the middle between the pads, m.
-        y: likewise.
-        z: likewise; half the object's thickness where it lies on the table.
-        approach: heading in which the fingers point while they go in, level, rad from W's x axis,
-            counterclockwise.
-        lift: how high to lift what was grasped, m.
+        x: x of the grasp point p_WG, the middle between the pads, m.
+        y: y of the grasp point, m.
+        z: z of the grasp point, m; half the height of an object that lies on the table.
+        approach: direction in which the fingers point while they go in, level, from W's x axis,
+            counterclockwise, rad.
+        lift: height to which the object is lifted, m.
     """
 
     x: float = 0.0
@@ -107,10 +117,10 @@ class GraspCommand(_Command):
 
     @property
     def p_WG(self) -> NDArray[np.float64]:
-        """(3,) the grasp point, m."""
+        """Position (3,) of the grasp point, m."""
         return np.array([self.x, self.y, self.z])
 
     @property
     def heading(self) -> NDArray[np.float64]:
-        """(2,) unit vector in which the fingers point, in W."""
+        """Unit vector (2,) in W in which the fingers point."""
         return np.array([cos(self.approach), sin(self.approach)])

@@ -1,6 +1,7 @@
-"""`AbstractStateSystem`: a system that remembers one thing, never changed but replaced, now and then.
+"""Bases of systems whose state is one Python record, and of controllers that step a closed loop.
 
-`ObjectController`: what systems share that step a closed loop over an object.
+`AbstractStateSystem` has one abstract state, a frozen record that is replaced now and then.
+`ObjectController` is one that steps a closed loop (`planning.closed_loop`) over an object.
 """
 
 from collections.abc import Callable
@@ -34,7 +35,7 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
 
         Args:
             begin: the state at the beginning.
-            period: between two updates, s.
+            period: time between two updates, s.
         """
         super().__init__()
         self._begin = begin
@@ -43,10 +44,11 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
     def _go_on(self, context: Context, now: S) -> S:
-        """The state after an update; `now` itself where nothing is new."""
+        """Returns the state after an update; `now` itself if nothing is new."""
         raise NotImplementedError
 
     def _get_state(self, context: Context) -> S:
+        """Returns the state in a Context."""
         state: S = context.get_abstract_state(int(self._state)).get_value()
         return state
 
@@ -59,13 +61,16 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
         return EventStatus.Succeeded()
 
     def _declare_vector(self, name: str, size: int, show: Callable[[S], ArrayLike]) -> None:
-        """Declares an output port for a vector that a state shows."""
+        """Declares an output port for a vector that is a function of the state."""
         self.DeclareVectorOutputPort(
             name, size, weakly(self._calc_vector, show), {self._remembered}
         )
 
     def _declare_value(self, name: str, show: Callable[[S], Any]) -> None:
-        """Likewise, for an abstract value of the kind that the state at the beginning shows."""
+        """Declares an output port for an abstract value that is a function of the state.
+
+        Its type is the one that the function gives for the state at the beginning.
+        """
         first = show(self._begin)
         self.DeclareAbstractOutputPort(
             name,
@@ -99,16 +104,17 @@ class ObjectController(AbstractStateSystem[L]):
         output_ports:
         - status
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object
-      was not seen.
-    * identification: abstract `Identification`; without `push_names` before anything was learned.
-    * push_log: abstract `PushLog`, all pushes so far; need not be connected.
-    * push_status: abstract `PushStatus` of the push executor.
-    * status: abstract, the loop's status.
+    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN if the object was not
+      seen.
+    * identification: abstract `Identification`, what was learned; without `push_names` before
+      anything was.
+    * push_log: abstract `PushLog`, all pushes so far; it need not be connected.
+    * push_status: abstract `PushStatus` of the executor of pushes.
+    * status: abstract status of the loop, of the loop's own type.
 
-    A decision takes long. With an answer delay it is made beside the Diagram, see `systems.worker`:
-    the outputs hold until then, and it is passed over where the object does not lie any more where
-    it did. Abstract state: the loop's.
+    A decision takes long. With an answer delay it is made in a worker, see `systems.worker`. Until
+    then the outputs hold, and the decision does not count if the object lies somewhere else by
+    then. Abstract state: that of the loop.
     """
 
     __slots__ = NO_SLOTS
@@ -120,15 +126,17 @@ class ObjectController(AbstractStateSystem[L]):
 
         Args:
             obj: the object.
-            loop: decides.
-            answer_delay: see `make_worker`.
+            loop: the loop, which decides what to do.
+            answer_delay: time after which a decision is taken, s; None for real time, see
+                `make_worker`.
 
         Raises:
             PlanningError: the delay is negative.
         """
         super().__init__(loop.begin(), loop.options.period)
         self._worker = make_worker(answer_delay)
-        self.obj, self.loop = obj, loop
+        self.obj = obj
+        self.loop = loop
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._identification = self.DeclareAbstractInputPort(
             "identification", AbstractValue.Make(describe_prior(obj))
@@ -148,12 +156,14 @@ class ObjectController(AbstractStateSystem[L]):
         now, due = self.loop.observe(now, seen)
         if not due:
             return now
-        return replace(
-            now, request=self._worker.ask(partial(self.loop.decide, now, seen), seen.time)
-        )
+        request = self._worker.ask(partial(self.loop.decide, now, seen), seen.time)
+        return replace(now, request=request)
 
     def _take_decision(self, worker: Worker, now: L, seen: Observation) -> L:
-        """The state once a decision was made, if it was and still fits what is seen; `now` while none was."""
+        """Returns the state after a decision in a worker; `now` if that is still under way.
+
+        A decision counts only if it still fits what is seen.
+        """
         answer = worker.take(now.request, seen.time)
         if answer is None:
             return now
@@ -166,12 +176,13 @@ class ObjectController(AbstractStateSystem[L]):
         return decided
 
     def _observe(self, context: Context) -> Observation:
-        """What is on the ports."""
-        found: Identification = self._identification.Eval(context)
+        """Returns what is on the input ports."""
+        learned: Identification = self._identification.Eval(context)
+        log = self._push_log.Eval(context) if self._push_log.HasValue(context) else PushLog(())
         return Observation(
             context.get_time(),
             self._object_pose.Eval(context),
             self._push_status.Eval(context),
-            self._push_log.Eval(context) if self._push_log.HasValue(context) else PushLog(()),
-            found if found.push_names else None,
+            log,
+            learned if learned.push_names else None,
         )

@@ -1,4 +1,4 @@
-"""What object lies on the table, from what a color and depth camera sees: the detector as a Drake system."""
+"""`ObjectDetector`: finds an object in a camera's pictures; `detect_object` between ports."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -31,12 +31,12 @@ from gridpush_drake.systems.worker import Answer, Request, answer_now, make_work
 
 @dataclass(frozen=True)
 class ObjectNaming:
-    """What a photograph does not tell of an object.
+    """What a picture does not tell of an object that is found in it.
 
     Attributes:
-        name: of the object.
-        prior: of its mass and friction; the default one where None.
-        heading: of the body frame's x axis in W, rad.
+        name: name that the object gets.
+        prior: prior of its mass and friction; None for the default one.
+        heading: direction of the x axis of its body frame in W, rad.
     """
 
     name: str = "object"
@@ -46,14 +46,13 @@ class ObjectNaming:
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """What came of the pictures so far.
+    """What was found in the pictures so far.
 
     Attributes:
-        detected: what was found, with outline, mask and the picture; None where nothing was, as
-            yet.
-        obj: of it, in its body frame B.
-        message: why nothing was found in the last picture; empty where it was, and before the
-            first.
+        detected: outline, mask and picture of what was found; None if nothing was found yet.
+        obj: the object of it, in its body frame B.
+        message: why nothing was found in the last picture; empty if something was, and before the
+            first picture.
     """
 
     detected: DetectedObject | None = None
@@ -66,9 +65,9 @@ class DetectorState(Unchanging):
     """All that the detector remembers; never changed, only replaced.
 
     Attributes:
-        trigger: on its port when it began to look.
-        seen: what came of it.
-        request: the search under way; None where none is.
+        trigger: number on the port `trigger` when it began to look.
+        seen: what was found since.
+        request: the search under way in a worker; None if there is none.
     """
 
     trigger: float = 0.0
@@ -77,7 +76,7 @@ class DetectorState(Unchanging):
 
 
 class ObjectDetector(AbstractStateSystem[DetectorState]):
-    """Finds the one object on the table in the pictures of a color and depth camera, see `detect_object`.
+    """Finds the only object on the table in the pictures of a color and depth camera.
 
     .. pydrake_system::
 
@@ -93,24 +92,24 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         - detection
         - message
 
-    * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to
-      it, 0 where it was not measured; need not be connected where the camera's pose is known and
-      the object's height given.
-    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot,
-      or else, hides the table. It need not be connected.
-    * trigger: vector of 1, a number. Where it becomes another one, what was found is forgotten, and
-      looked for anew. It need not be connected: 0.
-    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, in the picture in which it was
-      found; else NaN.
-    * found: vector of 1, 1 where an object was found, else 0.
+    * color_image: abstract `ImageRgba8U`.
+    * depth_image: abstract `ImageDepth32F`, m, of the same pixels; 0 if it was not measured. It
+      need not be connected if the camera's pose is known and the object's height is given.
+    * label_image: abstract `ImageLabel16I`, rendered as the camera sees the scene; it tells which
+      pixels show the robot, or something else that hides the table. It need not be connected.
+    * trigger: vector of 1, a number. When it changes, what was found is forgotten, and the detector
+      looks anew. It need not be connected, and is 0 then.
+    * object_pose: vector of 3, X_WB, (x, y, theta), m and rad, in the picture in which the object
+      was found; else NaN.
+    * found: vector of 1, 1 if an object was found, else 0.
     * detection: abstract `Detection`, with the object, its outline and the picture.
-    * message: abstract `str`, why none was found in the last picture: two objects, no table in
-      view, an image of another size. Empty where one was found. Whatever is in the pictures,
-      nothing is raised.
+    * message: abstract `str`, why no object was found in the last picture, such as two objects, no
+      table in view, or an image of another size; else empty. Whatever is in the pictures, nothing
+      is raised.
 
-    A picture is looked at every `period` until an object is found, with `once` false also after
-    that. Abstract state: one `DetectorState`. Numeric parameter 0: the seed of the table's colors
-    that are painted over the robot.
+    A picture is looked at every `period` until an object is found; without `once` also after that.
+    How an object is found is described at `detect_object`. Abstract state: one `DetectorState`.
+    Numeric parameter 0: seed of the colors of the table that are painted over the robot.
     """
 
     __slots__ = NO_SLOTS
@@ -131,17 +130,17 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         """Declares the system.
 
         Args:
-            camera: that takes the pictures.
+            camera: the camera that takes the pictures.
             options: what counts as an object.
-            naming: of the object that is found.
-            table_top: where on the table objects may lie, a polygon in W, m; all that is in view
-                where None.
-            hidden_by: labels in `label_image` of what may hide the table.
-            seed: see above.
-            period: between two pictures, s.
-            once: whether it looks no more once it has found an object, until it is triggered.
-            answer_delay: s after which what a picture tells is there; None for real time, see
-                `make_worker`.
+            naming: name, prior and heading of the object that is found.
+            table_top: the part of the table where objects may lie, a polygon in W, m; None for all
+                that is in view.
+            hidden_by: labels, in `label_image`, of whatever may hide the table.
+            seed: seed of the colors that are painted over the robot.
+            period: time between two pictures, s.
+            once: whether it stops looking once it has found an object, until it is triggered.
+            answer_delay: time after which the result of a search is there, s; None for real time,
+                see `make_worker`.
 
         Raises:
             CameraError: there is a table's top, but the camera's pose is not known.
@@ -149,12 +148,10 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         """
         super().__init__(DetectorState(), period)
         self._worker = make_worker(answer_delay)
-        self._camera, self._options, self._naming, self._once = (
-            camera,
-            options,
-            naming or ObjectNaming(),
-            once,
-        )
+        self._camera = camera
+        self._options = options
+        self._naming = naming or ObjectNaming()
+        self._once = once
         self._off_table = None if table_top is None else find_off_table(camera, table_top)
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self._inputs = RgbdInputs(self, camera.width, camera.height, hidden_by)
@@ -170,7 +167,7 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
 
     def _look_first(self, context: Context, state: State) -> None:
-        """Sees what the first picture will show, so that something is known from the beginning."""
+        """Looks in advance at what the first picture will show, so that it is known at once."""
         now = self._get_state(context)
         if now.seen.detected is None and now.request is None:
             self._update(context, state)
@@ -185,10 +182,14 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         if now.seen.detected is not None and self._once:
             return now
         seed = int(context.get_numeric_parameter(int(self._seed)).value()[0])
-        frame, hidden = self._inputs.take_frame(context), self._inputs.find_hidden(context)
-        unseen = (self._off_table, hidden)
         work = partial(
-            find_in_frame, frame, self._camera, self._options, self._naming, unseen, seed
+            find_in_frame,
+            self._inputs.take_frame(context),
+            self._camera,
+            self._options,
+            naming=self._naming,
+            unseen=(self._off_table, self._inputs.find_hidden(context)),
+            seed=seed,
         )
         if self._worker is None:
             return _settle(now, answer_now(work))
@@ -203,7 +204,19 @@ def find_in_frame(
     unseen: Iterable[NDArray[np.bool_] | None],
     seed: int,
 ) -> tuple[DetectedObject, GridObject] | str:
-    """Finds the object in a picture, but for what masks hide, with its cells; or says why there is none."""
+    """Finds the object in a picture, and divides it into cells.
+
+    Args:
+        frame: the picture.
+        camera: the camera that took it.
+        options: what counts as an object.
+        naming: name, prior and heading of the object.
+        unseen: masks (height, width) of pixels that are not looked at, or None.
+        seed: seed of the colors that are painted over these pixels.
+
+    Returns:
+        What was found, and the object; or a sentence that says why there is none.
+    """
     try:
         camera.check_size(frame.color, "the color image")
         covered = np.zeros(frame.color.shape[:2], dtype=bool)

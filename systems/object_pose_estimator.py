@@ -1,4 +1,4 @@
-"""Where an object lies, from what a color and depth camera sees: the tracker as a Drake system."""
+"""`ObjectPoseEstimator`: tracks an object in a camera's pictures; `PoseTracker` between ports."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -19,10 +19,10 @@ from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 
 MAX_LABEL = 2**15
-"""Labels that an `ImageLabel16I` may hold are less."""
+"""All labels in an `ImageLabel16I` are less than this."""
 
 UNSEEN = TrackedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, np.nan)
-"""What is told of an object that is not seen."""
+"""The pose of an object that is not seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,10 @@ class EstimatorState(Unchanging):
     """All that the estimator remembers; never changed, only replaced.
 
     Attributes:
-        tracker: after the last picture; None before the first in which the object was found.
-        told: when a pose may be told, s, and the pose; the latest last.
-        message: why the object was not found, before it was for the first time.
+        tracker: state of the tracker after the last picture; None before the first picture in which
+            the object was found.
+        told: poses, the latest last, each with the time from which on it is on the ports, s.
+        message: why the object was not found yet; empty once it was.
     """
 
     tracker: TrackerState | None = None
@@ -41,18 +42,20 @@ class EstimatorState(Unchanging):
 
 
 class RgbdInputs:
-    """The input ports of a system that looks at a color and depth camera's pictures, and what is on them."""
+    """The input ports of a system that looks at the pictures of a color and depth camera."""
 
     def __init__(
         self, system: LeafSystem, width: int, height: int, hidden_by: Iterable[int]
     ) -> None:
-        """Declares `color_image`, `depth_image` and `label_image`, of which the first must be connected.
+        """Declares the ports `color_image`, `depth_image` and `label_image`.
+
+        Only the first must be connected.
 
         Args:
-            system: that gets the ports.
-            width: of the images, pixels.
-            height: of the images, pixels.
-            hidden_by: labels in `label_image` of what may hide the object.
+            system: the system that gets the ports.
+            width: width of the images, pixels.
+            height: height of the images, pixels.
+            hidden_by: labels, in `label_image`, of whatever may hide the object.
         """
         self._hidden = np.zeros(MAX_LABEL, dtype=bool)
         self._hidden[list(hidden_by)] = True
@@ -67,7 +70,7 @@ class RgbdInputs:
         )
 
     def take_frame(self, context: Context) -> Frame:
-        """What the camera sees, copied; without depth where that is not connected."""
+        """Copies what is on the ports into a frame; without depth if that is not connected."""
         color: NDArray[np.uint8] = self._color.Eval(context).data[..., :3]
         depth: NDArray[np.float32] | None = None
         if self._depth.HasValue(context):
@@ -75,7 +78,7 @@ class RgbdInputs:
         return Frame(np.array(color, order="C"), depth, context.get_time())
 
     def find_hidden(self, context: Context) -> NDArray[np.bool_] | None:
-        """The pixels (height, width) that show what may hide the object; None where nothing is known to."""
+        """Finds the pixels (height, width) that show what may hide the object; None if unknown."""
         if not self._hidden.any() or not self._labels.HasValue(context):
             return None
         return self._hidden[self._labels.Eval(context).data[..., 0]]
@@ -97,19 +100,18 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         - seen
         - message
 
-    * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to
-      it.
-    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot,
-      or else, hides the table. It need not be connected, nor need depth.
-    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, theta without jumps; NaN where
-      it was not seen.
-    * covariance: vector of 9, of the pose, row-major, m², m rad and rad²; NaN where it was not
-      seen.
-    * seen: vector of 1, 1 where the object was seen in the picture that the pose is of, 0 where
-      not.
-    * message: abstract `str`, why the object was not found, before it was for the first time.
+    * color_image: abstract `ImageRgba8U`.
+    * depth_image: abstract `ImageDepth32F`, m, of the same pixels. It need not be connected.
+    * label_image: abstract `ImageLabel16I`, rendered as the camera sees the scene; it tells which
+      pixels show the robot, or something else that hides the object. It need not be connected.
+    * object_pose: vector of 3, X_WB, (x, y, theta), m and rad; theta does not jump by whole turns.
+      NaN if the object was not seen.
+    * covariance: vector of 9, covariance of the pose, row-major, m², m rad and rad²; NaN if the
+      object was not seen.
+    * seen: vector of 1, 1 if the object was seen in the picture that the pose is of, else 0.
+    * message: abstract `str`, why the object was not found yet; empty once it was.
 
-    A picture is taken every `period`; what it tells is there `latency` later. While the lens is
+    A picture is taken every `period`; its pose is on the ports `latency` later. While the lens is
     covered, which numeric parameter 0 says, nothing is seen. Abstract state: one `EstimatorState`.
     """
 
@@ -129,16 +131,17 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         """Declares the system.
 
         Args:
-            tracker: of the object, by its camera.
-            width: of the images, pixels.
-            height: of the images, pixels.
-            period: between two pictures, s.
-            latency: from a picture to when its pose is told, s.
-            guess: (3,) the pose in the first picture, about, m and rad; None to search for it.
-            hidden_by: labels in `label_image` of what may hide the object.
+            tracker: tracks the object; it knows the camera.
+            width: width of the images, pixels.
+            height: height of the images, pixels.
+            period: time between two pictures, s.
+            latency: time from a picture until its pose is on the ports, s.
+            guess: (3,) X_WB in the first picture, roughly, m and rad; None to search for it.
+            hidden_by: labels, in `label_image`, of whatever may hide the object.
         """
         super().__init__(EstimatorState(), period)
-        self._tracker, self._latency = tracker, latency
+        self._tracker = tracker
+        self._latency = latency
         self._guess = None if guess is None else np.array(guess, dtype=np.float64)
         self._covered = self.DeclareNumericParameter(BasicVector([0.0]))
         self._inputs = RgbdInputs(self, width, height, hidden_by)
@@ -146,7 +149,7 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
 
     def SetCovered(self, root_context: Context, covered: bool) -> None:
-        """Covers the lens in a Diagram's Context, or uncovers it; it counts from the next picture."""
+        """Covers the lens in a Diagram's Context, or uncovers it, from the next picture on."""
         context = self.GetMyMutableContextFromRoot(root_context)
         context.get_mutable_numeric_parameter(self._covered).SetFromVector([float(covered)])
 
@@ -166,25 +169,29 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         output.SetFromVector(calc(find_told(self._get_state(context), context.get_time())))
 
     def _look_first(self, context: Context, state: State) -> None:
-        """Sees what the first picture will show, so that something is known from the beginning."""
+        """Looks in advance at what the first picture will show, so that a pose is known at once."""
         if self._get_state(context).tracker is None:
             self._update(context, state)
 
     def _go_on(self, context: Context, now: EstimatorState) -> EstimatorState:
         """Takes a picture."""
-        time, after, pose = context.get_time(), now, UNSEEN
+        time = context.get_time()
+        after = now
+        pose = UNSEEN
         if not context.get_numeric_parameter(self._covered).value()[0]:
-            after, pose = self._track(
-                now, self._inputs.take_frame(context), self._inputs.find_hidden(context)
-            )
+            frame = self._inputs.take_frame(context)
+            after, pose = self._track(now, frame, self._inputs.find_hidden(context))
+        # Of the poses before, the one that is on the ports now is kept, and those to come. The
+        # first picture is taken twice, see `_look_first`; then the new pose replaces the old one.
         ready = time + self._latency
-        due = max((at for at, _ in after.told if at <= time), default=-np.inf)
-        told = tuple(item for item in after.told if item[0] >= due and item[0] < ready)
+        present = max((at for at, _ in after.told if at <= time), default=-np.inf)
+        told = tuple(item for item in after.told if item[0] >= present and item[0] < ready)
         return replace(after, told=(*told, (ready, pose)))
 
     def _track(
         self, state: EstimatorState, frame: Frame, hidden: NDArray[np.bool_] | None
     ) -> tuple[EstimatorState, TrackedPose]:
+        """Finds the object in a picture; returns the state afterwards, and the pose."""
         try:
             tracker = state.tracker or self._tracker.start(frame, self._guess, hidden)
             tracker, pose = self._tracker.track(tracker, frame, hidden)
@@ -194,5 +201,5 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
 
 
 def find_told(state: EstimatorState, time: float) -> TrackedPose:
-    """What is known at a time, s."""
+    """Finds the pose that is on the ports at a time, s."""
     return next((pose for ready, pose in reversed(state.told) if ready <= time), UNSEEN)

@@ -33,6 +33,7 @@ WINDOW = 0.5
 """How long looks are remembered, s, to be compared with the present one."""
 
 MM = 1e3
+"""Millimeters in a meter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +75,14 @@ class WatchState(Unchanging):
 
 @dataclass(frozen=True, eq=False)
 class ObjectWatch:
-    """What an object's motion is judged by.
+    """Judges whether an object moves as the finger moves it.
 
     Attributes:
-        outline: of the object in its body frame B, m.
-        height: of the object's top above the table, m.
-        tip_radius: of the finger's tip, a sphere, m.
-        noise: farthest that a point of an object at rest may seem to move, m.
-        lag: longest from when a picture is taken until its pose comes, s.
+        outline: outline of the object in its body frame B, m.
+        height: height of the object's top above the table, m.
+        tip_radius: radius of the finger's tip, a sphere, m.
+        noise: greatest distance that a point of an object at rest may seem to move, m.
+        lag: longest time from when a picture is taken until its pose comes, s.
     """
 
     outline: BaseGeometry
@@ -97,22 +98,23 @@ class ObjectWatch:
         object.__setattr__(self, "corners", corners)
 
     def is_near(self, pose: Array, p_WP: Array) -> bool:
-        """Whether the finger may touch the object, with its tip at p_WP (3,), m, by a pose (3,)."""
+        """Returns whether the finger may touch the object, with its tip at p_WP (3,), m."""
         if p_WP[2] - self.tip_radius > self.height + NEAR:
             return False
-        # the tip's place in B
+        # The tip's place in B.
         offset = p_WP[:2] - pose[:2]
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        cos = np.cos(pose[2])
+        sin = np.sin(pose[2])
         p_BP = shapely.Point(cos * offset[0] + sin * offset[1], cos * offset[1] - sin * offset[0])
         return bool(self.outline.distance(p_BP) < NEAR + self.tip_radius)
 
     def calc_motion(self, before: Array, after: Array) -> float:
-        """How far the point of the object that moves the farthest goes between poses (3,), m."""
+        """Calculates how far the farthest-moving point of the object goes between poses (3,), m."""
         moved = transform(after, self.corners) - transform(before, self.corners)
         return float(np.linalg.norm(moved, axis=1).max())
 
     def forget(self, now: WatchState) -> WatchState:
-        """Without the looks: the object may have been moved by others, and that is as it should be."""
+        """Forgets the looks at the object, which others may have moved, as they should."""
         return replace(now, looks=(), untouched=None)
 
     def watch(
@@ -131,7 +133,7 @@ class ObjectWatch:
             What is remembered from then on; and a sentence where the object cannot have moved like
             that, else "".
         """
-        # the tip's way near the object, sideways
+        # The tip's way near the object, sideways.
         way = now.way
         if now.tip is not None and self.is_near(pose, p_WP):
             way += float(np.hypot(*(p_WP - now.tip)[:2]))
@@ -139,7 +141,7 @@ class ObjectWatch:
         now = replace(now, tip=np.array(p_WP), way=way, ways=(*ways, (time, way)))
         if now.looks and (pose == now.looks[-1].pose).all():
             return now, ""
-        # another look, against those before
+        # Another look, compared with those before.
         look = Look(time=time, pose=np.array(pose), way=way, way_before=now.ways[0][1])
         earlier = [now.untouched] if now.untouched is not None else []
         earlier += [now.looks[0], now.looks[-1]] if now.looks else []
@@ -150,7 +152,7 @@ class ObjectWatch:
         return replace(now, looks=(*kept, look), untouched=untouched), fault
 
     def _compare(self, before: Look, after: Look) -> str:
-        """A sentence where the object cannot have moved like that between two looks, else ""."""
+        """Says that the object cannot have moved like that between two looks; "" if it can."""
         moved = self.calc_motion(before.pose, after.pose)
         way = after.way - before.way_before
         if moved <= self.noise + LEVER * way:

@@ -1,4 +1,4 @@
-"""The pose of an object in the plane as Drake's LCM message `lcmt_planar_manipuland_status`, of whoever tracks it."""
+"""An object's pose in the plane as Drake's LCM message `lcmt_planar_manipuland_status`."""
 
 import numpy as np
 from drake import lcmt_planar_manipuland_status
@@ -14,12 +14,15 @@ MICROSECONDS = 1e6
 KEPT = 32
 """Number of last poses that a receiver remembers."""
 
+UNKNOWN_ROW = (-np.inf, np.nan, np.nan, np.nan)
+"""Time and pose of a message that did not come yet."""
+
 LARGEST_POSE = 1e6
 """A pose with a number beyond this, m or rad, was not measured, and counts as not seen."""
 
 
 class PlanarManipulandStatusReceiver(LeafSystem):
-    """Reads an object's pose from messages; what is too old counts as not seen.
+    """Reads an object's pose from messages; an object with no recent message counts as not seen.
 
     .. pydrake_system::
 
@@ -31,17 +34,17 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         - object_pose
         - newest_pose
 
-    * message: abstract `lcmt_planar_manipuland_status`, X_WB of the object's body frame; its
-      `utime` grows from message to message, and is 0 before the first. Where it is smaller than
-      before, its clock was set back, and the poses before that are forgotten. A pose that is not
-      finite says that the object is not seen.
-    * time: vector of 1, s, by the clock that `utime` is of. It need not be connected.
-    * object_pose: vector of 3, x and y in W, m, and yaw, rad; the yaw is continuous, it counts
-      whole turns. It is of `delay` ago, between the messages before and after; as last seen where
-      none came since, or where the time is not known. NaN where the object was not seen then, or no
-      message came for `max_age`.
-    * newest_pose: vector of 3, as the last message has it, whatever the delay: for who must notice
-      a jump at once.
+    * message: abstract `lcmt_planar_manipuland_status`, with X_WB of the object's body frame. Its
+      `utime` grows from message to message, and is 0 before the first. If it is smaller than
+      before, the sender's clock was set back, and the poses before that are forgotten. A pose that
+      is not finite says that the object is not seen.
+    * time: vector of 1, time by the clock of `utime`, s. It need not be connected.
+    * object_pose: vector of 3, x and y of B in W, m, and yaw, rad, which counts whole turns. It is
+      the pose of `delay` ago, interpolated between the messages before and after. If no message
+      came since, or the time is not known, it is the newest pose. NaN if the object was not seen
+      then, or no message came for `max_age`.
+    * newest_pose: vector of 3, the pose of the last message, whatever the delay, m and rad. A guard
+      reads it, which must notice a jump at once.
     """
 
     __slots__ = NO_SLOTS
@@ -50,70 +53,89 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         """Makes the receiver.
 
         Args:
-            period: between two looks at the message, s.
-            max_age: since the last message, after which the object is not seen, s.
-            delay: see above, s.
+            period: time between two looks at the message, s.
+            max_age: if the last message is older than this, the object is not seen, s.
+            delay: age of the pose on `object_pose`, s.
         """
         super().__init__()
-        self._max_age, self._delay = max_age, delay
+        self._max_age = max_age
+        self._delay = delay
         self._message = self.DeclareAbstractInputPort(
             "message", AbstractValue.Make(lcmt_planar_manipuland_status())
         )
         self._time = self.DeclareVectorInputPort("time", 1)
         self._pose = self.DeclareDiscreteState(np.full(3, np.nan))
-        self._kept = self.DeclareDiscreteState(
-            np.tile([-np.inf, np.nan, np.nan, np.nan], KEPT)
-        )  # rows: s, and a pose
+        # The last poses, row by row: time, s, x, y and yaw.
+        self._kept = self.DeclareDiscreteState(np.tile(UNKNOWN_ROW, KEPT))
         self._newest = self.DeclareDiscreteState(np.full(3, np.nan))
+        # The last yaw that was seen, with its whole turns, rad.
         self._yaw = self.DeclareDiscreteState(1)
-        self._last = self.DeclareDiscreteState(
-            2
-        )  # the last message's utime, us, and when it came, s
+        # The last message: its utime, us, and when it came, s.
+        self._last = self.DeclareDiscreteState(2)
         self.DeclareStateOutputPort("object_pose", self._pose)
         self.DeclareStateOutputPort("newest_pose", self._newest)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
 
     def _look(self, context: Context, state: DiscreteValues) -> None:
-        message, time = self._message.Eval(context), context.get_time()
+        """Takes in a new message, and sets the poses on the ports."""
+        message = self._message.Eval(context)
+        time = context.get_time()
         utime, came = context.get_discrete_state(self._last).value()
         kept = context.get_discrete_state(self._kept).value().reshape(KEPT, 4)
         if message.utime != utime:
+            came = time
             state.set_value(self._last, [message.utime, time])
-            yaw = float(context.get_discrete_state(self._yaw).value()[0])
-            seen = np.array([*message.position, message.theta])
-            pose = np.full(3, np.nan)
-            if (np.abs(seen) <= LARGEST_POSE).all():  # false for NaN
-                pose = np.array([*seen[:2], yaw + wrap_angle(seen[2] - yaw)])
-                state.set_value(self._yaw, pose[2:])
             if message.utime < utime:
-                kept = np.tile([-np.inf, np.nan, np.nan, np.nan], (KEPT, 1))
-            came, kept = time, np.vstack([kept[1:], [message.utime / MICROSECONDS, *pose]])
+                kept = np.tile(UNKNOWN_ROW, (KEPT, 1))
+            pose = self._read_pose(context, state, message)
+            kept = np.vstack([kept[1:], [message.utime / MICROSECONDS, *pose]])
             state.set_value(self._kept, kept.ravel())
-        clock = (
-            float(self._time.Eval(context)[0]) - self._delay
-            if self._time.HasValue(context)
-            else np.inf
-        )
-        lost = time - came > self._max_age
-        state.set_value(self._pose, np.full(3, np.nan) if lost else find_pose(kept, clock))
-        state.set_value(self._newest, np.full(3, np.nan) if lost else kept[-1, 1:])
+        if time - came > self._max_age:
+            state.set_value(self._pose, np.full(3, np.nan))
+            state.set_value(self._newest, np.full(3, np.nan))
+            return
+        wanted = np.inf
+        if self._time.HasValue(context):
+            wanted = float(self._time.Eval(context)[0]) - self._delay
+        state.set_value(self._pose, find_pose(kept, wanted))
+        state.set_value(self._newest, kept[-1, 1:])
+
+    def _read_pose(
+        self, context: Context, state: DiscreteValues, message: lcmt_planar_manipuland_status
+    ) -> Array:
+        """Reads the pose (3,) in a message, with the whole turns of the yaw; NaN if not seen."""
+        seen = np.array([*message.position, message.theta])
+        if not (np.abs(seen) <= LARGEST_POSE).all():  # also true of NaN
+            return np.full(3, np.nan)
+        yaw = float(context.get_discrete_state(self._yaw).value()[0])
+        pose = np.array([*seen[:2], yaw + wrap_angle(seen[2] - yaw)])
+        state.set_value(self._yaw, pose[2:])
+        return pose
 
 
 def find_pose(kept: Array, time: float) -> Array:
-    """Finds a pose (3,) at a time, s, in rows (n, 4) of times that increase and poses; beyond them the next one.
+    """Finds the pose at a time by interpolation.
 
-    It is NaN where a row beside it is.
+    Args:
+        kept: (n, 4) rows of time, s, and pose, m and rad; the times increase.
+        time: time of the wanted pose, s.
+
+    Returns:
+        (3,) the pose; the first or the last one if the time is before or after all of them. NaN
+        if a pose between which it lies is NaN.
     """
     after = int(np.searchsorted(kept[:, 0], time))
-    if after in (0, len(kept)):
-        return kept[min(after, len(kept) - 1), 1:]
-    (t0, *_), (t1, *_) = kept[after - 1], kept[after]
+    if after == 0:
+        return kept[0, 1:]
+    if after == len(kept):
+        return kept[-1, 1:]
+    t0 = kept[after - 1, 0]
+    t1 = kept[after, 0]
     share = (time - t0) / (t1 - t0) if np.isfinite(t0) else 1.0
-    return (
-        kept[after, 1:]
-        if share == 1.0
-        else (1 - share) * kept[after - 1, 1:] + share * kept[after, 1:]
-    )
+    if share == 1.0:  # here the pose before does not matter, which may be NaN
+        return kept[after, 1:]
+    interpolated: Array = (1 - share) * kept[after - 1, 1:] + share * kept[after, 1:]
+    return interpolated
 
 
 class PlanarManipulandStatusSender(LeafSystem):
@@ -127,9 +149,9 @@ class PlanarManipulandStatusSender(LeafSystem):
         output_ports:
         - message
 
-    * object_pose: vector of 3, x and y in W, m, and yaw, rad; NaN where the object is not seen.
-    * message: abstract `lcmt_planar_manipuland_status` with the Context's time; its velocities are
-      0.
+    * object_pose: vector of 3, x and y of B in W, m, and yaw, rad; NaN if the object is not seen.
+    * message: abstract `lcmt_planar_manipuland_status` with this pose and the Context's time; its
+      velocities are 0.
     """
 
     __slots__ = NO_SLOTS
@@ -149,7 +171,7 @@ class PlanarManipulandStatusSender(LeafSystem):
 
 
 def make_status(time: float, pose: Array) -> lcmt_planar_manipuland_status:
-    """Makes the message of a pose (3,), m and rad, that was seen at a time, s; NaN where it was not."""
+    """Makes the message of a pose (3,), m and rad, that was seen at a time, s; NaN if not seen."""
     message = lcmt_planar_manipuland_status()
     message.utime = round(MICROSECONDS * time)
     *message.position, message.theta = pose.tolist()

@@ -1,4 +1,4 @@
-"""A camera that sees where an object lies on the table, now and then and not quite exactly."""
+"""`PlanarPoseSensor`: an ideal camera, which measures an object's pose on the table with noise."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 
 DEFAULT_PERIOD = 1 / 30
-"""Between two pictures, s."""
+"""Time between two pictures, s."""
 
 
 class PlanarPoseSensor(LeafSystem):
@@ -24,14 +24,13 @@ class PlanarPoseSensor(LeafSystem):
         output_ports:
         - object_pose
 
-    * body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it.
+    * body_poses: abstract `list[RigidTransform]`, X_WB of all bodies, as a MultibodyPlant has it.
     * object_pose: vector of 3, x and y of the body's origin in W, m, and its yaw, rad, as last
-      seen; the yaw is continuous, it counts whole turns. NaN where the body is lost from sight, or
-      its pose is not finite.
+      seen. The yaw counts whole turns. NaN if the body is out of sight, or its pose is not finite.
 
-    The noise of the k-th picture depends on k and the seed alone, which is numeric parameter 0: a
-    Context and its clone see the same. The body is lost from sight where its origin lies lower than
-    `lowest` above z = 0, and while the lens is covered, which numeric parameter 1 says.
+    The noise of the k-th picture depends only on k and the seed, which is numeric parameter 0, so
+    that a Context and its clone see the same. The body is out of sight if the z of its origin in W
+    is less than `lowest`, and while the lens is covered, which numeric parameter 1 says.
     """
 
     __slots__ = NO_SLOTS
@@ -49,12 +48,12 @@ class PlanarPoseSensor(LeafSystem):
         """Makes the sensor.
 
         Args:
-            body: index of the body among the plant's.
-            period: between two pictures, s.
-            position_noise: standard deviation per axis, m.
-            angle_noise: standard deviation, rad.
-            lowest: z in W below which the body's origin is out of sight, m.
-            seed: of the noise.
+            body: index of the body in the plant.
+            period: time between two pictures, s.
+            position_noise: standard deviation of the noise of x and y, m.
+            angle_noise: standard deviation of the noise of the yaw, rad.
+            lowest: if the body's origin is lower than this in W, the body is out of sight, m.
+            seed: seed of the noise.
         """
         super().__init__()
         self._body = int(body)
@@ -65,6 +64,7 @@ class PlanarPoseSensor(LeafSystem):
         self._body_poses = self.DeclareAbstractInputPort(
             "body_poses", Value[list[RigidTransform]]()
         )
+        # The pose on the port; the last true yaw, rad; and the number of pictures so far.
         self._seen = self.DeclareDiscreteState(np.full(3, np.nan))
         self._yaw = self.DeclareDiscreteState(1)
         self._count = self.DeclareDiscreteState(1)
@@ -78,21 +78,23 @@ class PlanarPoseSensor(LeafSystem):
         context.get_mutable_numeric_parameter(self._seed).SetFromVector([float(seed)])
 
     def SetCovered(self, root_context: Context, covered: bool) -> None:
-        """Covers the lens in a Diagram's Context, or uncovers it; it counts from the next picture."""
+        """Covers the lens in a Diagram's Context, or uncovers it, from the next picture on."""
         context = self.GetMyMutableContextFromRoot(root_context)
         context.get_mutable_numeric_parameter(self._covered).SetFromVector([float(covered)])
 
     def _look_first(self, context: Context, state: DiscreteValues) -> None:
-        """Sees what the first picture will show, so that something is known from the beginning."""
+        """Looks in advance at what the first picture will show, so that a pose is known at once."""
         if context.get_discrete_state(self._count).value()[0] == 0:
             self._see(context, state, 0)
 
     def _take_picture(self, context: Context, state: DiscreteValues) -> None:
+        """Takes the next picture."""
         count = int(context.get_discrete_state(self._count).value()[0])
         state.set_value(self._count, [count + 1])
         self._see(context, state, count)
 
     def _see(self, context: Context, state: DiscreteValues, count: int) -> None:
+        """Writes into the state what the picture of a number, from 0, shows."""
         X_WB: RigidTransform = self._body_poses.Eval(context)[self._body]
         covered = bool(context.get_numeric_parameter(self._covered).value()[0])
         hidden = not np.isfinite(X_WB.GetAsMatrix34()).all() or X_WB.translation()[2] < self._lowest
@@ -102,13 +104,15 @@ class PlanarPoseSensor(LeafSystem):
         q = project_pose(X_WB, float(context.get_discrete_state(self._yaw).value()[0]))
         state.set_value(self._yaw, [q[2]])
         seed = int(context.get_numeric_parameter(self._seed).value()[0])
-        state.set_value(
-            self._seen, q + self._std * np.random.default_rng((seed, count)).normal(size=3)
-        )
+        noise = self._std * np.random.default_rng((seed, count)).normal(size=3)
+        state.set_value(self._seen, q + noise)
 
 
 def project_pose(X_WB: RigidTransform, near: float = 0.0) -> NDArray[np.float64]:
-    """The pose in the plane, (3,) x, y in m and yaw in rad, by whole turns the one nearest to `near`."""
+    """Projects a pose into the plane: (3,) x, y, m, and yaw, rad.
+
+    Of all yaws that differ by whole turns, it is the one nearest to `near`, rad.
+    """
     yaw = RollPitchYaw(X_WB.rotation()).yaw_angle()
     yaw += 2 * np.pi * round((near - yaw) / (2 * np.pi))
     return np.array([*X_WB.translation()[:2], yaw])

@@ -1,8 +1,9 @@
-"""Which push comes next, as a Drake system: random pokes, one whenever the executor is ready for it.
+"""`PokePolicy`: a Drake system that commands random pokes, one whenever the executor is ready.
 
 A poke begins at a random place of the outline where the tip fits and the object stays in bounds.
-The k-th candidate of a push is drawn from (seed, command_id, k) alone: neither the pushes before it
-nor how many candidates they took change it.
+Candidates are drawn until one of them will do. The k-th candidate of a push is drawn from (seed,
+command_id, k) alone, so that it does not depend on the pushes before it, nor on how many candidates
+these took.
 """
 
 from collections.abc import Callable
@@ -30,11 +31,11 @@ from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.worker import Request, Worker, make_worker
 
 Reach = Callable[[PushCommand], bool]
-"""Whether the arm can carry out a command."""
+"""A function that returns whether the arm can carry out a command."""
 
 ROUNDING = 1e-6
-"""Share of the gap at the start that may be missing: the outline's own point is not exactly on
-it."""
+"""Share of the gap between tip and outline that may be missing at the start. A point that is
+calculated on the outline is not exactly on it."""
 
 
 @dataclass(frozen=True)
@@ -42,16 +43,17 @@ class RandomPokeOptions:
     """How pokes are drawn.
 
     Attributes:
-        distance: least and greatest, m, counted from where the tip would touch the outline.
-        speed: of the tip, m/s.
-        slant: furthest from the outline's normal, rad.
-        tip_radius: m.
-        clearance: gap between tip and outline at the beginning, m; the path through it comes on top
+        distance: least and greatest length of a push, counted from where the tip would touch the
+            outline, m.
+        speed: speed of the tip, m/s.
+        slant: greatest angle between a push and the outline's normal, rad.
+        tip_radius: radius of the finger's tip, m.
+        clearance: gap between tip and outline at the beginning, m. The way through it comes on top
             of the distance.
-        min_motion: of the cells, mean, as predicted, m; a push that moves the object less is drawn
-            again.
-        candidates: most draws before a push that takes the object out of its region is taken for
-            want of a better one.
+        min_motion: a push is drawn again if it is predicted to move the object's cells by less than
+            this in the mean, m.
+        candidates: greatest number of draws. Then a push that takes the object out of its region is
+            taken, if there is no better one.
 
     Raises:
         PushError: a value is out of range.
@@ -84,13 +86,13 @@ class RandomPokeOptions:
 
 @dataclass(frozen=True)
 class PokeRegion:
-    """Where pokes may happen, W, m.
+    """Regions in which pokes may happen, polygons in W, m.
 
     Attributes:
         workspace: where the tip's center may be.
-        keep_in: that the whole object must stay in.
-        middle: that the object's centroid should stay in, where the finger gets at it from all
-            sides; None asks for no more than `keep_in`.
+        keep_in: where the whole object must stay.
+        middle: where the object's centroid should stay, so that the finger gets at the object from
+            all sides; None if nowhere.
     """
 
     workspace: Polygon
@@ -99,11 +101,11 @@ class PokeRegion:
 
     @property
     def center(self) -> Array:
-        """(2,) where the object's centroid is best, m."""
+        """Best place for the object's centroid, (2,) in W, m."""
         return np.array((self.middle or self.keep_in).centroid.coords[0])
 
     def suits(self, centroid: Array) -> bool:
-        """Whether the finger can get at an object with this centroid (2,), m, from all sides."""
+        """Returns whether an object with its centroid at (2,), m, is where it should stay."""
         return self.middle is None or bool(self.middle.covers(Point(centroid)))
 
 
@@ -120,28 +122,32 @@ def choose_poke(
 ) -> tuple[PushCommand | None, int]:
     """Chooses a push.
 
-    Candidates are drawn one after another. The first one is taken that fits (the tip beside the
-    object and within its workspace, within the arm's reach), moves the object, and is predicted to
-    leave it within its region. Where there is none, the fitting one that ends nearest to the
-    region's center is taken, of those that keep the object in if any do.
+    Candidates are drawn one after another. A candidate fits if the tip is beside the object at the
+    beginning, stays within its workspace and within the arm's reach, and moves the object. The
+    first fitting candidate is taken that is predicted to leave the object within its region. If
+    there is none, the fitting candidate is taken that ends nearest to the region's center;
+    candidates that keep the object in `region.keep_in` go before others.
 
     Args:
         obj: the object.
-        params: by which its motion is predicted.
-        pose: (3,) where it lies, m and rad.
-        command_id: of the command.
-        seed: of the draws.
+        params: parameters by which its motion is predicted.
+        pose: (3,) X_WB of the object, m and rad.
+        command_id: number of the command.
+        seed: seed of the draws.
         style: how to push.
-        region: where.
-        reach: whether the arm can carry out a command; None trusts it.
-        first: candidates to pass over.
+        region: where pushes may happen.
+        reach: returns whether the arm can carry out a command; None if it always can.
+        first: number of candidates to pass over, since they were looked at before.
 
     Returns:
-        The command, or None where no candidate fits; and how many candidates were looked at, with
-        those passed over.
+        The command, or None if no candidate fits; and the number of candidates that were looked
+        at, with those passed over.
     """
     q = np.array(pose, dtype=np.float64)
-    nearest, least = None, (True, np.inf)
+    # The best of the fitting candidates that leave the region, and how bad it is: whether the
+    # object leaves `keep_in`, and how far from the center it ends.
+    nearest = None
+    least = (True, np.inf)
     for attempt in range(first, first + style.candidates):
         command = draw_poke(obj, q, command_id, seed, attempt, style)
         if not fits(obj, q, command, style, region) or (reach is not None and not reach(command)):
@@ -156,35 +162,58 @@ def choose_poke(
             return command, attempt + 1
         badness = (leaves, float(np.linalg.norm(centroid - region.center)))
         if badness < least:
-            nearest, least = command, badness
+            nearest = command
+            least = badness
     return nearest, first + style.candidates
 
 
 def draw_poke(
     obj: GridObject, pose: Array, command_id: int, seed: int, attempt: int, style: RandomPokeOptions
 ) -> PushCommand:
-    """Draws a candidate: a place on the exterior outline, a slant and a distance, all uniform."""
+    """Draws a candidate: a place on the exterior outline, a slant and a distance, all uniform.
+
+    Args:
+        obj: the object.
+        pose: (3,) X_WB of the object, m and rad.
+        command_id: number of the command.
+        seed: seed of all draws.
+        attempt: number of the candidate, from 0.
+        style: how to push.
+    """
     rng = np.random.default_rng((seed, command_id, attempt))
-    place, slant, distance = (
-        rng.uniform(0, obj.edges.perimeter),
-        rng.uniform(-1, 1),
-        rng.uniform(*style.distance),
-    )
+    place = rng.uniform(0, obj.edges.perimeter)
+    slant = rng.uniform(-1, 1) * style.slant
+    distance = rng.uniform(*style.distance)
     push = Push.on_outline(
-        obj, place, slant * style.slant, distance + style.clearance, radius=style.tip_radius, speed=style.speed,
-        pose=pose, clearance=style.clearance,
-    )  # fmt: skip
+        obj,
+        place,
+        slant,
+        distance + style.clearance,
+        radius=style.tip_radius,
+        speed=style.speed,
+        pose=pose,
+        clearance=style.clearance,
+    )
     x, y = push.start.tolist()
     return PushCommand(
-        command_id, x, y, atan2(push.velocity[1], push.velocity[0]), push.length, style.speed
+        command_id=command_id,
+        x=x,
+        y=y,
+        direction=atan2(push.velocity[1], push.velocity[0]),
+        distance=push.length,
+        speed=style.speed,
     )
 
 
 def fits(
     obj: GridObject, pose: Array, command: PushCommand, style: RandomPokeOptions, region: PokeRegion
 ) -> bool:
-    """Whether the tip has room where it starts (a notch may be too narrow) and stays within its workspace."""
-    start, end = Point(command.start), Point(command.end)
+    """Returns whether the tip has room where it starts, and stays within its workspace.
+
+    It has no room in a notch that is too narrow.
+    """
+    start = Point(command.start)
+    end = Point(command.end)
     gap = transform_shape(pose, obj.outline).distance(start)
     if gap < (1 - ROUNDING) * (style.tip_radius + style.clearance):
         return False
@@ -198,14 +227,14 @@ def predict_poke(
     command: PushCommand,
     style: RandomPokeOptions,
 ) -> Array:
-    """Predicts the object's pose (3,) after a push, by the LCP of slow motion."""
+    """Predicts the object's pose X_WB (3,), m and rad, after a push, with inertia neglected."""
     velocity = (command.end - command.start) / command.distance * command.speed
     push = Push(command.start, velocity, command.distance / command.speed, style.tip_radius)
     return simulate(obj, params, push, pose, regime="quasi_static", record=[]).final_pose
 
 
 DEFAULT_PERIOD = 0.05
-"""s."""
+"""Time between two looks at the executor's status, s."""
 
 
 @dataclass(frozen=True)
@@ -213,11 +242,11 @@ class PokePolicyState:
     """All that the policy remembers.
 
     Attributes:
-        command: on the port.
-        attempts: candidates looked at for the next command, where none was found so far.
-        request: the choice under way; None where none is.
-        looked_at: (3,) where the object lay then, m and rad.
-        reason: why no choice could be made, the last time; empty where it could.
+        command: the command on the port.
+        attempts: number of candidates that were looked at for the next command, none of which fits.
+        request: the choice under way in a worker; None if there is none.
+        looked_at: (3,) X_WB of the object when that choice was asked for, m and rad.
+        reason: why the last choice could not be made; empty if it could.
     """
 
     command: PushCommand = field(default_factory=PushCommand)
@@ -240,17 +269,16 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         - push_command
         - message
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; while it is NaN the
-      policy waits.
+    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; while it is NaN the policy
+      waits.
     * status: abstract `PushStatus` of the executor.
-    * push_command: vector of 6, see `PushCommand`; id 0 before the first. It stays until the
+    * push_command: vector of 6, see `PushCommand`; its id is 0 before the first. It stays until the
       executor is ready again and has taken up, or refused, its id.
-    * message: abstract `str`, why no push could be chosen, where what chooses beside the Diagram
-      failed; else empty.
+    * message: abstract `str`, why the choice of a push has failed in a worker; else empty.
 
     A refused command is replaced by another one, with the next id. After `num_pushes` executed
-    commands, and `test_pushes` more of their own style, the last one stays. Abstract state: one
-    `PokePolicyState`. Numeric parameter 0: the seed.
+    commands, and `test_pushes` more with a distance of their own, the last command stays. Abstract
+    state: one `PokePolicyState`. Numeric parameter 0: the seed.
     """
 
     __slots__ = NO_SLOTS
@@ -274,16 +302,17 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
 
         Args:
             obj: the object.
-            region: where the tip may be, and the object must stay.
-            seed: of the draws.
-            num_pushes: to be executed.
+            region: where the tip may be, and where the object must stay.
+            seed: seed of the draws.
+            num_pushes: number of pushes to be executed.
             style: how to push.
-            params: by which the object's motion is predicted; the prior's by default.
-            reach: whether the arm can carry out a command; None trusts it.
-            test_pushes: to be executed after that.
-            test_distance: of those, m.
-            period: between two looks at the status, s.
-            answer_delay: s after which a choice is taken; None for real time, see
+            params: parameters by which the object's motion is predicted; those of an even object by
+                default.
+            reach: returns whether the arm can carry out a command; None if it always can.
+            test_pushes: number of pushes to be executed after those.
+            test_distance: length of these pushes, m.
+            period: time between two looks at the status, s.
+            answer_delay: time after which a choice is taken, s; None for real time, see
                 `worker.make_worker`.
 
         Raises:
@@ -297,9 +326,12 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
             raise PushError(f"period is {period!r}; expected a positive number (s)")
         super().__init__(PokePolicyState(), period)
         self._worker = make_worker(answer_delay)
-        self.obj, self.region, self.style = obj, region, style or RandomPokeOptions()
+        self.obj = obj
+        self.region = region
+        self.style = style or RandomPokeOptions()
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
-        self.num_pushes, self.test_pushes = num_pushes, test_pushes
+        self.num_pushes = num_pushes
+        self.test_pushes = test_pushes
         self._test_style = replace(self.style, distance=(test_distance, test_distance))
         self._params = CellParameters.uniform(obj) if params is None else params
         self._reach = reach
@@ -316,43 +348,62 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
     def _go_on(self, context: Context, now: PokePolicyState) -> PokePolicyState:
         status: PushStatus = self._status.Eval(context)
         pose = self._object_pose.Eval(context)
-        wanted = status.executed < self.num_pushes + self.test_pushes
-        if not (
-            wanted
+        is_due = (
+            status.executed < self.num_pushes + self.test_pushes
             and status.ready
             and status.command_id == now.command.command_id
             and np.isfinite(pose).all()
-        ):
+        )
+        if not is_due:
+            # A choice under way is of no use any more.
             return now if now.request is None else replace(now, request=None, looked_at=None)
         if now.request is not None and self._worker is not None:
             return self._take_choice(self._worker, now, pose, context.get_time())
+
+        # A new choice, at once or in a worker.
         style = self.style if status.executed < self.num_pushes else self._test_style
-        seed = int(context.get_numeric_parameter(int(self._seed)).value()[0])
-        work = partial(
-            choose_poke, self.obj, self._params, np.array(pose), now.command.command_id + 1, seed, style, self.region,
-            self._reach, now.attempts,
-        )  # fmt: skip
-        if self._worker is None:
-            return _choose(now, *work())
-        x, y, theta = pose.tolist()
-        return replace(
-            now, request=self._worker.ask(work, context.get_time()), looked_at=(x, y, theta)
+        choose = partial(
+            choose_poke,
+            obj=self.obj,
+            params=self._params,
+            pose=np.array(pose),
+            command_id=now.command.command_id + 1,
+            seed=int(context.get_numeric_parameter(int(self._seed)).value()[0]),
+            style=style,
+            region=self.region,
+            reach=self._reach,
+            first=now.attempts,
         )
+        if self._worker is None:
+            command, attempts = choose()
+            return _apply_choice(now, command, attempts)
+        x, y, theta = pose.tolist()
+        request = self._worker.ask(choose, context.get_time())
+        return replace(now, request=request, looked_at=(x, y, theta))
 
     def _take_choice(
         self, worker: Worker, now: PokePolicyState, pose: Array, time: float
     ) -> PokePolicyState:
-        """The state once a choice was made, which counts if the object still lies there; `now` while none was."""
+        """Returns the state after a choice in a worker; `now` if that is still under way.
+
+        A choice counts only if the object still lies where it did when the choice was asked for.
+        """
         assert now.request is not None and now.looked_at is not None
         answer = worker.take(now.request, time)
         if answer is None:
             return now
-        lay, now = now.looked_at, replace(now, request=None, looked_at=None, reason=answer.error)
-        if answer.error or not LoopOptions().are_of_one_rest([lay], pose):
+        looked_at = now.looked_at
+        now = replace(now, request=None, looked_at=None, reason=answer.error)
+        if answer.error or not LoopOptions().are_of_one_rest([looked_at], pose):
             return now
-        return _choose(now, *answer.value)
+        command, attempts = answer.value
+        return _apply_choice(now, command, attempts)
 
 
-def _choose(now: PokePolicyState, command: PushCommand | None, attempts: int) -> PokePolicyState:
-    """The state after `choose_poke`."""
-    return PokePolicyState(command) if command else PokePolicyState(now.command, attempts)
+def _apply_choice(
+    now: PokePolicyState, command: PushCommand | None, attempts: int
+) -> PokePolicyState:
+    """Returns the state after `choose_poke`: with the new command, or with the draws in vain."""
+    if command is None:
+        return PokePolicyState(command=now.command, attempts=attempts)
+    return PokePolicyState(command=command)

@@ -1,4 +1,7 @@
-"""Getting an object to the table's edge and grasping it there, as a Drake system: `planning.pregrasp` between ports."""
+"""`PreGraspController`: slides an object to the table's edge and grasps it there.
+
+It holds no decisions of its own: it is `planning.pregrasp` between ports.
+"""
 
 from dataclasses import replace
 
@@ -43,16 +46,17 @@ class PreGraspController(ObjectController[PreGraspState]):
         - push_command
         - grasp_command
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object
-      was not seen.
-    * identification: abstract `Identification`; without `push_names` before the first push.
-    * push_log: abstract `PushLog`, all pushes so far; need not be connected.
-    * push_status: abstract `PushStatus` of the push executor.
-    * grasp_status: abstract `GraspStatus` of the grasp executor.
-    * status: abstract `PreGraspStatus`.
-    * push_command: vector of 6, see `PushCommand`; id 0 before the first, while a push is broken
-      off, where it was withdrawn, and while the object is grasped.
-    * grasp_command: vector of 6, see `GraspCommand`; id 0 before the first.
+    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN if the object was not
+      seen.
+    * identification: abstract `Identification`, what was learned; without `push_names` before the
+      first push.
+    * push_log: abstract `PushLog`, all pushes so far; it need not be connected.
+    * push_status: abstract `PushStatus` of the executor of pushes.
+    * grasp_status: abstract `GraspStatus` of the executor of grasps.
+    * status: abstract `PreGraspStatus`, how the controller stands.
+    * push_command: vector of 6, see `PushCommand`; its id is 0 before the first command, while a
+      push is broken off, after a command was withdrawn, and while the object is grasped.
+    * grasp_command: vector of 6, see `GraspCommand`; its id is 0 before the first command.
 
     Abstract state: one `PreGraspState`.
     """
@@ -73,20 +77,21 @@ class PreGraspController(ObjectController[PreGraspState]):
         """Declares the system.
 
         Args:
-            planner: decides, for one object on one table.
-            find_grasp: finds how to take the object where it lies.
-            grasp_height: z of the grasp point in W: half the object's thickness, m.
-            lift: how high to lift, m.
-            seed: of the draws from what is held possible.
-            options: how to go about it.
-            answer_delay: s after which a decision is taken; None for real time, see
+            planner: plans pokes, slides and goals for one object on one table.
+            find_grasp: finds a grasp of the object where it lies.
+            grasp_height: z of the grasp point in W, half the object's height, m.
+            lift: height to which the object is lifted, m.
+            seed: seed of the draws of masses that the object may have.
+            options: options of the loop.
+            answer_delay: time after which a decision is taken, s; None for real time, see
                 `worker.make_worker`.
         """
         self.planner = planner
         super().__init__(
             planner.obj, PreGraspLoop(planner, find_grasp, seed=seed, options=options), answer_delay
         )
-        self._height, self._lift = grasp_height, lift
+        self._height = grasp_height
+        self._lift = lift
         self._grasp_status = self.DeclareAbstractInputPort(
             "grasp_status", AbstractValue.Make(GraspStatus())
         )
@@ -101,9 +106,16 @@ class PreGraspController(ObjectController[PreGraspState]):
         return replace(super()._observe(context), gripper=self._grasp_status.Eval(context))
 
     def _show_grasp(self, now: PreGraspState) -> NDArray[np.float64]:
+        """Returns the grasp of a state as the vector on the port."""
         if now.grasp is None:
             return GraspCommand().to_vector()
         x, y = now.grasp.p_WG.tolist()
-        return GraspCommand(
-            now.grasp_id, x, y, self._height, now.grasp.approach, self._lift
-        ).to_vector()
+        command = GraspCommand(
+            command_id=now.grasp_id,
+            x=x,
+            y=y,
+            z=self._height,
+            approach=now.grasp.approach,
+            lift=self._lift,
+        )
+        return command.to_vector()

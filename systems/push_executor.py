@@ -1,6 +1,7 @@
-"""`PushExecutor`: from a push command to the finger's desired pose.
+"""`PushExecutor`: makes desired poses of the finger's tip from push commands.
 
-The tip goes over the object, down beside it, along, pauses, and goes up again.
+In a push the tip goes over the object, down beside it, along, pauses, and goes up again. How the
+arm follows is not decided here; but a path that it cannot follow is refused.
 """
 
 from collections.abc import Callable
@@ -34,17 +35,17 @@ class PushTrajectoryOptions:
     """How pushes are carried out.
 
     Attributes:
-        travel_height: of the tip's center while it passes over the object, m.
-        push_height: of the tip's center while it pushes, m.
-        travel_speed: m/s.
-        vertical_speed: of descending and retracting, m/s.
-        travel_acceleration: of all but the push, m/s².
-        push_acceleration: m/s².
-        max_push_speed: that is not refused, m/s.
-        settle_time: to dwell after the push, s.
-        tip_radius: m.
-        clearance: the least gap between tip and object where a push starts, m.
-        period: of the state's update, s.
+        travel_height: height of the tip's center while it passes over the object, m.
+        push_height: height of the tip's center while it pushes, m.
+        travel_speed: speed of the tip while it passes over the object, m/s.
+        vertical_speed: speed of the tip while it goes down or up, m/s.
+        travel_acceleration: greatest acceleration before and after the push, m/s².
+        push_acceleration: greatest acceleration in the push, m/s².
+        max_push_speed: a faster push is refused, m/s.
+        settle_time: time that the tip stays at the end of the push, s.
+        tip_radius: radius of the tip, m.
+        clearance: least gap between tip and object where a push starts, m.
+        period: time between two updates of the state, s.
     """
 
     travel_height: float = 0.12
@@ -63,28 +64,31 @@ class PushTrajectoryOptions:
 def make_push_trajectory(
     command: PushCommand, rest: ArrayLike, style: PushTrajectoryOptions, speed_scale: float = 1.0
 ) -> tuple[TrajectorySegment, ...]:
-    """Makes the trajectory of a push from and back to rest: up if need be, over, down, along, pause, up.
+    """Makes the trajectory of a push: up if need be, over, down, along, pause, up.
 
     Args:
         command: the push.
-        rest: (3,) p_WP where the tip is, m.
+        rest: (3,) p_WP of the tip, which is at rest, m.
         style: heights, speeds and times.
-        speed_scale: share of the speeds before and after the push.
+        speed_scale: factor of the speeds before and after the push.
 
     Returns:
         The segments; the last one ends above the push's end.
     """
     x, y, z = np.asarray(rest, float).tolist()
-    (x0, y0), (x1, y1) = command.start.tolist(), command.end.tolist()
-    high, low = style.travel_height, style.push_height
+    x0, y0 = command.start.tolist()
+    x1, y1 = command.end.tolist()
+    high = style.travel_height
+    low = style.push_height
+    # Top speed and acceleration, as `TrajectorySegment` takes them.
     travel = (speed_scale * style.travel_speed, style.travel_acceleration)
     vertical = (speed_scale * style.vertical_speed, style.travel_acceleration)
-    segments = (
-        [TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x, y, high), *vertical)]
-        if z < high
-        else []
-    )
-    z = max(z, high)
+    segments = []
+    if z < high:
+        segments.append(
+            TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x, y, high), *vertical)
+        )
+        z = high
     segments += [
         TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x0, y0, high), *travel),
         TrajectorySegment(PushPhase.DESCENDING, (x0, y0, high), (x0, y0, low), *vertical),
@@ -100,8 +104,9 @@ def make_push_trajectory(
 def make_lookout_trajectory(
     rest: Point, lookout: Point, style: PushTrajectoryOptions, speed_scale: float = 1.0
 ) -> tuple[TrajectorySegment, ...]:
-    """Makes the way from rest to a lookout: up as far as both are high, over, and to its height."""
-    (x, y, z), (x1, y1, z1) = rest, lookout
+    """Makes the way from rest to a lookout: up to the higher of both, over, and to the lookout."""
+    x, y, z = rest
+    x1, y1, z1 = lookout
     high = max(z, z1, style.travel_height)
     places = [(x, y, z), (x, y, high), (x1, y1, high), (x1, y1, z1)]
     travel = (speed_scale * style.travel_speed, style.travel_acceleration)
@@ -113,14 +118,14 @@ def make_lookout_trajectory(
 
 
 def break_off(segments: tuple[TrajectorySegment, ...], t: float) -> tuple[TrajectorySegment, ...]:
-    """What is left of a push that is to stop as soon as it can; then, as ever, a pause, and up.
+    """Shortens a push that is to stop as soon as it can; the pause and the way up are kept.
 
     Args:
-        segments: still to come; the first one is under way.
-        t: since that one began, s.
+        segments: the segments still to come, of which the first is under way.
+        t: time since the first one began, s.
 
     Returns:
-        The segments; as they were where the push itself is over.
+        The segments; as they were if the push itself is over.
     """
     phases = [segment.phase for segment in segments]
     if PushPhase.PUSHING not in phases:
@@ -138,12 +143,12 @@ def break_off(segments: tuple[TrajectorySegment, ...], t: float) -> tuple[Trajec
 
 
 Reach = Callable[[Array, Array], str | None]
-"""Of the tip's path (k, 3), m in W, and speeds (k - 1,) on its pieces, m/s: None, or why the arm
-cannot follow."""
+"""A function that says why the arm cannot follow a path of the tip, (k, 3) in W, m, at speeds (k -
+1,) on its pieces, m/s; None if it can."""
 
 SPEED_SCALES = (1.0, 0.5, 0.25)
-"""Shares of the traveling speeds, tried in turn until the arm can follow: stretched, its joints
-turn fast."""
+"""Factors of the traveling speeds, tried in turn until the arm can follow. The joints of an arm
+that is stretched turn fast."""
 
 
 @dataclass(frozen=True)
@@ -151,14 +156,14 @@ class ExecutorState(Unchanging):
     """All that the executor remembers.
 
     Attributes:
-        rest: p_WP where the tip stays when there is nothing to do, m.
-        segments: the current one and those still to come.
-        segment_start: when the current one began, s.
-        status: as on the port, but for the reason while a command cannot be read.
-        unseen_since: since when the object has been out of sight with the tip at rest, s; None
-            where it is seen.
-        lookouts: how many of them were gone to since the object was last seen.
-        unreadable: whether the command on the port has a number that is not finite.
+        rest: p_WP at which the tip stays while there is nothing to do, m.
+        segments: the current segment and those still to come.
+        segment_start: time at which the current segment began, s.
+        status: the status on the port, but for the reason while a command's id is not finite.
+        unseen_since: time since which the object has been out of sight with the tip at rest, s;
+            None if it is seen.
+        lookouts: number of lookouts to which the tip went since the object was last seen.
+        unreadable: whether the id of the command on the port is not finite.
     """
 
     rest: Point
@@ -171,42 +176,43 @@ class ExecutorState(Unchanging):
 
     @property
     def shown_status(self) -> PushStatus:
-        """As on the port."""
+        """The status on the port."""
         return replace(self.status, reason=UNREADABLE) if self.unreadable else self.status
 
     def position(self, time: float) -> Array:
-        """(3,) p_WP desired at `time`, m."""
-        return (
-            self.segments[0].position(time - self.segment_start)
-            if self.segments
-            else np.array(self.rest)
-        )
+        """Calculates the desired position p_WP (3,) at a time, s, in m."""
+        if not self.segments:
+            return np.array(self.rest)
+        return self.segments[0].position(time - self.segment_start)
 
 
 HIDDEN_AFTER = 0.3
-"""Out of sight for so long, s, the object is looked out for."""
+"""If the object is out of sight for this long, the tip goes to a lookout, s."""
 
 LOOK_FOR = 1.0
-"""From a lookout, before the next one is tried, s."""
+"""If the object is not seen from a lookout for this long, the tip goes to the next one, s."""
 
 NOT_FINITE = "the command has numbers that are not finite"
+"""Reason for which a command is refused."""
 
 UNREADABLE = "the command's id is not finite"
+"""Reason in the status while a command has no usable id."""
 
 
 class PushExecutor(AbstractStateSystem[ExecutorState]):
     """Carries out straight pushes: over the object, down beside it, along, a pause, and up again.
 
-    A command is taken up when the executor is idle and the command's id is not the last one's. It
-    is refused, with its reason in the status, where its numbers are not finite or not usable, where
-    the tip would start in the object or touch it, and where the arm cannot follow. One whose own id
-    is not finite counts as refused once; the status says so until another one is there. A command
-    that is withdrawn, by another with id 0, is broken off: the finger stops as soon as it can, and
-    goes up. The desired position, velocity and acceleration are continuous.
+    A command is taken up when the executor is idle and the command's id differs from the last
+    one's. It is refused, with the reason in the status, if its numbers are not finite or not
+    usable, if the tip would start in the object or touch it, or if the arm cannot follow. A command
+    whose id is not finite counts as refused once; the status says so until there is another
+    command. If a command is withdrawn, by another one with id 0, the push is broken off: the finger
+    stops as soon as it can, and goes up. Desired position and velocity are continuous, and so is
+    the acceleration.
 
-    Where the object has been out of sight for a while and nothing is to be done, the arm may be
-    what hides it: the finger goes to its lookouts, one after the other, until the object is seen,
-    at most as often as there are some.
+    If the object has been out of sight for a while and nothing is to be done, the arm may be what
+    hides it. Then the finger goes to its lookouts, one after the other, until the object is seen,
+    to each of them once.
 
     .. pydrake_system::
 
@@ -219,16 +225,16 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         - tip_pose
         - status
 
-    * push_command: vector of 6, see `PushCommand`: command_id, x, y (m), direction (rad), distance
-      (m), and speed (m/s).
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; read when a command is
-      taken up, which waits while they are NaN (the object is not seen). Need not be connected where
-      there is no outline.
-    * grasp_status: abstract `GraspStatus`: while a grasp is under way nothing is looked out for.
-      Need not be connected.
-    * tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's center, its z axis pointing
-      down, m.
-    * status: abstract `PushStatus`.
+    * push_command: vector of 6, command_id, x, y (m), direction (rad), distance (m) and speed
+      (m/s), see `PushCommand`.
+    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad. It is read when a command
+      is taken up; while it is NaN, for the object is not seen, the command waits. It need not be
+      connected if the executor has no outline.
+    * grasp_status: abstract `GraspStatus`; while a grasp is under way the tip goes to no lookout.
+      It need not be connected.
+    * tip_pose: abstract `RigidTransform`, desired X_WP, m, with P at the tip's center and its z
+      axis pointing down.
+    * status: abstract `PushStatus`, how the executor stands.
 
     Abstract state: one `ExecutorState`.
     """
@@ -246,17 +252,18 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         """Makes an executor.
 
         Args:
-            home: (3,) p_WP where the tip is at the beginning, m.
-            outline: of the object in B, m; None asks no questions about the object.
-            reach: whether the arm can follow a path; None trusts it.
+            home: (3,) p_WP of the tip at the beginning, m.
+            outline: outline of the object in B, m; None to push without looking at an object.
+            reach: says why the arm cannot follow a path; None if it always can.
             style: heights, speeds and times.
-            lookouts: (n, 3) p_WP where the tip goes when the object is out of sight, in this order,
-                m; one that the arm cannot go to is left out.
+            lookouts: (n, 3) p_WP to which the tip goes, in this order, when the object is out of
+                sight, m. Those that the arm cannot reach are left out.
         """
         self.style = style or PushTrajectoryOptions()
         x, y, z = np.asarray(home, float).tolist()
         super().__init__(ExecutorState((x, y, z)), self.style.period)
-        self._outline, self._reach = outline, reach
+        self._outline = outline
+        self._reach = reach
         self._lookouts: list[Point] = [
             (x, y, z) for x, y, z in np.asarray(lookouts, float).reshape(-1, 3).tolist()
         ]
@@ -274,7 +281,12 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         self._declare_value("status", lambda now: now.shown_status)
 
     def SetRest(self, root_context: Context, p_WP: ArrayLike) -> None:
-        """Lets it begin with the tip at p_WP (3,), m, instead of at home, in a fresh Context of a Diagram."""
+        """Sets where the tip begins, p_WP (3,), m, instead of at home.
+
+        Args:
+            root_context: a fresh Context of the Diagram that the executor is part of.
+            p_WP: (3,) position of the tip, m.
+        """
         x, y, z = np.asarray(p_WP, float).tolist()
         context = self.GetMyMutableContextFromRoot(root_context)
         context.SetAbstractState(int(self._state), ExecutorState((x, y, z)))
@@ -284,13 +296,14 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         output.set_value(RigidTransform(R_WP_DOWN, state.position(context.get_time())))
 
     def _go_on(self, context: Context, now: ExecutorState) -> ExecutorState:
-        """Goes on to the next segment when one is done; breaks off, takes up or refuses a command."""
+        """Goes on to the next segment; or breaks off, takes up or refuses a command."""
         time = context.get_time()
-        return (
-            self._follow(context, now, time) if now.segments else self._take_up(context, now, time)
-        )
+        if now.segments:
+            return self._follow(context, now, time)
+        return self._take_up(context, now, time)
 
     def _follow(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
+        """Goes on with the segments; the last segment of a push counts it as executed."""
         if self._command_port.Eval(context)[0] == 0:
             segments = break_off(now.segments, time - now.segment_start)
             now = now if segments == now.segments else replace(now, segments=segments)
@@ -304,6 +317,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         return replace(now, rest=(x, y, z), segments=tuple(left), segment_start=time, status=status)
 
     def _take_up(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
+        """Takes up or refuses a new command; without one it may go to a lookout."""
         vector = self._command_port.Eval(context)
         unreadable = not np.isfinite(vector[0])
         if unreadable != now.unreadable:
@@ -318,50 +332,63 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         if reason:
             return replace(now, status=replace(status, refused=status.refused + 1))
         return ExecutorState(
-            now.rest, segments, time, replace(status, phase=PushPhase(segments[0].phase))
+            rest=now.rest,
+            segments=segments,
+            segment_start=time,
+            status=replace(status, phase=PushPhase(segments[0].phase)),
         )
 
     def _is_grasping(self, context: Context) -> bool:
+        """Returns whether a grasp is under way."""
         return self._grasp_port.HasValue(context) and not self._grasp_port.Eval(context).ready
 
     def _look_out(self, now: ExecutorState, time: float, content: bool) -> ExecutorState:
-        """Waits; goes to the next lookout where it has not been content with what it sees for too long."""
+        """Waits; and goes to the next lookout if the object has been out of sight for too long.
+
+        Args:
+            now: the state; nothing is to be done.
+            time: time now, s.
+            content: whether the object is seen, or need not be.
+        """
         if content:
-            return (
-                now
-                if now.unseen_since is None and not now.lookouts
-                else replace(now, unseen_since=None, lookouts=0)
-            )
+            if now.unseen_since is None and not now.lookouts:
+                return now
+            return replace(now, unseen_since=None, lookouts=0)
         since = time if now.unseen_since is None else now.unseen_since
         waited = time - since >= (LOOK_FOR if now.lookouts else HIDDEN_AFTER)
         if not waited or now.lookouts == len(self._lookouts):
             return now if now.unseen_since == since else replace(now, unseen_since=since)
-        ways = (
-            plan_lookout(now.rest, place, self.style, self._reach)
-            for place in self._order_lookouts(now.rest)
-        )
-        segments: tuple[TrajectorySegment, ...] = next((way for way in ways if way), ())
-        now = replace(
-            now, lookouts=now.lookouts + 1 if segments else len(self._lookouts), unseen_since=None
-        )
+
+        # The next lookout that the arm can reach; if there is none, none is tried again.
+        segments: tuple[TrajectorySegment, ...] = ()
+        for place in self._order_lookouts(now.rest):
+            segments = plan_lookout(now.rest, place, self.style, self._reach)
+            if segments:
+                break
         if not segments:
-            return now
+            return replace(now, lookouts=len(self._lookouts), unseen_since=None)
         return replace(
             now,
             segments=segments,
             segment_start=time,
             status=replace(now.status, phase=PushPhase.CLEARING),
+            lookouts=now.lookouts + 1,
+            unseen_since=None,
         )
 
     def _order_lookouts(self, rest: Point) -> list[Point]:
-        """All of them, from the one after `rest`: what is seen on the way to one may be hidden again from there."""
+        """Returns all lookouts, beginning with the one after `rest`.
+
+        They are gone through in turn, even if the object was seen in between: what is seen on the
+        way to a lookout may be hidden again from there.
+        """
         i = self._lookouts.index(rest) + 1 if rest in self._lookouts else 0
         return self._lookouts[i:] + self._lookouts[:i]
 
     def _plan(
         self, context: Context, command: PushCommand, rest: Point
     ) -> tuple[tuple[TrajectorySegment, ...], str]:
-        """The segments of a command, and why it is refused or ""."""
+        """Plans a command; returns its segments, and why it is refused, empty if it is not."""
         reason = self._find_fault(command)
         if reason is None and self._outline is not None:
             reason = self._find_overlap(command, self._pose_port.Eval(context))
@@ -371,16 +398,20 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         return segments, reason or ""
 
     def _find_fault(self, command: PushCommand) -> str | None:
+        """Says what is wrong with the numbers of a command; None if nothing is."""
         if not np.isfinite(command.to_vector()).all():
             return NOT_FINITE
         if command.distance <= 0.0:
             return f"distance {command.distance:.3g} m; expected a positive number"
         if not 0.0 < command.speed <= self.style.max_push_speed:
-            return f"speed {command.speed:.3g} m/s; expected more than 0, at most {self.style.max_push_speed:.3g}"
+            return (
+                f"speed {command.speed:.3g} m/s; "
+                f"expected more than 0, at most {self.style.max_push_speed:.3g}"
+            )
         return None
 
     def _find_overlap(self, command: PushCommand, pose: Array) -> str | None:
-        """Why the tip cannot start where it is told to, with the object at `pose` (3,)."""
+        """Says why the tip cannot start where it should, with the object at `pose` (3,)."""
         assert self._outline is not None
         outline_W = transform_shape(pose, self._outline)
         start = shapely.Point(command.start)
@@ -389,7 +420,10 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             return f"the push would start inside the object, at {where}"
         gap = outline_W.distance(start) - self.style.tip_radius
         if not gap >= self.style.clearance:
-            return f"the tip would start {gap:.4f} m from the object, at {where}; expected {self.style.clearance:.4f}"
+            return (
+                f"the tip would start {gap:.4f} m from the object, at {where}; "
+                f"expected {self.style.clearance:.4f}"
+            )
         return None
 
 
@@ -400,9 +434,9 @@ def plan_push(
 
     Args:
         command: the push.
-        rest: p_WP where the tip is, m.
+        rest: p_WP of the tip, which is at rest, m.
         style: heights, speeds and times.
-        reach: whether the arm can follow a path; None trusts it.
+        reach: says why the arm cannot follow a path; None if it always can.
 
     Returns:
         The segments, and None; or no segments, and why the arm cannot follow.
@@ -424,7 +458,7 @@ def plan_lookout(
     """Plans the way to a lookout, as fast as the arm can follow; see `plan_push`.
 
     Returns:
-        The segments; none where the tip is there already, or the arm cannot follow.
+        The segments; none if the tip is there already, or the arm cannot follow.
     """
     for speed_scale in SPEED_SCALES:
         segments = make_lookout_trajectory(rest, lookout, style, speed_scale)
@@ -434,6 +468,6 @@ def plan_lookout(
 
 
 def _ask(reach: Reach, segments: tuple[TrajectorySegment, ...]) -> str | None:
-    """Why the arm cannot follow; None where it can."""
+    """Asks why the arm cannot follow some segments; None if it can."""
     path = np.array([segments[0].start] + [segment.end for segment in segments])
     return reach(path, np.array([segment.top_speed for segment in segments]))

@@ -1,4 +1,4 @@
-"""Hides the finger's tip from whoever learns from pushes while the tool grasps: those motions are no pushes."""
+"""`PusherGate`: hides the finger's tip from the identifier in a grasp, which is no push."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -8,6 +8,7 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.systems.messages import GraspStatus
 
 PUSHER_STATE_SIZE = 6
+"""Length of the tip's state: p_WP, m, and v_WP, m/s."""
 
 
 class PusherGate(LeafSystem):
@@ -22,9 +23,11 @@ class PusherGate(LeafSystem):
         output_ports:
         - pusher_state
 
-    * pusher_state (input): vector of 6, the tip's center p_WP, m, and its velocity v_WP, m/s, in W.
-    * grasp_status: abstract `GraspStatus` of the grasp executor.
-    * pusher_state (output): vector of 6, the same while the grasp executor is idle, else NaN.
+    * pusher_state (input): vector of 6, position p_WP of the tip's center, m, and its velocity
+      v_WP, m/s.
+    * grasp_status: abstract `GraspStatus` of the executor of grasps.
+    * pusher_state (output): vector of 6, the input's value while the executor of grasps is idle,
+      else NaN.
     """
 
     __slots__ = NO_SLOTS
@@ -44,7 +47,7 @@ class PusherGate(LeafSystem):
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        idle = self._status.Eval(context).ready
-        output.SetFromVector(
-            self._pusher.Eval(context) if idle else np.full(PUSHER_STATE_SIZE, np.nan)
-        )
+        if self._status.Eval(context).ready:
+            output.SetFromVector(self._pusher.Eval(context))
+        else:
+            output.SetFromVector(np.full(PUSHER_STATE_SIZE, np.nan))

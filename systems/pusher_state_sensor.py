@@ -1,4 +1,7 @@
-"""Where the finger's tip is, how fast it moves and what presses on it, as the arm's joints tell."""
+"""Sensors of the finger's tip: its position, its velocity, and the force on it.
+
+`PusherStateSensor` reads a simulated plant, `ArmTipSensor` the measured joints of an arm.
+"""
 
 import numpy as np
 from pydrake.common.value import Value
@@ -12,7 +15,7 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 
 
 class PusherStateSensor(LeafSystem):
-    """Position and velocity of a point of a body, from what a MultibodyPlant says of its bodies.
+    """Measures position and velocity of a point of a body in a MultibodyPlant.
 
     .. pydrake_system::
 
@@ -23,9 +26,10 @@ class PusherStateSensor(LeafSystem):
         output_ports:
         - pusher_state
 
-    * body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it.
-    * body_spatial_velocities: abstract `list[SpatialVelocity]`, as a MultibodyPlant gives it.
-    * pusher_state: vector of 6, the tip's center p_WP, m, and its velocity v_WP, m/s, in W.
+    * body_poses: abstract `list[RigidTransform]`, X_WB of all bodies, as a MultibodyPlant has it.
+    * body_spatial_velocities: abstract `list[SpatialVelocity]`, V_WB of all bodies, as a
+      MultibodyPlant has it.
+    * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s.
     """
 
     __slots__ = NO_SLOTS
@@ -34,8 +38,8 @@ class PusherStateSensor(LeafSystem):
         """Makes the sensor.
 
         Args:
-            body: index of the body among the plant's.
-            p_BP: (3,) the point in the body's frame, m; its origin by default.
+            body: index of the body in the plant.
+            p_BP: (3,) position of the point in the body's frame, m; the origin by default.
         """
         super().__init__()
         self._body = int(body)
@@ -62,7 +66,7 @@ class PusherStateSensor(LeafSystem):
 
 
 class ArmTipSensor(LeafSystem):
-    """Position, velocity and load of the finger's tip of an arm that is not simulated, from its joints.
+    """Calculates position, velocity and load of the finger's tip from an arm's measured joints.
 
     .. pydrake_system::
 
@@ -75,13 +79,13 @@ class ArmTipSensor(LeafSystem):
         - pusher_state
         - force
 
-    * position_measured: vector of n, the joints' angles, rad.
-    * velocity_estimated: vector of n, their velocities, rad/s.
-    * torque_external: vector of n, on the joints from outside, N m.
-    * pusher_state: vector of 6, the tip's center p_WP, m, and its velocity v_WP, m/s, in W.
-    * force: vector of 3, on the tip, in W, N: the one that says most of the torques, by least
-      squares of J^T f = tau with the Jacobian J of the tip's velocity. What the joints cannot feel
-      is 0 in it.
+    * position_measured: vector of n, angles of the joints, rad.
+    * velocity_estimated: vector of n, velocities of the joints, rad/s.
+    * torque_external: vector of n, torques on the joints from outside, N m.
+    * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s.
+    * force: vector of 3, force f on the tip in W, N, that explains the torques tau best: the least
+      squares solution of J^T f = tau, with the Jacobian J of the tip's velocity. Its component in a
+      direction that the joints cannot feel is 0. NaN if the torques are not finite.
     """
 
     __slots__ = NO_SLOTS
@@ -91,10 +95,12 @@ class ArmTipSensor(LeafSystem):
 
         Args:
             control_plant: the robot alone, with n positions.
-            tip_frame: name of the tip's frame in it.
+            tip_frame: name of the tip's frame in that plant.
         """
         super().__init__()
-        self._plant, self._tip_frame = control_plant, tip_frame
+        self._plant = control_plant
+        self._tip_frame = tip_frame
+        # Used within a calculation only, so that it holds no state between two of them.
         self._plant_context = control_plant.CreateDefaultContext()
         self._q = self.DeclareVectorInputPort("position_measured", control_plant.num_positions())
         self._v = self.DeclareVectorInputPort("velocity_estimated", control_plant.num_velocities())
@@ -109,18 +115,23 @@ class ArmTipSensor(LeafSystem):
         )
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        plant, scratch = self._plant, self._plant_context
+        plant = self._plant
+        scratch = self._plant_context
         plant.SetPositions(scratch, self._q.Eval(context))
-        tip, world = plant.GetFrameByName(self._tip_frame), plant.world_frame()
+        tip = plant.GetFrameByName(self._tip_frame)
+        world = plant.world_frame()
         J = plant.CalcJacobianTranslationalVelocity(
             scratch, JacobianWrtVariable.kV, tip, np.zeros(3), world, world
         )
         torque = self._torque.Eval(context)
-        finite = np.isfinite(torque).all() and np.isfinite(J).all()
-        output.SetFromVector(np.linalg.lstsq(J.T, torque)[0] if finite else np.full(3, np.nan))
+        force = np.full(3, np.nan)
+        if np.isfinite(torque).all() and np.isfinite(J).all():
+            force = np.linalg.lstsq(J.T, torque)[0]
+        output.SetFromVector(force)
 
     def _calc_pusher_state(self, context: Context, output: BasicVector) -> None:
-        plant, scratch = self._plant, self._plant_context
+        plant = self._plant
+        scratch = self._plant_context
         plant.SetPositions(scratch, self._q.Eval(context))
         plant.SetVelocities(scratch, self._v.Eval(context))
         tip = plant.GetFrameByName(self._tip_frame)

@@ -1,4 +1,4 @@
-"""What a real camera does to pictures: exposure and noise of colors; depth that is noisy and has holes along edges."""
+"""`RgbdNoise`: makes rendered pictures noisy, and without depth along edges, as real ones are."""
 
 import cv2
 import numpy as np
@@ -10,13 +10,14 @@ from pydrake.systems.sensors import ImageDepth32F, ImageRgba8U
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 
 MAX_COLOR = 255
+"""Greatest value of a color."""
 
 WINDOW = np.ones((3, 3), np.uint8)
-"""Of a pixel's neighbors, among which depth may jump."""
+"""A pixel and its neighbors: if depth jumps among them, the pixel's depth is not measured."""
 
 
 class RgbdNoise(LeafSystem):
-    """Spoils the pictures of an ideal color and depth camera.
+    """Adds noise to the pictures of an ideal color and depth camera.
 
     .. pydrake_system::
 
@@ -28,10 +29,11 @@ class RgbdNoise(LeafSystem):
         - color_image
         - depth_image
 
-    * color_image: abstract `ImageRgba8U`, in and out. A picture's exposure is off by a common
-      factor, each value by noise of its own.
-    * depth_image: abstract `ImageDepth32F`, m, in and out. The noise grows with the distance
-      squared, sigma(z) = s z^2; where depth jumps between neighbors it is not measured, 0.
+    * color_image: abstract `ImageRgba8U`, in and out. All values of a picture are off by a common
+      factor, its exposure, and each value by noise of its own.
+    * depth_image: abstract `ImageDepth32F`, m, in and out. The standard deviation of the noise
+      grows with the square of the depth, sigma(z) = s z^2. A pixel at which depth jumps is not
+      measured, and becomes 0.
 
     The noise of a picture depends on its number, time / period, and on the seed alone, which is
     numeric parameter 0: a Context and its clone see the same.
@@ -54,21 +56,25 @@ class RgbdNoise(LeafSystem):
         """Declares the system.
 
         Args:
-            width: of the images, pixels.
-            height: of the images, pixels.
-            period: between two pictures, s.
-            depth_noise: s above, 1/m.
-            depth_edge: jump of depth at which it is not measured, m.
+            width: width of the images, pixels.
+            height: height of the images, pixels.
+            period: time between two pictures, s.
+            depth_noise: s in the equation above, 1/m.
+            depth_edge: jump of depth between neighbors from which on it is not measured, m.
             color_noise: standard deviation of a color's value, of 255.
-            exposure_noise: standard deviation of the exposure, a share.
-            seed: of the noise.
+            exposure_noise: standard deviation of the exposure's factor, which is 1 in the mean.
+            seed: seed of the noise.
         """
         super().__init__()
-        self._size, self._period = (width, height), period
-        self._depth_noise, self._depth_edge = depth_noise, depth_edge
-        self._color_noise, self._exposure_noise = color_noise, exposure_noise
+        self._size = (width, height)
+        self._period = period
+        self._depth_noise = depth_noise
+        self._depth_edge = depth_edge
+        self._color_noise = color_noise
+        self._exposure_noise = exposure_noise
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
-        color, depth = ImageRgba8U(width, height), ImageDepth32F(width, height)
+        color = ImageRgba8U(width, height)
+        depth = ImageDepth32F(width, height)
         self._color = self.DeclareAbstractInputPort("color_image", Value(color))
         self._depth = self.DeclareAbstractInputPort("depth_image", Value(depth))
         self.DeclareAbstractOutputPort(
@@ -84,24 +90,26 @@ class RgbdNoise(LeafSystem):
         context.get_mutable_numeric_parameter(self._seed).SetFromVector([float(seed)])
 
     def _make_generator(self, context: Context, stream: int) -> np.random.Generator:
+        """Makes the generator of the present picture's noise: stream 0 for color, 1 for depth."""
         seed = int(context.get_numeric_parameter(self._seed).value()[0])
         return np.random.default_rng((seed, stream, round(context.get_time() / self._period)))
 
     def _calc_color(self, context: Context, output: Value) -> None:
         rng = self._make_generator(context, 0)
-        pure: NDArray[np.uint8] = self._color.Eval(context).data
-        image = ImageRgba8U(*self._size)
+        rendered: NDArray[np.uint8] = self._color.Eval(context).data
         exposure = 1.0 + self._exposure_noise * rng.standard_normal()
-        noise = rng.standard_normal((*pure.shape[:2], 3), dtype=np.float32)
-        noisy = np.float32(exposure) * pure[..., :3] + np.float32(self._color_noise) * noise
+        noise = rng.standard_normal((*rendered.shape[:2], 3), dtype=np.float32)
+        noisy = np.float32(exposure) * rendered[..., :3] + np.float32(self._color_noise) * noise
+        image = ImageRgba8U(*self._size)
         image.mutable_data[..., :3] = np.clip(np.rint(noisy), 0, MAX_COLOR)
-        image.mutable_data[..., 3] = pure[..., 3]
+        image.mutable_data[..., 3] = rendered[..., 3]
         output.set_value(image)
 
     def _calc_depth(self, context: Context, output: Value) -> None:
-        pure: NDArray[np.float32] = self._depth.Eval(context).data[..., 0]
-        measured = np.isfinite(pure) & (pure > 0)
-        z = np.where(measured, pure, 0.0).astype(np.float32)
+        rendered: NDArray[np.float32] = self._depth.Eval(context).data[..., 0]
+        measured = np.isfinite(rendered) & (rendered > 0)
+        z = np.where(measured, rendered, 0.0).astype(np.float32)
+        # Greatest difference of depth among a pixel and its neighbors.
         jump = cv2.dilate(z, WINDOW) - cv2.erode(z, WINDOW)
         noise = self._make_generator(context, 1).standard_normal(z.shape, dtype=np.float32)
         noisy = z + np.float32(self._depth_noise) * z**2 * noise

@@ -1,9 +1,9 @@
-"""`Worker`: what takes long is calculated beside the Diagram, which never waits for it.
+"""`Worker`: a thread in which a system of a Diagram calculates what takes long.
 
-A system asks a `Request` and keeps it in its state; at later updates it takes the answer, which
-then is state, too. What is asked is a pure function of frozen arguments, so that a Context may be
-cloned, or come back later, with a request under way: two clones share one calculation, and one that
-is gone is made again.
+A system makes a `Request` and keeps it in its state. At later updates it takes the answer, which
+becomes part of its state, too. A request is a pure function of frozen arguments, so that a Context
+may be cloned, or used again later, with a request under way: two clones share one calculation, and
+a calculation whose result is gone is made again.
 
     request = worker.ask(partial(decide, now, seen), time)  # in one update
     answer = worker.take(request, time)  # in later ones; None while there is no answer yet
@@ -22,19 +22,20 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.frozen import Unchanging
 
 ROUNDING = 1e-9
-"""s by which a time may be early: those of periodic updates are sums."""
+"""A time may be early by this much, s: the times of periodic updates are sums, with round-off."""
 
 SWITCH_INTERVAL = 5e-4
-"""s for which a thread of Python may keep the others waiting while there is work in real time."""
+"""Longest time for which a thread of Python keeps others waiting while there is work in real time,
+s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Request(Unchanging):
-    """What was asked.
+    """A calculation that was asked for.
 
     Attributes:
         work: a pure function.
-        time: when it was asked, s.
+        time: time at which it was asked for, s.
     """
 
     work: Callable[[], Any]
@@ -43,11 +44,11 @@ class Request(Unchanging):
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What came of it.
+    """The result of a calculation.
 
     Attributes:
-        value: of the function; None where it raised.
-        error: in a sentence's part, what it raised; empty where it did not.
+        value: value of the function; None if it raised.
+        error: what the function raised, as part of a sentence; empty if it raised nothing.
     """
 
     value: Any = None
@@ -55,44 +56,43 @@ class Answer:
 
 
 class Worker:
-    """One thread that answers requests, one after another. It ends with the system that has it.
+    """A thread that answers requests, one after another. It ends with the system that has it.
 
     Attributes:
-        delay: s, simulated, after which an answer is taken ("lockstep"): it is waited for then, so
-            that a run does not depend on how fast the computer is. None: "real time", an answer is
-            taken once it is there.
+        delay: simulated time after which an answer is taken, s. If it is not there by then, the
+            Diagram waits for it, so that a run does not depend on how fast the computer is. None
+            for real time: an answer is taken once it is there, and nobody waits.
     """
 
     def __init__(self, delay: float | None) -> None:
-        """Takes the delay; the thread begins with the first request."""
+        """Takes the delay. The thread begins with the first request."""
         self.delay = delay
         self._futures: WeakKeyDictionary[Request, Future[Any]] = WeakKeyDictionary()
         self._pool: ThreadPoolExecutor | None = None
         self._lock = Lock()
 
     def ask(self, work: Callable[[], Any], time: float) -> Request:
-        """Begins with a pure function, at a time, s."""
+        """Asks for the value of a pure function, at a time, s."""
         request = Request(work, time)
         self._find(request)
         return request
 
     def take(self, request: Request, time: float) -> Answer | None:
-        """The answer; None while it is not to be taken.
+        """Takes the answer to a request. It raises nothing.
 
         Args:
-            request: as `ask` returned it; of whatever Context.
-            time: now, s.
+            request: the request, from whatever Context.
+            time: time now, s.
 
         Returns:
-            The answer, which says so where the function raised or its thread was ended; never
-            raises itself.
+            The answer, which tells if the function raised or its thread was ended; None if it is
+            not to be taken yet.
         """
         future = self._find(request)
-        if not (
-            future.done() if self.delay is None else time >= request.time + self.delay - ROUNDING
-        ):
-            return None
-        return answer_now(future.result)
+        is_due = future.done()
+        if self.delay is not None:  # then the answer is waited for
+            is_due = time >= request.time + self.delay - ROUNDING
+        return answer_now(future.result) if is_due else None
 
     def close(self) -> None:
         """Ends the thread after what it is at; requests that wait are cancelled."""
@@ -102,7 +102,7 @@ class Worker:
             self._pool = None
 
     def _find(self, request: Request) -> "Future[Any]":
-        """What becomes of a request; begun where it is not under way here."""
+        """Finds the calculation of a request, which begins now if it is not under way."""
         with self._lock:
             future = self._futures.get(request)
             if future is None:
@@ -111,7 +111,7 @@ class Worker:
                 work = request.work if self.delay is not None else _Yielding(request.work)
                 try:
                     future = self._pool.submit(work)
-                except RuntimeError as error:  # there are no more threads to be had
+                except RuntimeError as error:  # the computer has no more threads
                     future = Future()
                     future.set_exception(error)
                 self._futures[request] = future
@@ -119,7 +119,7 @@ class Worker:
 
 
 def answer_now(work: Callable[[], Any]) -> Answer:
-    """The answer of a function, which says so where it raised; never raises itself."""
+    """Calls a function, and returns its value or what it raised. It raises nothing."""
     try:
         return Answer(work())
     except (Exception, SystemExit) as error:
@@ -130,11 +130,12 @@ def make_worker(answer_delay: float | None) -> Worker | None:
     """Makes the worker that a system needs.
 
     Args:
-        answer_delay: s, simulated, after which what takes long is answered; 0: in the same update,
-            by the Diagram itself; None: in real time, whenever the answer is there.
+        answer_delay: simulated time after which answers are taken, s. With 0 the system calculates
+            them by itself, in the same update. With None they are taken in real time, whenever they
+            are there.
 
     Returns:
-        The worker; None where none is needed.
+        The worker; None if none is needed.
 
     Raises:
         PlanningError: the delay is negative or not finite.

@@ -20,11 +20,8 @@ from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.station.arm import ArmReach
 from gridpush_drake.station.robot import COUPLING, GripperMeasures
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.systems.grasp_executor import (
-    CONTROLLER_STIFFNESS,
-    GraspExecutor,
-    GraspTrajectoryOptions,
-)
+from gridpush_drake.systems.grasp_executor import GraspExecutor
+from gridpush_drake.systems.grasp_trajectory import CONTROLLER_STIFFNESS, GraspTrajectoryOptions
 from gridpush_drake.systems.messages import GraspCommand
 from gridpush_drake.systems.push_executor import PushExecutor
 from gridpush_drake.systems.pusher_gate import PusherGate

@@ -96,7 +96,14 @@ class GraspFinder:
         """
         height = self.station.scenario.object_height
         found = find_held_grasps(
-            self.obj, pose, self.surface, self.pads, aim, height, masses, at_worst
+            self.obj,
+            pose,
+            self.surface,
+            self.pads,
+            aim=aim,
+            height=height,
+            masses=masses,
+            at_worst=at_worst,
         )
         for grasp in choose_varied(found, GRASPS_TRIED):
             if self._is_reached(grasp.p_WG, grasp.approach):

@@ -79,7 +79,8 @@ from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 from gridpush_drake.systems.true_parameters import TrueParameters
 
-TRUE_LOG, COVARIANCE_LOG = "true_pose_log", "covariance_log"
+TRUE_LOG = "true_pose_log"
+COVARIANCE_LOG = "covariance_log"
 """Names of the systems that log the true pose and the covariance of a color and depth camera's."""
 
 

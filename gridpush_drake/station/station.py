@@ -122,7 +122,8 @@ def make_identifier(
     )
 
 
-PUSHER_LOG, POSE_LOG = "pusher_log", "pose_log"
+PUSHER_LOG = "pusher_log"
+POSE_LOG = "pose_log"
 """Names of the systems that log the tip's state and the object's pose, as learned from."""
 
 

@@ -106,7 +106,8 @@ the table and the robot's base."""
 CAMERA_HEIGHT = 0.17
 """Height above the table of the point that Meshcat's camera looks at, m: a third of the arm's."""
 
-CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.75, 0.5
+CAMERA_AZIMUTH = 0.75
+CAMERA_ELEVATION = 0.5
 """Direction in which Meshcat's camera stands, rad: opposite the robot, to its left, beyond the edge
 to which objects are slid."""
 

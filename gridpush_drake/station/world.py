@@ -141,7 +141,7 @@ class StationWorld:
 
     @property
     def truth(self) -> WorldTruth:
-        """What is true of the object now, for judges only; NaN is the pose of one that has fallen."""
+        """What is true of the object now, for judges only; the pose is NaN once it has fallen."""
         pose: Array = self._read("object.pose_true").copy()
         fallen = not np.isfinite(pose).all()
         return WorldTruth(

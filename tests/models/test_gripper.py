@@ -19,7 +19,7 @@ from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.planning.pregrasp.gripper import PadLimit
 from gridpush_drake.station.grasping import AddGripperController
 from gridpush_drake.station.robot import GripperMeasures, read_measures
-from gridpush_drake.systems.grasp_executor import CONTROLLER_STIFFNESS
+from gridpush_drake.systems.grasp_trajectory import CONTROLLER_STIFFNESS
 
 CLOSING_DOWN = RigidTransform(RollPitchYaw(-np.pi / 2, np.pi / 2, 0.0), [0.0, 0.0, 0.0])
 """X_WB of the gripper's body: fingers forward, closing vertically, as the bracket holds it."""

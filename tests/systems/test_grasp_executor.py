@@ -13,12 +13,8 @@ from gridpush_drake.multibody.tool_motion import (
     make_transform,
 )
 from gridpush_drake.planning.pregrasp.gripper import Gripper
-from gridpush_drake.systems.grasp_executor import (
-    GraspExecutor,
-    GraspTrajectoryOptions,
-    calc_tip,
-    calc_yaws,
-)
+from gridpush_drake.systems.grasp_executor import GraspExecutor
+from gridpush_drake.systems.grasp_trajectory import GraspTrajectoryOptions, calc_tip, calc_yaws
 from gridpush_drake.systems.messages import (
     GraspCommand,
     GraspPhase,

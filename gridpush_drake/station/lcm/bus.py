@@ -1,11 +1,11 @@
-"""`Bus`: what `HardwareLink`, `TwinLink` and `PictureTracker` need of a network for LCM messages."""
+"""`Bus`: what `HardwareLink`, `TwinLink` and `PictureTracker` need of a network for messages."""
 
 from collections.abc import Callable
 from typing import Any, Protocol
 
 
 class Bus(Protocol):
-    """A network for LCM messages: Drake's `DrakeLcm`, or a `LinkBus`, which has another network behind it."""
+    """A network for LCM messages: Drake's `DrakeLcm`, or a `LinkBus` with another network behind it."""
 
     def Subscribe(self, channel: str, handler: Callable[[bytes], None]) -> Any:
         """Has a handler take all messages of a channel."""

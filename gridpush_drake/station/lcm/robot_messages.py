@@ -136,7 +136,7 @@ class IiwaMessages:
             Its output ports, by the names that Drake's `SimIiwaDriver` uses.
         """
         receiver = builder.AddNamedSystem("arm_status_receiver", IiwaStatusReceiver(n))
-        _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
+        _Subscribe(builder, lcm, self.status, kind=self.status_type, port=receiver.get_input_port())
         return {
             port.get_name(): port
             for port in map(receiver.get_output_port, range(receiver.num_output_ports()))
@@ -148,7 +148,12 @@ class IiwaMessages:
         """Adds the system that sends commands; returns its input for n joint positions, rad."""
         sender = builder.AddNamedSystem("arm_command_sender", IiwaCommandSender(n))
         _Publish(
-            builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD
+            builder,
+            lcm,
+            self.command,
+            kind=self.command_type,
+            port=sender.get_output_port(),
+            period=ARM_PERIOD,
         )
         return sender.GetInputPort("position")
 
@@ -190,8 +195,8 @@ class IiwaMessages:
             builder,
             lcm,
             self.command,
-            self.command_type,
-            commands.GetInputPort(self.command_type.__name__),
+            kind=self.command_type,
+            port=commands.GetInputPort(self.command_type.__name__),
         )
         builder.Connect(driver["position_measured"], commands.GetInputPort("position_measured"))
         builder.Connect(commands.GetOutputPort("position"), ramp.GetInputPort("position_desired"))
@@ -200,7 +205,14 @@ class IiwaMessages:
             name = PANDA_NAMES.get(port.get_name(), port.get_name())
             if name in driver:
                 builder.Connect(driver[name], port)
-        _Publish(builder, lcm, self.status, self.status_type, status.get_output_port(), ARM_PERIOD)
+        _Publish(
+            builder,
+            lcm,
+            self.status,
+            kind=self.status_type,
+            port=status.get_output_port(),
+            period=ARM_PERIOD,
+        )
 
 
 PANDA_NAMES = {"velocity_measured": "velocity_estimated"}
@@ -231,7 +243,7 @@ class PandaMessages(IiwaMessages):
             Their output ports, by the names that Drake's `SimIiwaDriver` uses.
         """
         receiver = builder.AddNamedSystem("arm_status_receiver", PandaStatusReceiver(n))
-        _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
+        _Subscribe(builder, lcm, self.status, kind=self.status_type, port=receiver.get_input_port())
         clock = _AddClock(builder, lcm, "arm_status_clock", self.status, self.status_type)
         ports = map(receiver.get_output_port, range(receiver.num_output_ports()))
         named = {PANDA_NAMES.get(port.get_name(), port.get_name()): port for port in ports}
@@ -243,7 +255,12 @@ class PandaMessages(IiwaMessages):
         """Adds the system that sends commands; returns its input for n joint positions, rad."""
         sender = builder.AddNamedSystem("arm_command_sender", PandaCommandSender(n, POSITION_MODE))
         _Publish(
-            builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD
+            builder,
+            lcm,
+            self.command,
+            kind=self.command_type,
+            port=sender.get_output_port(),
+            period=ARM_PERIOD,
         )
         return sender.GetInputPort("position")
 
@@ -329,7 +346,9 @@ def AddGripperMessages(
         `force_limit`, N.
     """
     receiver = builder.AddNamedSystem("gripper_status_receiver", SchunkWsgStatusReceiver())
-    _Subscribe(builder, lcm, GRIPPER_STATUS, lcmt_schunk_wsg_status, receiver.get_input_port())
+    _Subscribe(
+        builder, lcm, GRIPPER_STATUS, kind=lcmt_schunk_wsg_status, port=receiver.get_input_port()
+    )
     fingers = builder.AddNamedSystem("gripper_fingers", MatrixGain(FROM_OPENING))
     builder.Connect(receiver.GetOutputPort("state"), fingers.get_input_port())
     sender = builder.AddNamedSystem("gripper_command_sender", SchunkWsgCommandSender())
@@ -337,9 +356,9 @@ def AddGripperMessages(
         builder,
         lcm,
         GRIPPER_COMMAND,
-        lcmt_schunk_wsg_command,
-        sender.get_output_port(),
-        GRIPPER_PERIOD,
+        kind=lcmt_schunk_wsg_command,
+        port=sender.get_output_port(),
+        period=GRIPPER_PERIOD,
     )
     return fingers.get_output_port(), sender
 
@@ -365,8 +384,8 @@ def AddGripperSide(
         builder,
         lcm,
         GRIPPER_COMMAND,
-        lcmt_schunk_wsg_command,
-        commands.GetInputPort("command_message"),
+        kind=lcmt_schunk_wsg_command,
+        port=commands.GetInputPort("command_message"),
     )
     builder.Connect(
         commands.GetOutputPort("position"), controller.get_desired_position_input_port()
@@ -381,9 +400,9 @@ def AddGripperSide(
         builder,
         lcm,
         GRIPPER_STATUS,
-        lcmt_schunk_wsg_status,
-        status.get_output_port(0),
-        GRIPPER_PERIOD,
+        kind=lcmt_schunk_wsg_status,
+        port=status.get_output_port(0),
+        period=GRIPPER_PERIOD,
     )
 
 

@@ -74,8 +74,8 @@ MAX_WRENCH_AGE = 0.1
 more. The status then cannot be used, and the arm is stopped if no better one comes."""
 
 MAX_DEVIATION = 0.02
-"""Largest standard deviation, m, with which a pose of the object can be used, by its covariance. That
-of the turn counts with `TURN_SHARE`."""
+"""Largest standard deviation, m, with which a pose of the object can be used, by its covariance.
+That of the turn counts with `TURN_SHARE`."""
 
 TURN_SHARE = 0.1
 """m for each rad: a turn's standard deviation counts as so much of a shift's."""
@@ -84,7 +84,8 @@ COVARIANCE_PLACES = (0, 7, 35)
 """Where the variances of x, y and the turn about z are in a pose's covariance of 36 numbers."""
 
 FOCAL_TOLERANCE = 0.01
-"""How far K in a camera's `CameraInfo` may differ from the scenario's, as a share of the focal length."""
+"""How far K in a camera's `CameraInfo` may differ from the scenario's, as a share of the focal
+length."""
 
 KEPT_IMAGES = 10
 """Number of color or depth images that wait at most for the other one of the same moment."""

@@ -1,8 +1,8 @@
 """`TipLoad`: a force on an arm's tool as torques on its joints, and the other way round.
 
 Some arms say which torques act on their joints from outside (iiwa, Panda). Others have a sensor of
-force and torque at the flange, or estimate the force on it (UR, xArm). The guard reads torques. With
-the Jacobian J of the flange, force f and torque t on it are torques
+force and torque at the flange, or estimate the force on it (UR, xArm). The guard reads torques.
+With the Jacobian J of the flange, force f and torque t on it are torques
 
     tau = J_angular^T t + J_linear^T f
 
