@@ -10,9 +10,10 @@ from typing import Literal
 
 import numpy as np
 from matplotlib import colormaps
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.errors import StationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.report.draw import CELL_MAP
 
 Shown = Literal["mass", "friction", "relative_friction"]
@@ -58,7 +59,7 @@ class CellColors:
             return self.limits
         return (MIN_FRICTION, MAX_FRICTION) if self.shows == "friction" else (MIN_SHARE, MAX_SHARE)
 
-    def calc_values(self, mass: ArrayLike, friction: ArrayLike) -> NDArray[np.float64]:
+    def calc_values(self, mass: ArrayLike, friction: ArrayLike) -> Array:
         """What is shown of cells with masses (n,), kg, and friction coefficients (n,): (n,) numbers."""
         friction = np.asarray(friction, dtype=np.float64)
         if self.shows == "friction":
@@ -68,11 +69,11 @@ class CellColors:
         total = weight.sum()
         return weight * len(weight) / total if total > 0 else np.ones(len(weight))
 
-    def calc_colors(self, mass: ArrayLike, friction: ArrayLike) -> NDArray[np.float64]:
+    def calc_colors(self, mass: ArrayLike, friction: ArrayLike) -> Array:
         """(n, 3) sRGB, 0 to 1, of cells with masses (n,), kg, and friction coefficients (n,)."""
         return self.calc_colors_of(self.calc_values(mass, friction))
 
-    def calc_colors_of(self, values: ArrayLike) -> NDArray[np.float64]:
+    def calc_colors_of(self, values: ArrayLike) -> Array:
         """(..., 3) sRGB, 0 to 1, of values (...)."""
         low, high = self.resolve_limits()
         cut = np.clip(np.asarray(values, dtype=np.float64), low, high)

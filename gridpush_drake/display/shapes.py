@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 from shapely import MultiPolygon, Polygon
 from trimesh import Trimesh
 
 from gridpush_drake.geometry.outline_mesh import triangulate_area
-from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
 
 CELL_SHARE = (
@@ -241,7 +241,7 @@ def MakePlanarTransform(pose: ArrayLike, height: float = 0.0) -> RigidTransform:
     return RigidTransform(RotationMatrix.MakeZRotation(theta), p_WB)
 
 
-def srgb_to_linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
+def srgb_to_linear(srgb: Array) -> Array:
     """Colors (..., 3), 0 to 1, as linear light (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 

@@ -18,11 +18,9 @@ from gridpush_drake.dynamics.kernels.step_memory import make_memory
 from gridpush_drake.dynamics.kernels.step_start import make_state
 from gridpush_drake.dynamics.kernels.support_loads import Support, find_loads, make_loads
 from gridpush_drake.dynamics.physics import Physics
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-IntArray = NDArray[np.int64]
 
 
 def run_kernel(

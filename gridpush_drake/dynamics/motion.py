@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.kernels import forward_sensitivity as columns
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.notebook import count, describe_move, draw_paths, make_page
 
 
@@ -48,7 +48,7 @@ class Jacobian:
         push_height: (R, 3) by the height at which the pusher acts; None where loads do not shift.
     """
 
-    steps: NDArray[np.int64]
+    steps: IntArray
     mass: Array
     friction: Array
     contact_friction: Array
@@ -99,12 +99,12 @@ class Motion:
     tip: Array
     contact_forces: Array
     contact_points: Array
-    modes: NDArray[np.int64]
+    modes: IntArray
     gaps: Array
     status: MotionStatus
     load_centers: Array
     tips: NDArray[np.bool_]
-    iterations: NDArray[np.int64]
+    iterations: IntArray
     physics: Physics
     _jacobian: "Jacobian | RawJacobian | None" = field(default=None, repr=False)
 
@@ -155,7 +155,7 @@ class RawJacobian:
     are by m_i already.
     """
 
-    steps: NDArray[np.int64]
+    steps: IntArray
     J: Array
     p_BC: Array
     cell_size: float

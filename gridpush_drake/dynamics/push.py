@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from math import ceil
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.errors import MAX_NUMBER, PushError, SimulationError, require_positive
 from gridpush_drake.frozen import Frozen
@@ -38,13 +38,13 @@ class Push(Frozen):
             with the rest.
     """
 
-    start: NDArray[np.float64]
-    velocity: NDArray[np.float64]
+    start: Array
+    velocity: Array
     duration: float
     radius: float
-    t: NDArray[np.float64] = field(kw_only=True, repr=False)
-    xy: NDArray[np.float64] = field(kw_only=True, repr=False)
-    start_tangent: NDArray[np.float64] | None = field(kw_only=True, repr=False)
+    t: Array = field(kw_only=True, repr=False)
+    xy: Array = field(kw_only=True, repr=False)
+    start_tangent: Array | None = field(kw_only=True, repr=False)
 
     def __init__(
         self,
@@ -178,7 +178,7 @@ class Push(Frozen):
         """Length of the path, m."""
         return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum())
 
-    def tip_at(self, times: ArrayLike) -> NDArray[np.float64]:
+    def tip_at(self, times: ArrayLike) -> Array:
         """Interpolates p_WP of the disc's center, (K, 2) m, at times (K,), s from the beginning.
 
         Before the beginning and after the end the disc stays where it is.
@@ -186,7 +186,7 @@ class Push(Frozen):
         times = np.asarray(times, dtype=np.float64)
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
 
-    def distance_at(self, times: ArrayLike) -> NDArray[np.float64]:
+    def distance_at(self, times: ArrayLike) -> Array:
         """Calculates how far the disc has gone along its path, (K,) m, at times (K,), s."""
         gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.xy, axis=0), axis=1)))
         return np.interp(np.asarray(times, dtype=np.float64), self.t, gone)
@@ -221,10 +221,10 @@ class ForcePush(Frozen):
         PushError: shapes disagree or a value is out of range.
     """
 
-    point: NDArray[np.float64]
-    force: NDArray[np.float64]
+    point: Array
+    force: Array
     duration: float
-    t: NDArray[np.float64] = None  # type: ignore[assignment]
+    t: Array = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         point = np.array(self.point, dtype=np.float64)
@@ -245,7 +245,7 @@ class ForcePush(Frozen):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
 
-    def force_during(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    def force_during(self, times: Array) -> Array:
         """Looks up the force at the beginning of each of the T steps between `times` (T+1,).
 
         Returns:

@@ -24,11 +24,9 @@ from gridpush_drake.dynamics.motion import RawJacobian
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, measure_steps
 from gridpush_drake.dynamics.simulation import count_columns, find_edges_near
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-IntArray = NDArray[np.int64]
 
 
 class BatchPush(NamedTuple):

@@ -12,7 +12,7 @@ from os import cpu_count
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.kernel_call import (
     calc_reach,
@@ -36,7 +36,7 @@ from gridpush_drake.dynamics.physics import (
 from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times, measure_steps
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.geometry.se2 import Array, check_vector, rotate
+from gridpush_drake.geometry.se2 import Array, IntArray, check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -394,7 +394,7 @@ def _check_combination(
         )
 
 
-def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
+def check_record(record: ArrayLike, steps: int) -> IntArray:
     """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1.
 
     Negative ones count from the end.
@@ -428,7 +428,7 @@ def calc_step(
     *,
     physics: Physics = DEFAULT_PHYSICS,
     stiction_tolerance: float = STEP_STICTION,
-) -> NDArray[np.float64]:
+) -> Array:
     """Takes one condensed inertial step at a fixed pose (`docs/theory/model.md`, section 3).
 
     Args:

@@ -27,11 +27,10 @@ from typing import Protocol
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, solve_triangular
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.geometry.se2 import Array, make_direction
+from gridpush_drake.geometry.se2 import Array, IntArray, make_direction
 from gridpush_drake.identification.posterior import CELLS
 from gridpush_drake.objects.grid_object import GridObject
 
@@ -129,10 +128,10 @@ class Setting:
     pushes: LinearizedPushes | None = None
 
     @cached_property
-    def _covariances(self) -> dict[float, NDArray[np.float64]]:
+    def _covariances(self) -> dict[float, Array]:
         return {}
 
-    def calc_smooth_covariance(self, range_cells: float) -> NDArray[np.float64]:
+    def calc_smooth_covariance(self, range_cells: float) -> Array:
         """C (n, n) of a correlation range in cells; it is calculated once."""
         if range_cells not in self._covariances:
             self._covariances[range_cells] = calc_smooth_covariance(self.obj, range_cells)
@@ -341,9 +340,7 @@ DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
 """The hypotheses that `identify` weighs unless it is told others."""
 
 
-def calc_smooth_covariance(
-    obj: GridObject, range_cells: float = RANGE_CELLS
-) -> NDArray[np.float64]:
+def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) -> Array:
     """Calculates C of a smooth field: C^-1 ~ (L + kappa² I)², L the graph Laplacian of the cells.
 
     Args:
@@ -370,7 +367,7 @@ def calc_prior_factor(C: Array, amplitude: float, log_contact_friction_std: floa
     )
 
 
-def find_corners(obj: GridObject) -> tuple[NDArray[np.int64], Array]:
+def find_corners(obj: GridObject) -> tuple[IntArray, Array]:
     """Finds where a rigid flat bottom comes to rest: the corners of the outline's convex hull.
 
     Args:

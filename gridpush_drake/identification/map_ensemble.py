@@ -16,11 +16,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.identification.hypotheses import (
     CENTER_STD,
     DEFAULT_HYPOTHESES,
@@ -451,7 +450,7 @@ class _Group:
 
     z: Array
     weight: float
-    members: NDArray[np.int64]
+    members: IntArray
     on_grid: bool
 
 

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics import GRAVITY
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.geometry.se2 import Array, IntArray, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.plausibility import SPEED_FACTOR, TRAVEL_FACTOR
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 
 Mask = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 JUMP_SLACK = 0.008
 """Distance that an object may seem to have moved without being pushed, m. A pose farther than this

@@ -27,7 +27,7 @@ from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics, Regime
 from gridpush_drake.dynamics.push import make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.geometry.se2 import Array, rotate, transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, IntArray, rotate, transform, wrap_angle
 from gridpush_drake.identification.posterior import CELLS, CONTACT_FRICTION, GLOBALS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -58,7 +58,7 @@ class TimedPush:
 
     observed: ObservedPush
     times: Array
-    rows: NDArray[np.int64]
+    rows: IntArray
     table: Array | None = None
 
     @classmethod

@@ -37,7 +37,7 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
     Box,
@@ -67,7 +67,7 @@ from shapely import Polygon, box, prepare
 
 from gridpush_drake.errors import ObjectError, ParameterError, require_positive
 from gridpush_drake.geometry.outline_mesh import make_outline_mesh
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -81,8 +81,8 @@ SpheresPerCell = Literal[1, 4]
 class ContactSphereLayout:
     """Where the spheres are."""
 
-    p_BS: NDArray[np.float64]  # (f, 2) where they touch the table, body frame, m
-    cell: NDArray[np.int64]  # (f,) the cell that each belongs to
+    p_BS: Array  # (f, 2) where they touch the table, body frame, m
+    cell: IntArray  # (f,) the cell that each belongs to
     spheres_per_cell: SpheresPerCell  # 1: at the cells' centers; 4: at their corners
 
     @classmethod

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.geometry import RoleAssign, SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialVelocity
@@ -16,7 +16,7 @@ from pydrake.systems.framework import Context
 from scipy.spatial import cKDTree
 
 from gridpush_drake.errors import ObjectError
-from gridpush_drake.geometry.se2 import check_vector
+from gridpush_drake.geometry.se2 import Array, IntArray, check_vector
 from gridpush_drake.multibody.grid_object import (
     GridObjectInPlant,
     MakeSideProperties,
@@ -105,7 +105,7 @@ TRIES = 20_000
 
 def calc_support(
     obj: GridObject, params: CellParameters, support: Support, seed: int, push_height: float
-) -> NDArray[np.float64] | None:
+) -> Array | None:
     """Says how stiff a body's feet are, one below each cell; None for own weight.
 
     Three feet, drawn by a seed, stand so far apart that a pusher at `push_height`, m, does not tip
@@ -132,7 +132,7 @@ def calc_support(
 
 def draw_feet(
     obj: GridObject, params: CellParameters, margin: float, rng: np.random.Generator
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Draws (3,) cells whose triangle holds the center of mass, `margin`, m, within its sides; else ObjectError."""
     center = shapely.Point(params.center_of_mass(obj))
     for _ in range(TRIES):
@@ -198,7 +198,7 @@ def SetGridObjectVelocity(
 
 def CalcPlanarPose(
     plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant
-) -> NDArray[np.float64]:
+) -> Array:
     """Calculates q = (x, y, theta) (3,) of B in W, m and rad; theta in (-pi, pi] for a free base."""
     if handle.joint is not None:
         return np.array(

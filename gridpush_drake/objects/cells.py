@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import Delaunay, QhullError, cKDTree
@@ -16,6 +16,7 @@ from shapely.geometry.polygon import orient
 from shapely.validation import explain_validity
 
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.notebook import MM, count, draw_cells, make_page
 
 DEFAULT_MAX_CELLS = 127  # the paper's largest grid
@@ -34,9 +35,9 @@ MAX_POINTS = 50_000
 class CellGrid(NamedTuple):
     """The geometry of a grid object, body frame; see `GridObject`."""
 
-    p_BC: NDArray[np.float64]  # (n, 2) cell centers, m
+    p_BC: Array  # (n, 2) cell centers, m
     cell_size: float  # side of a cell, m
-    labels: NDArray[np.int64]  # (n,) the part each cell belongs to, >= 1
+    labels: IntArray  # (n,) the part each cell belongs to, >= 1
     outline: Polygon  # contour with holes, m
 
     def __repr__(self) -> str:
@@ -48,7 +49,7 @@ class CellGrid(NamedTuple):
         return make_page(repr(self), draw_cells(self.outline, self.p_BC, self.cell_size))
 
 
-Share = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
+Share = Callable[[Array, float], Array]
 """Given the lower corners (k, 2) of square cells and their size, how much of each is object: (k,),
 0 to 1."""
 
@@ -93,18 +94,18 @@ ROUNDING = 1e-9  # relative slack within which a size divides a side
 class Region:
     """What a lattice is to be true to."""
 
-    low: NDArray[np.float64]  # (2,) lower corner of the bounding box
-    extent: NDArray[np.float64]  # (2,) its sides
+    low: Array  # (2,) lower corner of the bounding box
+    extent: Array  # (2,) its sides
     area: float  # of the shape
-    centroid: NDArray[np.float64]  # (2,) of the shape
-    covariance: NDArray[np.float64]  # (2, 2) second central moments of its area over its area
+    centroid: Array  # (2,) of the shape
+    covariance: Array  # (2, 2) second central moments of its area over its area
 
 
 @dataclass(frozen=True)
 class Cells:
     """Square cells."""
 
-    corners: NDArray[np.float64]  # (n, 2) their lower corners
+    corners: Array  # (n, 2) their lower corners
     size: float  # their side
 
     def __repr__(self) -> str:
@@ -112,7 +113,7 @@ class Cells:
         return f"Cells: {count(len(self.corners), 'square')}, side {self.size:.4g}"
 
     @property
-    def centers(self) -> NDArray[np.float64]:
+    def centers(self) -> Array:
         """(n, 2)."""
         return self.corners + self.size / 2
 
@@ -200,7 +201,7 @@ def _find_best(
     return best
 
 
-def _candidate_sizes(region: Region, low: float, high: float, points: float) -> NDArray[np.float64]:
+def _candidate_sizes(region: Region, low: float, high: float, points: float) -> Array:
     count = int(np.clip(POINT_BUDGET / points, MIN_SIZES, MAX_SIZES))
     sizes = [np.geomspace(low, high, count)]
     for side in region.extent:
@@ -228,7 +229,7 @@ def _calc_cost(region: Region, cells: Cells, max_cells: int) -> float:
     )
 
 
-def _lattices(region: Region, size: float, phased: bool) -> Iterator[NDArray[np.float64]]:
+def _lattices(region: Region, size: float, phased: bool) -> Iterator[Array]:
     """Lower corners (k, 2) of the cells of each lattice that covers the bounding box, but for half cells."""
     axes = []
     for low, extent in zip(region.low, region.extent, strict=True):
@@ -269,7 +270,7 @@ FLATNESS = 1e-9
 line."""
 
 
-def calc_adjacency(p_BC: ArrayLike, cell_size: float) -> NDArray[np.int64]:
+def calc_adjacency(p_BC: ArrayLike, cell_size: float) -> IntArray:
     """Finds the pairs of cells that share a side, and joins islands by their shortest links.
 
     Args:
@@ -288,14 +289,12 @@ def calc_adjacency(p_BC: ArrayLike, cell_size: float) -> NDArray[np.int64]:
     return _tidy(pairs)
 
 
-def _find_islands(pairs: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+def _find_islands(pairs: IntArray, n: int) -> IntArray:
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def _calc_links(
-    p_BC: NDArray[np.float64], cell_size: float, islands: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _calc_links(p_BC: Array, cell_size: float, islands: IntArray) -> IntArray:
     """Shortest tree of links between islands; the Delaunay edges contain the Euclidean spanning tree."""
     candidates = _tidy(_delaunay_edges(p_BC, cell_size))
     i, j = candidates[islands[candidates[:, 0]] != islands[candidates[:, 1]]].T
@@ -311,7 +310,7 @@ def _calc_links(
     return np.column_stack([i[kept], j[kept]])
 
 
-def _delaunay_edges(p_BC: NDArray[np.float64], cell_size: float) -> NDArray[np.int64]:
+def _delaunay_edges(p_BC: Array, cell_size: float) -> IntArray:
     centered = (p_BC - p_BC.mean(axis=0)) / cell_size
     along, _, axes = np.linalg.svd(centered, full_matrices=False)
     across = centered @ axes[-1]
@@ -327,7 +326,7 @@ def _delaunay_edges(p_BC: NDArray[np.float64], cell_size: float) -> NDArray[np.i
     return np.column_stack([order[:-1], order[1:]]).astype(np.int64)
 
 
-def _tidy(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+def _tidy(pairs: IntArray) -> IntArray:
     return np.unique(np.sort(pairs, axis=1), axis=0).reshape(-1, 2)
 
 
@@ -365,10 +364,10 @@ def fill_outline(
     )
     shapely.prepare(slightly_larger)
 
-    def share(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+    def share(corners: Array, size: float) -> Array:
         return shapely.contains_xy(slightly_larger, *(corners + size / 2).T).astype(np.float64)
 
-    def overlap(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+    def overlap(corners: Array, size: float) -> Array:
         boxes = shapely.box(*corners.T, *(corners + size).T)
         return shapely.area(shapely.intersection(boxes, polygon)) / size**2
 
@@ -415,7 +414,7 @@ def make_polygon(
     return orient(shapely.force_2d(shapely.remove_repeated_points(polygon)))
 
 
-def _ring(points: ArrayLike, what: str) -> NDArray[np.float64]:
+def _ring(points: ArrayLike, what: str) -> Array:
     try:
         ring = np.asarray(points, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -428,7 +427,7 @@ def _ring(points: ArrayLike, what: str) -> NDArray[np.float64]:
     return ring
 
 
-def _check_coordinates(points: NDArray[np.float64], what: str) -> None:
+def _check_coordinates(points: Array, what: str) -> None:
     if not np.isfinite(points).all():
         raise ObjectError(f"{what} has a coordinate that is not finite; expected numbers in meters")
     farthest = np.abs(points).max(initial=0.0)
@@ -463,9 +462,7 @@ def _describe(polygon: Polygon) -> Region:
     return Region(low, high - low, polygon.area, center, moments / polygon.area)
 
 
-def _label(
-    centers: NDArray[np.float64], parts: Mapping[int, Polygon | MultiPolygon]
-) -> NDArray[np.int64]:
+def _label(centers: Array, parts: Mapping[int, Polygon | MultiPolygon]) -> IntArray:
     labels = np.zeros(len(centers), dtype=np.int64)
     for label, part in parts.items():
         labels[shapely.intersects_xy(part, *centers.T) & (labels == 0)] = label

@@ -9,14 +9,14 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely import Point, Polygon
 
 from gridpush_drake.errors import ObjectError, require_positive
 from gridpush_drake.files import write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.polygons import OutlineEdges
-from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.geometry.se2 import Array, IntArray, transform
 from gridpush_drake.notebook import MM, count, draw_cells, make_page
 from gridpush_drake.objects.cells import (
     DEFAULT_MAX_CELLS,
@@ -58,9 +58,9 @@ class GridObject(Frozen):
     """
 
     name: str
-    p_BC: NDArray[np.float64]
+    p_BC: Array
     cell_size: float
-    labels: NDArray[np.int64]
+    labels: IntArray
     outline: Polygon
     prior: PhysicalPrior = field(default_factory=PhysicalPrior)
     height: float | None = None
@@ -123,7 +123,7 @@ class GridObject(Frozen):
         drawing = draw_cells(self.outline, self.p_BC, self.cell_size, labels, "part of a cell")
         return make_page(repr(self), drawing)
 
-    def _check_size(self, p_BC: NDArray[np.float64]) -> None:
+    def _check_size(self, p_BC: Array) -> None:
         if not MIN_SIZE <= self.cell_size <= MAX_SIZE:
             raise ObjectError(
                 f"{self.name}: cell_size is {self.cell_size:g} m; expected {MIN_SIZE:g} to {MAX_SIZE:g} m"
@@ -260,7 +260,7 @@ class GridObject(Frozen):
         return len(self.p_BC)
 
     @cached_property
-    def adjacency(self) -> NDArray[np.int64]:
+    def adjacency(self) -> IntArray:
         """(m, 2) pairs of cells that share a side; islands are joined by their shortest links, so it is connected."""
         return calc_adjacency(self.p_BC, self.cell_size)
 
@@ -275,6 +275,6 @@ class GridObject(Frozen):
         arm = self.p_BC - self.p_BC.mean(axis=0)
         return float(np.sqrt((arm**2).sum(axis=1).mean() + self.cell_size**2 / 6))
 
-    def cells_at(self, pose: ArrayLike) -> NDArray[np.float64]:
+    def cells_at(self, pose: ArrayLike) -> Array:
         """p_WC (..., n, 2), m, of the cells at poses `(..., 3)` (x, y, theta)."""
         return transform(pose, self.p_BC)

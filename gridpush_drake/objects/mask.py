@@ -18,6 +18,7 @@ from shapely.geometry.polygon import orient
 from gridpush_drake.errors import ObjectError, ObjectWarning, require_positive
 from gridpush_drake.files import MEGABYTE, open_file, read_bytes
 from gridpush_drake.geometry.contour import calc_contour
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.cells import (
     CellGrid,
     Cells,
@@ -231,7 +232,7 @@ def _keep_one_piece(
     return np.where(pieces[box] == kept, labels[box], 0).astype(np.uint16)
 
 
-def _find_values(path: Path, labels: NDArray[np.uint16]) -> NDArray[np.int64]:
+def _find_values(path: Path, labels: NDArray[np.uint16]) -> IntArray:
     counts = np.zeros(np.iinfo(np.uint16).max + 1, dtype=np.int64)
     flat = labels.ravel()
     for start in range(0, flat.size, WORKING_PIXELS):
@@ -245,7 +246,7 @@ def _find_values(path: Path, labels: NDArray[np.uint16]) -> NDArray[np.int64]:
     return values
 
 
-def _average(labels: NDArray[np.uint16], value: int | None, block: int) -> NDArray[np.float64]:
+def _average(labels: NDArray[np.uint16], value: int | None, block: int) -> Array:
     """Share of each block of pixels that is `value` (None: anything but background), padded with background."""
     height, width = labels.shape
     rows, columns = -(-height // block), -(-width // block)
@@ -259,12 +260,12 @@ def _average(labels: NDArray[np.uint16], value: int | None, block: int) -> NDArr
     return share
 
 
-def _make_share(coverage: NDArray[np.float64]) -> Share:
+def _make_share(coverage: Array) -> Share:
     """Exact share of square cells by the summed-area table, which is bilinear within a pixel."""
     table = np.zeros(np.add(coverage.shape, 1))
     table[1:, 1:] = coverage.cumsum(axis=0).cumsum(axis=1)
 
-    def share(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+    def share(corners: Array, size: float) -> Array:
         (x0, y0), (x1, y1) = corners.T, corners.T + size
         at = np.array([[y0, y1, y0, y1], [x0, x1, x1, x0]])
         below, above, right, left = map_coordinates(table, at, order=1, mode="nearest")
@@ -273,7 +274,7 @@ def _make_share(coverage: NDArray[np.float64]) -> Share:
     return share
 
 
-def _describe(coverage: NDArray[np.float64]) -> Region:
+def _describe(coverage: Array) -> Region:
     area = float(coverage.sum())
     by_axis = [coverage.sum(axis=0), coverage.sum(axis=1)]
     middles = [np.arange(len(mass)) + 0.5 for mass in by_axis]
@@ -288,9 +289,7 @@ def _describe(coverage: NDArray[np.float64]) -> Region:
     return Region(np.zeros(2), extent, area, centroid, covariance)
 
 
-def _vote(
-    labels: NDArray[np.uint16], values: NDArray[np.int64], block: int, cells: Cells
-) -> NDArray[np.int64]:
+def _vote(labels: NDArray[np.uint16], values: IntArray, block: int, cells: Cells) -> IntArray:
     """The label with the largest share of each cell; the lowest of equals."""
     if len(values) == 1:
         return np.full(len(cells.corners), values[0])

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.errors import ParameterError
 from gridpush_drake.frozen import Frozen
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM, count, describe_range, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 
@@ -33,8 +34,8 @@ class CellParameters(Frozen):
         ParameterError: shapes disagree or a value is out of range.
     """
 
-    mass: NDArray[np.float64]
-    friction: NDArray[np.float64]
+    mass: Array
+    friction: Array
     contact_friction: float = 0.5
     push_height: float = 0.0
     patch_ratio: float = 1.0
@@ -179,7 +180,7 @@ class CellParameters(Frozen):
         """Of all cells, kg."""
         return float(self.mass.sum())
 
-    def center_of_mass(self, obj: GridObject) -> NDArray[np.float64]:
+    def center_of_mass(self, obj: GridObject) -> Array:
         """p_BBcm, (2,), m."""
         if obj.n != self.n:
             raise ParameterError(
@@ -192,16 +193,14 @@ class CellParameters(Frozen):
         arm = obj.p_BC - self.center_of_mass(obj)
         return float(self.mass @ ((arm**2).sum(axis=1) + obj.cell_size**2 / 6))
 
-    def relative_friction(self) -> NDArray[np.float64]:
+    def relative_friction(self) -> Array:
         """(n,) k_i = mu_i m_i / sum(mu m): the share of the support's friction that each cell carries."""
         load = self.mass * self.friction
         total = load.sum()
         return load / total if total > 0 else np.full(self.n, 1 / self.n)
 
 
-def _spread(
-    obj: GridObject, name: str, by_label: Mapping[int, float] | ArrayLike
-) -> NDArray[np.float64]:
+def _spread(obj: GridObject, name: str, by_label: Mapping[int, float] | ArrayLike) -> Array:
     assert isinstance(by_label, Mapping)
     missing = sorted(set(obj.labels.tolist()) - set(by_label))
     if missing:

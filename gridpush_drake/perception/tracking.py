@@ -38,7 +38,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import PerceptionError
-from gridpush_drake.geometry.se2 import Array, transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, IntArray, transform, wrap_angle
 from gridpush_drake.objects.cells import make_polygon
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import (
@@ -936,7 +936,7 @@ def measure_edges(
     normals: Array,
     reach: float,
     step: float,
-) -> tuple[Array, NDArray[np.int64]]:
+) -> tuple[Array, IntArray]:
     """Looks for the object's edge across its expected boundary.
 
     Args:

@@ -33,6 +33,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import MAX_NUMBER, PushLogError, PushLogWarning
 from gridpush_drake.files import check_writable, read_text, write_whole
 from gridpush_drake.frozen import Frozen
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM, count, describe_move, make_page, make_table
 
 DEFAULT_PUSHER_RADIUS = 0.008
@@ -99,11 +100,11 @@ class ObservedPush(Frozen):
 
     name: str
     push: Push
-    pose: NDArray[np.float64]
-    t_observed: NDArray[np.float64]
-    poses_observed: NDArray[np.float64]
-    force_t: NDArray[np.float64] | None = None
-    force: NDArray[np.float64] | None = None
+    pose: Array
+    t_observed: Array
+    poses_observed: Array
+    force_t: Array | None = None
+    force: Array | None = None
     overhang: bool = False
 
     def __post_init__(self) -> None:
@@ -137,7 +138,7 @@ class ObservedPush(Frozen):
         over = ", over the table's edge" if self.overhang else ""
         return f"ObservedPush {self.name!r}: {path}, {seen}{went}{over}"
 
-    def _array(self, name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    def _array(self, name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
         array = np.array(value, dtype=np.float64)
         if array.size == 0 and 0 in shape:
             array = array.reshape(shape)
@@ -153,7 +154,7 @@ class ObservedPush(Frozen):
         object.__setattr__(self, name, array)
         return array
 
-    def _check_times(self, name: str, t: NDArray[np.float64]) -> None:
+    def _check_times(self, name: str, t: Array) -> None:
         if np.any(np.diff(t) <= 0):
             raise PushLogError(f"push {self.name!r}: {name} must be strictly increasing")
         if len(t) and (t[0] < 0 or t[-1] > self.push.duration):
@@ -163,7 +164,7 @@ class ObservedPush(Frozen):
             )
 
     @property
-    def final_pose(self) -> NDArray[np.float64]:
+    def final_pose(self) -> Array:
         """(3,) q_W at the last observation. Raises PushLogError where there is none after the first."""
         if not len(self.poses_observed):
             raise PushLogError(
@@ -189,7 +190,7 @@ class PushLog(Frozen):
     pushes: tuple[ObservedPush, ...]
     source: str = ""
     radius_given: bool = True
-    table: NDArray[np.float64] | None = None
+    table: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pushes", tuple(self.pushes))
@@ -335,13 +336,13 @@ class _Row(NamedTuple):
     pose: list[float] | None
     force: list[float] | None
     overhang: bool
-    table: NDArray[np.float64] | None
+    table: Array | None
 
 
 def _read_push_csv(path: Path, radius: float | None, require_final: bool) -> PushLog:
     seen: dict[str, int] = {}
     pushes = []
-    table: NDArray[np.float64] | None = None
+    table: Array | None = None
     read = (
         _parse_row(path, line, cells)
         for line, cells in read_table(path, WHAT, REQUIRED, _check_header)
@@ -431,7 +432,7 @@ def _write_push_csv(log: PushLog, path: Path, force: bool) -> None:
     write_whole(path, buffer.getvalue(), force)
 
 
-def _describe_table(corners: NDArray[np.float64]) -> str:
+def _describe_table(corners: Array) -> str:
     """Corners (K, 2) as well-known text, exact to the last bit."""
     return (
         "POLYGON (("
@@ -578,7 +579,7 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
     )
 
 
-def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
+def _table(path: Path, line: int, cell: str) -> Array | None:
     if is_empty(cell):
         return None
     try:

@@ -20,12 +20,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, PathPatch, Polygon
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError
-from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.objects.grid_object import GridObject
 
 MM = 1e3
@@ -205,7 +205,7 @@ def add_color_bar(ax: Axes, mappable: ScalarMappable, label: str) -> Colorbar:
     return bar
 
 
-def _squares(obj: GridObject, pose: ArrayLike) -> list[NDArray[np.float64]]:
+def _squares(obj: GridObject, pose: ArrayLike) -> list[Array]:
     """The (4, 2) corners of each cell in the world frame, m."""
     half = obj.cell_size / 2
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

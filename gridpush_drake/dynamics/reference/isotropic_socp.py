@@ -7,7 +7,7 @@ which the norms that vanish (what sticks) stay zero.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 from scipy.sparse import csc_array, diags_array
 
@@ -15,6 +15,7 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS, calc_spin_
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, twist_to_cells
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.extras import import_extra
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -26,9 +27,7 @@ USABLE = ("Solved", "AlmostSolved", "InsufficientProgress")
 """Statuses whose point is near enough to be refined; the caller verifies what it makes of it."""
 
 
-def solve_conic(
-    P: csc_array, q: NDArray[np.float64], A: csc_array, cones: list[object]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def solve_conic(P: csc_array, q: Array, A: csc_array, cones: list[object]) -> tuple[Array, Array]:
     """Solves  min x·P x/2 + q·x  s.t.  -A x in the cones,  for x (k,) and the duals z (r,).
 
     P (k, k) is given by its upper triangle, A is (r, k); Clarabel's cones have r rows in all.
@@ -70,7 +69,7 @@ def solve_isotropic_socp(
     dt: float,
     g: float = STANDARD_GRAVITY,
     spin: str = "separate",
-) -> NDArray[np.float64]:
+) -> Array:
     """Takes one implicit step with isotropic Coulomb friction, as a second-order cone program.
 
         min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i |v_i(nu')| + sum_i beta_i |w'|
@@ -119,9 +118,7 @@ def solve_isotropic_socp(
     return np.linalg.solve(L.T, speed * u)
 
 
-def _minimize_norms(
-    u_free: NDArray[np.float64], cones: list[NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def _minimize_norms(u_free: Array, cones: list[Array]) -> Array:
     """Minimizes |u - u_free|²/2 + sum_i |A_i u| over u (3,).
 
     The sum is that of t_i, with (t_i, A_i u) in second-order cones.
@@ -144,11 +141,11 @@ def _minimize_norms(
 
 
 def _polish(
-    u_free: NDArray[np.float64],
-    cones: list[NDArray[np.float64]],
-    u: NDArray[np.float64],
+    u_free: Array,
+    cones: list[Array],
+    u: Array,
     zero: float,
-) -> NDArray[np.float64] | None:
+) -> Array | None:
     """Refines u by Newton's method, on the subspace B where the norms that vanish at u do.
 
     Returns:

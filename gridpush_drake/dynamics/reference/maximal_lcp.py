@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
@@ -30,6 +30,7 @@ from gridpush_drake.dynamics.kernels.lagged_friction import (
     YAW_RATE_AT_REST,
 )
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -53,13 +54,13 @@ class MaximalLcp:
         dt: time step, s.
     """
 
-    M: NDArray[np.float64]
+    M: Array
     J_e: csr_array
     J_f: csr_array
-    bound: NDArray[np.float64]
+    bound: Array
     spin_arm: float
-    xdot: NDArray[np.float64]
-    F: NDArray[np.float64]
+    xdot: Array
+    F: Array
     dt: float
 
     @property
@@ -68,7 +69,7 @@ class MaximalLcp:
         return len(self.M) // 3
 
     @property
-    def mass(self) -> NDArray[np.float64]:
+    def mass(self) -> Array:
         """(n,) m_i, kg."""
         return self.M[1::3]
 
@@ -140,7 +141,7 @@ def make_maximal_lcp(
     )
 
 
-def twist_to_cells(obj: GridObject, q: ArrayLike) -> NDArray[np.float64]:
+def twist_to_cells(obj: GridObject, q: ArrayLike) -> Array:
     """T (3n, 3) with xdot = T nu, nu = (vx, vy, w) of B's origin in W: v_i = v + w z × r_i.
 
     r_i is the arm from B's origin to cell i in world axes, m, at the pose q (3,).
@@ -156,14 +157,14 @@ def twist_to_cells(obj: GridObject, q: ArrayLike) -> NDArray[np.float64]:
     return T.reshape(3 * obj.n, 3)
 
 
-def _spanning_tree(pairs: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+def _spanning_tree(pairs: IntArray, n: int) -> IntArray:
     """(n-1, 2) of the (m, 2) pairs, enough to connect all n cells."""
     i, j = pairs.reshape(-1, 2).T
     tree = minimum_spanning_tree(csr_array((np.ones(len(i)), (i, j)), shape=(n, n))).tocoo()
     return np.stack([tree.row, tree.col], axis=1).astype(np.int64)
 
 
-def _rigidity(p_WC: NDArray[np.float64], pairs: NDArray[np.int64]) -> csr_array:
+def _rigidity(p_WC: Array, pairs: IntArray) -> csr_array:
     """Makes J_e, three rows for each pair of cells.
 
     w_i = w_j and v_i + w_i z × (P - p_i) = v_j + w_j z × (P - p_j), with P the midpoint.
@@ -194,10 +195,10 @@ def _rigidity(p_WC: NDArray[np.float64], pairs: NDArray[np.int64]) -> csr_array:
 
 
 def _friction_directions(
-    T: NDArray[np.float64],
-    M: NDArray[np.float64],
-    xdot: NDArray[np.float64],
-    F: NDArray[np.float64],
+    T: Array,
+    M: Array,
+    xdot: Array,
+    F: Array,
     dt: float,
 ) -> csr_array:
     """J_f: minus each cell's direction of motion, and minus its sense of rotation.
@@ -228,9 +229,7 @@ def _friction_directions(
     return J_f
 
 
-def _split(
-    xdot: NDArray[np.float64], slow: float, slow_yaw: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _split(xdot: Array, slow: float, slow_yaw: float) -> tuple[Array, Array]:
     """Calculates the senses of rotation (n,) and unit directions (n, 2) of velocities (n, 3).
 
     Both are zero where the velocity is below the tolerances.

@@ -22,7 +22,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import block_array, csc_array, csr_array, diags_array, eye_array, vstack
 from scipy.sparse.linalg import splu
 
@@ -30,6 +29,7 @@ from gridpush_drake.dynamics.reference.isotropic_socp import solve_conic, solve_
 from gridpush_drake.dynamics.reference.maximal_lcp import MaximalLcp
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.extras import import_extra
+from gridpush_drake.geometry.se2 import Array, IntArray
 
 clarabel = import_extra("clarabel", "reference")
 
@@ -47,13 +47,13 @@ NEAR_ROUND_OFF = 1e3  # multiple of it below which refinement stops once it halv
 class NormalizedLcp:
     """The LCP without units (see the module's docstring)."""
 
-    root_mass: NDArray[np.float64]  # (3n,) M^(1/2)
+    root_mass: Array  # (3n,) M^(1/2)
     e: float  # the momentum scale, (N s)/kg^(1/2)
-    rows: NDArray[np.int64]  # indices of the friction rows that are kept, (k,)
-    h: NDArray[np.float64]  # (3n,) momentum without friction, that of a rigid motion
-    lam_0: NDArray[np.float64]  # multipliers of rigidity without friction
+    rows: IntArray  # indices of the friction rows that are kept, (k,)
+    h: Array  # (3n,) momentum without friction, that of a rigid motion
+    lam_0: Array  # multipliers of rigidity without friction
     C: csr_array  # (3(n-1) or more, 3n) rigidity
-    norm: NDArray[np.float64]  # lengths of J_e M^(-1/2)'s rows
+    norm: Array  # lengths of J_e M^(-1/2)'s rows
     G: csr_array  # (k, 3n) friction
 
 
@@ -99,9 +99,7 @@ def normalize(lcp: MaximalLcp) -> NormalizedLcp:
     )
 
 
-def project(
-    C: csr_array, r: NDArray[np.float64], lam: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def project(C: csr_array, r: Array, lam: Array | None = None) -> tuple[Array, Array]:
     """Solves y + C^T lam = r, C y = 0.
 
     y is r (N,) or (N, j), projected onto the null space of C (k, N).
@@ -132,10 +130,10 @@ def project(
 
 def calc_residuals(
     lcp: MaximalLcp,
-    xdot: NDArray[np.float64],
-    lam_e: NDArray[np.float64],
-    lam_f: NDArray[np.float64],
-    gamma: NDArray[np.float64],
+    xdot: Array,
+    lam_e: Array,
+    lam_f: Array,
+    gamma: Array,
 ) -> KktResiduals:
     """Evaluates every line of the LCP for velocities (3n,), impulses, and speeds gamma (2n,)."""
     n = lcp.n
@@ -151,7 +149,7 @@ def calc_residuals(
     xi = lcp.bound - lam_f
     momentum = lcp.M * (xdot - lcp.xdot) - lcp.dt * lcp.F - lcp.J_e.T @ lam_e - lcp.J_f.T @ lam_f
 
-    def largest(value: NDArray[np.float64]) -> float:
+    def largest(value: Array) -> float:
         return float(np.abs(value).max(initial=0.0))
 
     return KktResiduals(
@@ -177,7 +175,7 @@ STICK = 0
 SLIDE = 1
 REVERSE = 2
 
-LcpSolver = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+LcpSolver = Callable[[Array, Array], Array]
 """Solves 0 <= z ⟂ M z + q >= 0 for (M, q)."""
 
 
@@ -194,10 +192,10 @@ class LcpSolution:
         residuals: how well every line of the LCP holds.
     """
 
-    xdot: NDArray[np.float64]
-    lam_e: NDArray[np.float64]
-    lam_f: NDArray[np.float64]
-    gamma: NDArray[np.float64]
+    xdot: Array
+    lam_e: Array
+    lam_f: Array
+    gamma: Array
     residuals: KktResiduals
 
 
@@ -270,10 +268,10 @@ def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
 def _restore(
     lcp: MaximalLcp,
     unit: NormalizedLcp,
-    y: NDArray[np.float64],
-    lam: NDArray[np.float64],
-    s: NDArray[np.float64],
-    slack: NDArray[np.float64],
+    y: Array,
+    lam: Array,
+    s: Array,
+    slack: Array,
 ) -> LcpSolution:
     """Gives the dimensionless solution its units back; rows left out slide freely, lam_f = 0."""
     xdot = unit.e * y / unit.root_mass
@@ -287,7 +285,7 @@ def _restore(
 
 def _interior_point(
     unit: NormalizedLcp,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array, Array, Array]:
     """Solves a QP for y, t and the multipliers lam, s.
 
     min 1/2 |y|² - h·y + sum t  s.t.  C y = 0 (lam), t >= 0 (1 - s), t + G y >= 0 (s)
@@ -309,8 +307,8 @@ def _interior_point(
 
 
 def _solve_active_set(
-    unit: NormalizedLcp, state: NDArray[np.int64], lam: NDArray[np.float64], s: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    unit: NormalizedLcp, state: IntArray, lam: Array, s: Array
+) -> tuple[Array, Array, Array]:
     """Solves for y, lam and s, with s = 1 where rows slide and 0 where they are reversed.
 
     Where they stick, G y = 0.

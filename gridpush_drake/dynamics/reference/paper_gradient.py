@@ -40,6 +40,7 @@ from gridpush_drake.dynamics.reference.maximal_lcp import (
     twist_to_cells,
 )
 from gridpush_drake.dynamics.reference.maximal_solvers import LcpSolution
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -58,13 +59,11 @@ class PaperGradient:
         friction: (3n, n) d xdot / d mu_i, rad/s and m/s.
     """
 
-    mass: NDArray[np.float64]
-    friction: NDArray[np.float64]
+    mass: Array
+    friction: Array
 
 
-def calc_x11(
-    lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
+def calc_x11(lcp: MaximalLcp, solution: LcpSolution, T: Array | None = None) -> Array:
     """Makes X11 (3n, 3n), from impulses on the cells to the velocities that they cause.
 
     With T (3n, 3), `twist_to_cells`, by the condensed form T X_B T^T; without it by the paper's
@@ -85,7 +84,7 @@ def calc_x11(
 def calc_paper_gradient(
     lcp: MaximalLcp,
     solution: LcpSolution,
-    T: NDArray[np.float64] | None = None,
+    T: Array | None = None,
     *,
     g: float = STANDARD_GRAVITY,
 ) -> PaperGradient:
@@ -108,10 +107,10 @@ def calc_paper_loss_gradient(
     lcp: MaximalLcp,
     solution: LcpSolution,
     error: ArrayLike,
-    T: NDArray[np.float64] | None = None,
+    T: Array | None = None,
     *,
     g: float = STANDARD_GRAVITY,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Differentiates the paper's loss |x_{t+1} - x*_{t+1}|².
 
     x_{t+1} = x_t + xdot dt, so dloss/dxdot = 2 dt error.
@@ -127,7 +126,7 @@ def calc_paper_loss_gradient(
     by_mass, by_friction = _impulse_derivatives(lcp, solution, g)
     dloss_dxdot = 2 * lcp.dt * np.asarray(error, dtype=np.float64)
     if T is None:
-        adjoint: NDArray[np.float64] = calc_x11(lcp, solution) @ dloss_dxdot
+        adjoint: Array = calc_x11(lcp, solution) @ dloss_dxdot
     else:
         adjoint = T @ (_condensed_x11(lcp, solution, T) @ (T.T @ dloss_dxdot))
     return np.asarray(adjoint @ by_mass), np.asarray(adjoint @ by_friction)
@@ -141,7 +140,7 @@ def calc_paper_step_jacobian(
     nu_next: ArrayLike,
     dt: float,
     g: float = STANDARD_GRAVITY,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Calculates the gradient with three unknowns, for use in a rollout: O(n) work.
 
         dnu'/dm_i  = -M_B^-1 [T_i^T diag(s²/6, 1, 1) T_i (nu' - nu) + mu_i g dt f_i]
@@ -195,9 +194,7 @@ def _sticks(lcp: MaximalLcp, solution: LcpSolution) -> NDArray[np.bool_]:
     return (solution.lam_f > AT_BOUND * lcp.bound) & (solution.lam_f < (1 - AT_BOUND) * lcp.bound)
 
 
-def _condensed_x11(
-    lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _condensed_x11(lcp: MaximalLcp, solution: LcpSolution, T: Array) -> Array:
     """X_B (3, 3)."""
     X_B = np.asarray(np.linalg.inv(T.T @ (lcp.M[:, None] * T)), dtype=np.float64)
     J = lcp.J_f[_sticks(lcp, solution)] @ T
@@ -207,9 +204,7 @@ def _condensed_x11(
     return np.asarray(X_B - X_J @ np.linalg.pinv(J @ X_J, rcond=REDUNDANT, hermitian=True) @ X_J.T)
 
 
-def _impulse_derivatives(
-    lcp: MaximalLcp, solution: LcpSolution, g: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _impulse_derivatives(lcp: MaximalLcp, solution: LcpSolution, g: float) -> tuple[Array, Array]:
     """Makes -[dM (xdot - xdot_t) - J_f^T D_s dbound], a column (3n,) for every dm_i and dmu_i."""
     n = lcp.n
     s = lcp.cell_size

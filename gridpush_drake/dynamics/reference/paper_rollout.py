@@ -20,7 +20,6 @@ projection on translations. `paper_gradient` derives all this.
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
@@ -28,7 +27,7 @@ from gridpush_drake.dynamics.kernels.inputs import Steps
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.motion import Jacobian
 from gridpush_drake.dynamics.physics import Physics
-from gridpush_drake.geometry.se2 import Array, make_rotation
+from gridpush_drake.geometry.se2 import Array, IntArray, make_rotation
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -42,7 +41,7 @@ def calc_paper_jacobian(
     params: CellParameters,
     steps: Steps,
     dts: Array,
-    rows: NDArray[np.int64],
+    rows: IntArray,
     physics: Physics,
 ) -> Jacobian:
     """Differentiates each recorded pose (rows, (R,)) by the step that led to it.
@@ -179,7 +178,7 @@ def fill_paper_gradient(
 
 
 def _twists_before(
-    obj: GridObject, params: CellParameters, steps: Steps, t: NDArray[np.int64], until: Array
+    obj: GridObject, params: CellParameters, steps: Steps, t: IntArray, until: Array
 ) -> tuple[Array, Array]:
     """(R, 3) the twists before the steps t, in their frames, and (R,) the frames' angles in W, rad.
 

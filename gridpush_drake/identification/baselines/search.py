@@ -10,12 +10,11 @@ from enum import StrEnum
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.identification.problem import TimedPush, resolve_physics
 from gridpush_drake.identification.result import HistoryEntry, Progress
 from gridpush_drake.objects.grid_object import GridObject
@@ -194,7 +193,7 @@ class CellLoss:
         ]
 
     @property
-    def rows(self) -> list[NDArray[np.int64]]:
+    def rows(self) -> list[IntArray]:
         """(K,) the observed poses among the simulated ones, for each push."""
         return [push.rows for push in self._pushes]
 

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import MAX_NUMBER, PushError, PushLogError
 from gridpush_drake.files import read_text
-from gridpush_drake.geometry.se2 import compose, invert, rotate, transform_back
+from gridpush_drake.geometry.se2 import Array, compose, invert, rotate, transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.push_log import MAX_SHOWN, ObservedPush, PushLog, nearest_turn
@@ -44,8 +44,8 @@ class CmuPush(NamedTuple):
     before: NDArray[
         np.float64
     ]  # (7,) the object's pose before, mm and quaternion w x y z, robot base frame
-    after: NDArray[np.float64]  # (7,) the same after
-    force: NDArray[np.float64]  # (F, 3) rows t fx fy, s and N, sensor frame
+    after: Array  # (7,) the same after
+    force: Array  # (F, 3) rows t fx fy, s and N, sensor frame
     tool: NDArray[
         np.float64
     ]  # (T, 8) rows t x y z qw qx qy qz, s, mm and quaternion, robot base frame
@@ -92,7 +92,7 @@ class _Lines:
             self._fail(number, words, f"{what}, a whole number of at least 1")
         return int(words[0])
 
-    def table(self, rows: int, size: int, what: str) -> NDArray[np.float64]:
+    def table(self, rows: int, size: int, what: str) -> Array:
         """Takes `rows` lines of `size` finite numbers; a size of at least 7 ends in a unit quaternion."""
         table = np.empty((min(rows, len(self._lines) - self._next), size))
         for row in range(rows):
@@ -275,15 +275,13 @@ def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush | None
     )
 
 
-def _centroid_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def _centroid_pose(pose: Array) -> Array:
     """Pose of B at the centroid, m and rad, from the logged pose (7,) of the corner, mm and quaternion."""
     yaw = float(_calc_yaw(pose[3:]))
     return compose([*pose[:2] * MM, yaw], [*CENTROID, 0.0])
 
 
-def _force_on_object(
-    rows: NDArray[np.float64], times: NDArray[np.float64], yaw: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _force_on_object(rows: Array, times: Array, yaw: Array) -> Array:
     """(K, 2) force on the object, robot's frame, N, at the tool's `times`: -R(yaw) R_tool (f - f_first)."""
     rows = _in_time_order(rows)
     f = np.column_stack(
@@ -292,7 +290,7 @@ def _force_on_object(
     return -rotate(yaw, f @ np.array(SENSOR_AXES).T)
 
 
-def _straightened(p: NDArray[np.float64]) -> NDArray[np.float64]:
+def _straightened(p: Array) -> Array:
     """Projects p (K, 2), m, on its best line, never going back; unchanged where it is not STRAIGHT."""
     center = p.mean(axis=0)
     along, across = np.linalg.svd(p - center, full_matrices=False)[2]
@@ -303,9 +301,7 @@ def _straightened(p: NDArray[np.float64]) -> NDArray[np.float64]:
     return center + np.maximum.accumulate((p - center) @ along)[:, None] * along
 
 
-def _travel_on(
-    t: NDArray[np.float64], p: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _travel_on(t: Array, p: Array) -> tuple[Array, Array]:
     """Adds a sample TIP_EXTENSION further on the line from the first to the last, at the mean speed."""
     travel = p[-1] - p[0]
     length = np.linalg.norm(travel)
@@ -313,13 +309,13 @@ def _travel_on(
     return np.append(t, t[-1] + share * t[-1]), np.vstack([p, p[-1] + share * travel])
 
 
-def _in_time_order(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_time_order(rows: Array) -> Array:
     """The rows whose time (first column) is later than that of all before them."""
     t = rows[:, 0]
     return rows[np.append(True, t[1:] > np.maximum.accumulate(t)[:-1])]
 
 
-def _without_standstill(tool: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _without_standstill(tool: Array) -> Array | None:
     """The tool's rows from the last at the place where it starts to the first at the place where it ends.
 
     None where it ends where it starts, or never leaves.
@@ -332,6 +328,6 @@ def _without_standstill(tool: NDArray[np.float64]) -> NDArray[np.float64] | None
     return tool[left[0] - 1 : not_yet[-1] + 2]
 
 
-def _calc_yaw(q: NDArray[np.float64]) -> NDArray[np.float64]:
+def _calc_yaw(q: Array) -> Array:
     """Angle (...) about z, rad, of quaternions (..., 4), w x y z."""
     return np.asarray(Rotation.from_quat(q, scalar_first=True).as_euler("ZYX")[..., 0])

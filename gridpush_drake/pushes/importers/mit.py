@@ -23,13 +23,12 @@ from typing import Any, ClassVar, Literal
 from warnings import warn
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError, PushLogWarning
 from gridpush_drake.files import MEGABYTE, read_bytes
-from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
@@ -56,20 +55,20 @@ BUTTER_HALF_MM = (
 MM = 1e-3  # meters in a millimeter
 
 
-def _rectangle(along_x: float, along_y: float) -> NDArray[np.float64]:
+def _rectangle(along_x: float, along_y: float) -> Array:
     return np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (along_x / 2, along_y / 2)
 
 
-def _triangle(along_x: float, along_y: float) -> NDArray[np.float64]:
+def _triangle(along_x: float, along_y: float) -> Array:
     return TRIANGLE_CORNER - np.array([[0, 0], [along_x, 0], [0, along_y]])
 
 
-def _ellipse(along_x: float, along_y: float) -> NDArray[np.float64]:
+def _ellipse(along_x: float, along_y: float) -> Array:
     angle = np.linspace(0, 2 * np.pi, ELLIPSE_VERTICES, endpoint=False)
     return make_direction(angle) * (along_x / 2, along_y / 2)
 
 
-MIT_SHAPES: dict[str, Callable[[], NDArray[np.float64]]] = {
+MIT_SHAPES: dict[str, Callable[[], Array]] = {
     "rect1": lambda: _rectangle(0.0900, 0.0900),
     "rect2": lambda: _rectangle(0.08991, 0.11258),
     "rect3": lambda: _rectangle(0.13501, 0.08994),
@@ -276,7 +275,7 @@ def _field(path: Path, data: dict[str, Any], name: str) -> Any:
     return data[name]
 
 
-def _numbers(path: Path, name: str, value: Any, size: int) -> NDArray[np.float64]:
+def _numbers(path: Path, name: str, value: Any, size: int) -> Array:
     try:
         numbers = np.array(value, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError):
