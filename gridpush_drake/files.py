@@ -13,7 +13,8 @@ from gridpush_drake.errors import GridPushError, OutputError
 MEGABYTE = 2**20
 """Bytes."""
 
-GZIP = b"\x1f\x8b"  # how a compressed file begins
+GZIP = b"\x1f\x8b"
+"""How a compressed file begins."""
 
 MAX_TEXT_SIZE = 64 * MEGABYTE
 """Of a text file, bytes: about a million rows of a push log."""

@@ -58,7 +58,8 @@ NOT_YAML = (ValueError, LookupError, TypeError, AttributeError, OverflowError)
 """What PyYAML raises, besides its own errors, on values that are not of the tag they have."""
 
 
-_TOO_DEEP = "maximum nesting depth"  # libyaml's word for it
+_TOO_DEEP = "maximum nesting depth"
+"""Libyaml's word for it."""
 
 _TOO_MANY = f"the document holds more than {MAX_NODES} keys and values"
 
@@ -237,7 +238,8 @@ def read_mapping(path: Path, what: str, error: type[GridPushError] = ObjectError
         raise error(f"{path}: is empty; expected {what}")
     if not isinstance(data, dict):
         raise error(
-            f"{path}: is a {type(data).__name__} at its top level; expected {what}: `key: value` lines"
+            f"{path}: is a {type(data).__name__} at its top level; expected {what}: `key: value` "
+            "lines"
         )
     return data
 

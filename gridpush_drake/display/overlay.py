@@ -25,14 +25,22 @@ from gridpush_drake.display.cell_colors import CellColors
 from gridpush_drake.display.shapes import CENTER_COLOR, PLAN_COLOR, SIGMAS
 from gridpush_drake.objects.grid_object import GridObject
 
-PAGE_END = "</body>"  # before the last one of a page the overlay is inserted
+PAGE_END = "</body>"
+"""Before the last one of a page the overlay is inserted."""
 
 PERCENT = 100.0
 
-SCALE_COLORS = 17  # of a scale; the page blends between them
-TICKS = 5  # of a scale
-GRAM = 1e-3  # in kg
-DIGITS = 2  # of a tick's value
+SCALE_COLORS = 17
+"""Of a scale; the page blends between them."""
+
+TICKS = 5
+"""Of a scale."""
+
+GRAM = 1e-3
+"""In kg."""
+
+DIGITS = 2
+"""Of a tick's value."""
 
 CAPTION_PATH = "caption"
 """In Meshcat: its `userData` is the list of phases of a live page, as `encode_phases` writes it."""

@@ -25,8 +25,12 @@ LAYERS_TO_LEAVE_OUT = ("/drake/proximity", "/drake/contact_forces", "/drake/iner
 CAMERA_AZIMUTH, CAMERA_ELEVATION = -1.75, 0.85
 """Where the camera stands as seen from its target, rad: before the table, a little to the left."""
 
-MARK = b"<title>Drake MeshCat</title>"  # what stands in every page of Meshcat
-MARK_ROOM = 4096  # bytes within which it stands
+MARK = b"<title>Drake MeshCat</title>"
+"""What stands in every page of Meshcat."""
+
+MARK_ROOM = 4096
+"""Bytes within which it stands."""
+
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (
     (0.97, 0.975, 0.98),
     (0.80, 0.82, 0.85),
@@ -36,8 +40,11 @@ LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX
 """Intensities that show a horizontal face near the origin in its own color; Meshcat's own make it a
 third brighter."""
 
-_STARTED: list[tuple["ref[Meshcat]", int]] = []  # each server and the thread that started it
-_HELD: list[Meshcat] = []  # what the thread that collects garbage must not destroy
+_STARTED: list[tuple["ref[Meshcat]", int]] = []
+"""Each server and the thread that started it."""
+
+_HELD: list[Meshcat] = []
+"""What the thread that collects garbage must not destroy."""
 
 
 def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Meshcat:
@@ -78,7 +85,8 @@ def explain_port(port: int | None, host: str) -> str:
     """Says why a port cannot be listened on, and what to do."""
     if port:
         return (
-            f"port {port} cannot be listened on at {host!r}: it is in use already, or {host!r} is not this machine's "
+            f"port {port} cannot be listened on at {host!r}: it is in use already, or {host!r} is "
+            "not this machine's "
             "address; end the program that uses it, or pass another port (0 takes any free one)"
         )
     return (

@@ -25,12 +25,17 @@ from gridpush_drake.geometry.outline_mesh import triangulate_area
 from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
 
-CELL_SHARE = (
-    0.94  # side of a drawn cell, in cells; the rest is the gap that lets cells be told apart
-)
-CIRCLE_SIDES = 48  # straight pieces of a drawn circle
-MIN_HALF_AXIS = 1e-5  # of a drawn ellipse, m; one that is narrower has no area to speak of
-MIN_LENGTH = 1e-5  # of a drawn arrow, m
+CELL_SHARE = 0.94
+"""Side of a drawn cell, in cells; the rest is the gap that lets cells be told apart."""
+
+CIRCLE_SIDES = 48
+"""Straight pieces of a drawn circle."""
+
+MIN_HALF_AXIS = 1e-5
+"""Of a drawn ellipse, m; one that is narrower has no area to speak of."""
+
+MIN_LENGTH = 1e-5
+"""Of a drawn arrow, m."""
 
 
 def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) -> Trimesh:
@@ -130,18 +135,29 @@ CENTER_COLOR = Rgba(
 
 ELLIPSE_OPACITY = 0.3
 
-SIGMAS = 2.0  # half axes of the ellipse, in standard deviations
+SIGMAS = 2.0
+"""Half axes of the ellipse, in standard deviations."""
+
 PLAN_COLOR = Rgba(
     0.93, 0.38, 0.05
 )  # of what is to come: a push, and the pose it is predicted to end in
 
 GHOST_OPACITY = 0.3
 
-CENTER_RADIUS = 0.0025  # of the dot at the center of mass, m
-RING_WIDTH = 0.0012  # of the ellipse's edge, m
-ARROW_WIDTH = 0.005  # of a push's shaft, m
-LAYER = 0.001  # between what is drawn one over the other, m
-EDGE_WIDTH = 0.0015  # of a ghost's upper edge, m
+CENTER_RADIUS = 0.0025
+"""Of the dot at the center of mass, m."""
+
+RING_WIDTH = 0.0012
+"""Of the ellipse's edge, m."""
+
+ARROW_WIDTH = 0.005
+"""Of a push's shaft, m."""
+
+LAYER = 0.001
+"""Between what is drawn one over the other, m."""
+
+EDGE_WIDTH = 0.0015
+"""Of a ghost's upper edge, m."""
 
 GHOST_SHARE = 0.97
 """Height of a ghost, in heights of its object, whose own top then covers it where the two meet."""

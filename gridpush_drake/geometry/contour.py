@@ -162,8 +162,8 @@ def _trace_smooth(coverage: Array, smoothing: float) -> Polygon | None:
     # Contourpy gives all rings of a piece in one array, the outer one first, and where each begins.
     # Its points are counted from the center of the first pixel, the outline's from its corner.
     pieces = []
-    all_points, all_offsets = generator.filled(HALF, np.inf)
-    for points, offsets in zip(all_points, all_offsets, strict=True):
+    filled = generator.filled(HALF, np.inf)
+    for points, offsets in zip(*filled, strict=True):
         rings = []
         for first, end in pairwise(offsets):
             ring = _begin_at_a_corner(points[first:end])

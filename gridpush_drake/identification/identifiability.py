@@ -333,9 +333,11 @@ def _describe_patterns(obj: GridObject, patterns: int, cells: int) -> str:
         )
     many = "1 pattern" if patterns == 1 else f"{patterns} independent patterns"
     return (
-        f"The pushes determined {many} of how the friction is spread over the {obj.n} cells, such as "
+        f"The pushes determined {many} of how the friction is spread over the {obj.n} cells, such "
+        "as "
         "more at one end and less at the other. Since neighboring cells are supposed to be alike, "
-        f"this takes at least half of the variance from {cells} of the cells; what sets a cell apart "
+        f"this takes at least half of the variance from {cells} of the cells; what sets a cell "
+        "apart "
         "from its neighbors stays as it was supposed beforehand."
     )
 

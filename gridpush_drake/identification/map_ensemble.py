@@ -548,7 +548,8 @@ def _describe(best: LoadPrior) -> tuple[IdentificationStatus, str]:
         return IdentificationStatus.LEARNED, "Learned from the pushes."
     return (
         IdentificationStatus.PRIOR_KEPT,
-        "The pushes are explained best by an almost even object; only the contact friction was fitted freely.",
+        "The pushes are explained best by an almost even object; only the contact friction was "
+        "fitted freely.",
     )
 
 

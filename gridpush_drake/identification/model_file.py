@@ -174,7 +174,8 @@ class ModelSchema(StrictSchema):
         if len(self.posterior.mean) != size:
             more = ", ".join(GLOBALS)
             raise ValueError(
-                f"posterior.mean has {len(self.posterior.mean)} entries; expected {size}: one a cell, then {more}"
+                f"posterior.mean has {len(self.posterior.mean)} entries; expected {size}: one a "
+                f"cell, then {more}"
             )
         return self
 
@@ -182,11 +183,13 @@ class ModelSchema(StrictSchema):
 RENAMED = {
     **{f"object.{place}": what for place, what in OBJECT_RENAMED.items()},
     "object.cell_size": "this key is called object.cells.size now",
-    "object.prior": "its keys stand in object now: total_mass, center_of_mass, friction, contact_friction, pusher",
+    "object.prior": "its keys stand in object now: total_mass, center_of_mass, friction, "
+    "contact_friction, pusher",
     "cells.p_BC": "this key is called object.cells.centers now",
     "cells.labels": "this key is called object.cells.labels now",
     "identifiability.centre_of_friction": "this key is called center_of_friction now",
-    "identifiability.centre_of_friction_covariance": "this key is called center_of_friction_covariance now",
+    "identifiability.centre_of_friction_covariance": "this key is called "
+    "center_of_friction_covariance now",
     "identifiability.centre_of_mass_box": "this key is called center_of_mass_box now",
 }
 """What became of keys of old, by their place."""
@@ -222,7 +225,8 @@ def unpack_symmetric(name: str, text: str, size: int) -> Array:
     values = _decode(name, text)
     if len(values) != size * (size + 1) // 2:
         raise IdentificationError(
-            f"{name}: holds {len(values)} numbers; expected the lower triangle of a {size} x {size} matrix"
+            f"{name}: holds {len(values)} numbers; expected the lower triangle of a {size} x "
+            f"{size} matrix"
         )
     matrix = np.empty((size, size))
     rows, columns = np.tril_indices(size)

@@ -33,7 +33,8 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import ParameterError, ScenarioError
 
-PARTNER_FRICTION = 1.0  # coefficient of a stiff partner
+PARTNER_FRICTION = 1.0
+"""Coefficient of a stiff partner."""
 
 PARTNER_STIFFNESS = 1e12
 """N/m, of a stiff partner: next to it every sphere's stiffness is its contact's to 1e-6."""
@@ -84,14 +85,18 @@ def SetPartner(
         scene_graph.AssignRole(source, geometry, properties, RoleAssign.kReplace)
 
 
-TABLE = "table"  # name of the table's model instance
-TOP_TOLERANCE = 1e-6  # m, about the plane z = 0; and of the table's normal, as a sine
+TABLE = "table"
+"""Name of the table's model instance."""
+
+TOP_TOLERANCE = 1e-6
+"""M, about the plane z = 0; and of the table's normal, as a sine."""
 
 QUADRANT_SEGMENTS = 256
 """Of the polygon within a round table's edge, a quarter turn; it lies within 2 um of a edge of 0.5
 m."""
 
-SEAM = 1e-9  # m: outlines are rounded to it, so that pieces of a table that meet leave no gap
+SEAM = 1e-9
+"""M: outlines are rounded to it, so that pieces of a table that meet leave no gap."""
 
 
 def FindTableTops(

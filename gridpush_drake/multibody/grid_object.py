@@ -72,7 +72,8 @@ from gridpush_drake.multibody.contact_material import MakeContactProperties, cal
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-SPHERE_RADIUS = 0.002  # m; more than the spheres are ever pressed in
+SPHERE_RADIUS = 0.002
+"""M; more than the spheres are ever pressed in."""
 
 SpheresPerCell = Literal[1, 4]
 
@@ -121,11 +122,20 @@ class ContactSphereLayout:
         return [MakeContactProperties(friction[i], float(stiffness[i])) for i in self.cell]
 
 
-MAX_DEPTH = 0.01  # m, of the boxes behind the edges
-HALVINGS = 12  # how often a box behind an edge is made half as deep for want of room
-PROTRUSION = 1e-6  # m by which boxes may stand out of the outline, next to a sharp corner
-STRIPS = 24  # rows of boxes that fill the inside
-CLEARANCE = 5e-4  # m from the outline to the boxes that fill the inside; deeper than a finger ever presses in
+MAX_DEPTH = 0.01
+"""M, of the boxes behind the edges."""
+
+HALVINGS = 12
+"""How often a box behind an edge is made half as deep for want of room."""
+
+PROTRUSION = 1e-6
+"""M by which boxes may stand out of the outline, next to a sharp corner."""
+
+STRIPS = 24
+"""Rows of boxes that fill the inside."""
+
+CLEARANCE = 5e-4
+"""M from the outline to the boxes that fill the inside; deeper than a finger ever presses in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +197,8 @@ def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
 
 Base = Literal["planar", "free"]
 
-DEFAULT_HEIGHT = 0.03  # m
+DEFAULT_HEIGHT = 0.03
+"""M."""
 
 DEFAULT_DELTA = {"planar": 1e-3, "free": 1e-6}
 """m the spheres are pressed in; a free body on softer spheres tips falsely."""
@@ -197,10 +208,11 @@ SIDE_STIFFNESS = 3e5
 contact follows the normal force of the step before: on a stiffer outline that force jumps from step
 to step, and the finger slips."""
 
-SIDE_DISSIPATION = (
-    100.0  # s/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing
-)
-DEFAULT_COLOR = (0.55, 0.62, 0.7, 1.0)  # red, green, blue and opacity
+SIDE_DISSIPATION = 100.0
+"""S/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing."""
+
+DEFAULT_COLOR = (0.55, 0.62, 0.7, 1.0)
+"""Red, green, blue and opacity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,8 +361,10 @@ def refuse_unphysical(obj: GridObject, params: CellParameters) -> Iterator[None]
         yield
     except RuntimeError as error:
         raise ParameterError(
-            f"{obj.name}: mass or height: cells of {params.mass.min():g} to {params.mass.max():g} kg, "
-            f"{obj.cell_size:g} m wide, make no inertia that Drake takes for physical; expected other sizes"
+            f"{obj.name}: mass or height: cells of {params.mass.min():g} to {params.mass.max():g} "
+            "kg, "
+            f"{obj.cell_size:g} m wide, make no inertia that Drake takes for physical; expected "
+            "other sizes"
         ) from error
 
 

@@ -36,7 +36,8 @@ FRICTION_RANGE = (0.2, 0.6)
 CONTACT_FRICTION_RANGE = (0.35, 0.65)
 
 
-MIN_TILT = 0.05  # least factor of a mass that is tilted, see `resample_parameters`
+MIN_TILT = 0.05
+"""Least factor of a mass that is tilted, see `resample_parameters`."""
 
 
 def sample_ground_truth(
@@ -94,7 +95,8 @@ Support = Literal["own_weight", "foundation", "three_feet"]
 """How a free body stands: each cell bears its own weight, on an evenly compliant bottom, or on
 three feet."""
 
-FEET_SLACK = 0.002  # m that the center of mass lies within three feet's triangle, beside what a push takes away
+FEET_SLACK = 0.002
+"""M that the center of mass lies within three feet's triangle, beside what a push takes away."""
 
 SOFT = 1e-3
 """Stiffness of the bottom beside three feet, relative to an even one: it bears where a foot is over

@@ -31,24 +31,35 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-TIME_STEP = 1e-3  # s
-FOOT_RADIUS = 0.002  # m, of the spheres that stand on the table
+TIME_STEP = 1e-3
+"""S."""
+
+FOOT_RADIUS = 0.002
+"""M, of the spheres that stand on the table."""
 
 WALL_RADIUS = 1e-4
 """m, of the capsules along the outline, which the pusher touches; its own radius should be less by
 as much."""
 
-SINKAGE = 2e-4  # m that a compliant bottom sinks under its weight
+SINKAGE = 2e-4
+"""M that a compliant bottom sinks under its weight."""
 
 DAMPING_RATIO = 0.3
 """Of the body's motion up and down on its feet; explicit in time, so that rocking, which is faster,
 stays stable."""
 
-REGULARIZATION = 1e3  # R f of a foot, m/s²
-SLIP_DAMPING = 200.0  # b, 1/s
+REGULARIZATION = 1e3
+"""R f of a foot, m/s²."""
+
+SLIP_DAMPING = 200.0
+"""B, 1/s."""
+
 IMPRATIO, TOLERANCE = 1e5, 1e-12  # of the cone, and of MuJoCo's solver
-MIN_IMPEDANCE = 1e-4  # MuJoCo's least
-TABLE_HALF = 5.0  # m, half a side of the table
+MIN_IMPEDANCE = 1e-4
+"""MuJoCo's least."""
+
+TABLE_HALF = 5.0
+"""M, half a side of the table."""
 
 WALL_IMPEDANCE, WALL_TIME = 0.99, 0.002
 """Of the ring where a finger touches it: its impedance, and in how many seconds it gives back what

@@ -130,7 +130,8 @@ class _DirectivesCheck:
                 open_file(path, MODEL_FILE, ScenarioError, MAX_TEXT_SIZE).close()
             if total > MAX_DIRECTIVES:
                 raise ScenarioError(
-                    f"directives: there are more than {MAX_DIRECTIVES}, with those of included files"
+                    f"directives: there are more than {MAX_DIRECTIVES}, with those of included "
+                    "files"
                 )
         return total
 
@@ -192,7 +193,8 @@ MESHES: Mapping[str, Sequence[str]] = MappingProxyType(
 )
 """Of each body, its meshes within drake_models. Their frames are the bodies' own."""
 
-MODELS = ("iiwa", "gripper")  # names of the model instances that take meshes
+MODELS = ("iiwa", "gripper")
+"""Names of the model instances that take meshes."""
 
 
 def find_drake_models() -> Path | None:

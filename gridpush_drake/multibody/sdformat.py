@@ -41,16 +41,23 @@ from gridpush_drake.multibody.grid_object import (
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-DRAKE = "http://drake.mit.edu"  # XML namespace of Drake's elements
-VERSION = "1.9"  # of SDFormat
-GRAVITY = 9.81  # m/s², that the spheres are made for; Drake's own
-SIDE_LIFT = (
-    0.003  # m from the object's bottom to that of its sides; more than the spheres are pressed in
-)
+DRAKE = "http://drake.mit.edu"
+"""XML namespace of Drake's elements."""
+
+VERSION = "1.9"
+"""Of SDFormat."""
+
+GRAVITY = 9.81
+"""M/s², that the spheres are made for; Drake's own."""
+
+SIDE_LIFT = 0.003
+"""M from the object's bottom to that of its sides; more than the spheres are pressed in."""
 
 NOTICE = (
-    " A grid object: a sphere under every cell, boxes along the outline for a finger to push. Table and finger are to "
-    "have friction 1 and drake:point_contact_stiffness 1e12. The object's bottom is z = 0 of its frame. Units: m, kg. "
+    " A grid object: a sphere under every cell, boxes along the outline for a finger to push. "
+    "Table and finger are to "
+    "have friction 1 and drake:point_contact_stiffness 1e12. The object's bottom is z = 0 of its "
+    "frame. Units: m, kg. "
 )
 
 Element = ElementTree.Element

@@ -41,8 +41,11 @@ Point = tuple[float, float, float]
 ToolPose = tuple[float, float, float, float]
 """p_WP of the tip's center, m, and the tool's yaw, rad: 0 is `R_WP_DOWN`."""
 
-TURNING_RADIUS = 0.3  # m of path that a turn by a radian counts
-RAMP_PEAK = 1.5  # greatest slope of 3 u^2 - 2 u^3: a ramp's greatest acceleration over its mean one
+TURNING_RADIUS = 0.3
+"""M of path that a turn by a radian counts."""
+
+RAMP_PEAK = 1.5
+"""Greatest slope of 3 u^2 - 2 u^3: a ramp's greatest acceleration over its mean one."""
 
 ROUND_OFF = 1e-9
 """Share of a segment by which it is not worth cutting it short, and of a ramp by which it is not

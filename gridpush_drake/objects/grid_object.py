@@ -51,7 +51,7 @@ class GridObject(Frozen):
         labels: (n,) the part each cell belongs to, >= 1.
         outline: contour with holes, body frame, m; what the pusher touches.
         prior: what is known of mass and friction beforehand.
-        height: m; None where it is not known.
+        height: how high it is, m; None where it is not known.
 
     Raises:
         ObjectError: shapes disagree, or a value is out of range.
@@ -77,7 +77,8 @@ class GridObject(Frozen):
             ) from error
         if p_BC.ndim != 2 or p_BC.shape[1] != 2 or not len(p_BC) or labels.shape != p_BC.shape[:1]:
             raise ObjectError(
-                f"{self.name}: p_BC of shape {p_BC.shape}, labels of shape {labels.shape}; expected (n, 2) and (n,)"
+                f"{self.name}: p_BC of shape {p_BC.shape}, labels of shape {labels.shape}; "
+                "expected (n, 2) and (n,)"
             )
         if len(p_BC) > MAX_CELLS:
             raise ObjectError(f"{self.name}: has {len(p_BC)} cells; expected at most {MAX_CELLS}")
@@ -126,7 +127,8 @@ class GridObject(Frozen):
     def _check_size(self, p_BC: Array) -> None:
         if not MIN_SIZE <= self.cell_size <= MAX_SIZE:
             raise ObjectError(
-                f"{self.name}: cell_size is {self.cell_size:g} m; expected {MIN_SIZE:g} to {MAX_SIZE:g} m"
+                f"{self.name}: cell_size is {self.cell_size:g} m; expected {MIN_SIZE:g} to "
+                f"{MAX_SIZE:g} m"
             )
         for what, farthest in (
             ("p_BC", np.abs(p_BC).max()),
@@ -134,12 +136,17 @@ class GridObject(Frozen):
         ):
             if not farthest <= MAX_SIZE:
                 raise ObjectError(
-                    f"{self.name}: {what}: a coordinate is {farthest:g} m; expected at most {MAX_SIZE:g} m"
+                    f"{self.name}: {what}: a coordinate is {farthest:g} m; expected at most "
+                    f"{MAX_SIZE:g} m"
                 )
 
     def _check_push_height(self) -> None:
-        """Refuses a pusher so high that even the least friction would let the object tip rather than slide."""
-        height, least = self.prior.push_height, self.prior.friction_min
+        """Refuses a pusher so high that the object would tip even with the least friction.
+
+        A body of width w tips about its edge when it is pushed at a height h with h mu > w / 2.
+        """
+        height = self.prior.push_height
+        least = self.prior.friction_min
         if height is None:
             return
         rectangle = np.asarray(self.outline.minimum_rotated_rectangle.exterior.coords)
@@ -147,8 +154,8 @@ class GridObject(Frozen):
         if height * least >= width / 2:
             most = width / 2 / least
             raise ObjectError(
-                f"{self.name}: pusher.height is {height:g} m; expected less than {most:.3g} m, from where on an object "
-                f"{width:.3g} m wide tips even with friction {least:g}"
+                f"{self.name}: pusher.height is {height:g} m; expected less than {most:.3g} m, "
+                f"from where on an object {width:.3g} m wide tips even with friction {least:g}"
             )
 
     def _check_center_of_mass(self) -> None:
@@ -156,8 +163,8 @@ class GridObject(Frozen):
         at = self.prior.center_of_mass
         if at is not None and self.outline.convex_hull.distance(Point(at)) > self.cell_size:
             raise ObjectError(
-                f"{self.name}: center_of_mass.at is [{at[0]:g}, {at[1]:g}] m; expected a point within the "
-                "outline's convex hull"
+                f"{self.name}: center_of_mass.at is [{at[0]:g}, {at[1]:g}] m; expected a point "
+                "within the outline's convex hull"
             )
 
     @classmethod
@@ -222,7 +229,11 @@ class GridObject(Frozen):
 
     @classmethod
     def from_yaml(cls, path: Path | str, *, largest_piece: bool = False) -> "GridObject":
-        """Reads an object file, see `docs/howto/own_object.md`; a mask it names is looked up beside it.
+        """Reads an object file, whose form stands in `docs/howto/own_object.md`.
+
+        Args:
+            path: the file; a mask that it names is looked up beside it.
+            largest_piece: whether the largest piece of that mask is taken where there are several.
 
         Raises:
             ObjectError: the file cannot be read, has an unknown key or a value out of range; the
@@ -242,7 +253,9 @@ class GridObject(Frozen):
             raise ObjectError(f"{path}: {error}") from error
 
     def write_yaml(self, path: Path | str, force: bool = False) -> None:
-        """Writes the object as an outline with its cells and prior, so that `from_yaml` gives it back, bit for bit.
+        """Writes the object as an outline with its cells and prior.
+
+        `from_yaml` gives it back, bit for bit.
 
         Raises:
             OutputError: the file exists and `force` is not set, or it cannot be written.
@@ -251,7 +264,7 @@ class GridObject(Frozen):
 
     @property
     def grid(self) -> CellGrid:
-        """Its geometry alone."""
+        """The geometry alone: cells and outline."""
         return CellGrid(self.p_BC, self.cell_size, self.labels, self.outline)
 
     @property
@@ -261,7 +274,10 @@ class GridObject(Frozen):
 
     @cached_property
     def adjacency(self) -> IntArray:
-        """(m, 2) pairs of cells that share a side; islands are joined by their shortest links, so it is connected."""
+        """(m, 2) pairs of cells that share a side, and the shortest links between islands of cells.
+
+        As a graph they connect all cells.
+        """
         return calc_adjacency(self.p_BC, self.cell_size)
 
     @cached_property
@@ -272,9 +288,10 @@ class GridObject(Frozen):
     @cached_property
     def radius_of_gyration(self) -> float:
         """Root mean square distance of the (square) cells' points from their common centroid, m."""
+        # A square of side s by itself has a squared radius of gyration of s²/6.
         arm = self.p_BC - self.p_BC.mean(axis=0)
         return float(np.sqrt((arm**2).sum(axis=1).mean() + self.cell_size**2 / 6))
 
     def cells_at(self, pose: ArrayLike) -> Array:
-        """p_WC (..., n, 2), m, of the cells at poses `(..., 3)` (x, y, theta)."""
+        """Places p_WC (..., n, 2) of the cells, m, at poses q_WB (..., 3), m and rad."""
         return transform(pose, self.p_BC)

@@ -1,5 +1,10 @@
-"""A label image (PGM, PNG), read with the labels as they were stored, and turned into cells and an outline."""
+"""Label images (PGM, PNG): read with their labels as stored, and turned into cells and an outline.
 
+In a label image 0 is background, and every other value a part of the object. (Pictures and depth
+images of a camera are made into objects in `perception.detection`.)
+"""
+
+import math
 import re
 import struct
 import warnings
@@ -29,40 +34,58 @@ from gridpush_drake.objects.cells import (
 )
 
 MAX_PIXELS = 100_000_000
-"""Larger images are refused before they are decoded; this many take a gigabyte and some seconds."""
+"""Largest number of pixels. An image with more is refused before it is decoded; one with so many
+takes a gigabyte and some seconds."""
 
-MAX_FILE_SIZE = 1024 * MEGABYTE  # of an image file, bytes: more than the most pixels take at 16 bit
-STRIP_PIXELS = 4_000_000  # pixels looked at in one go
+MAX_FILE_SIZE = 1024 * MEGABYTE
+"""Largest size of an image file, bytes. It is more than `MAX_PIXELS` pixels of 16 bit take."""
+
+STRIP_PIXELS = 4_000_000
+"""Number of pixels that are looked at in one go."""
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+"""First bytes of a PNG file."""
 
-PNG_MODES = ("1", "L", "P", "I", "I;16")  # Pillow's names of images with one number per pixel
-PNG_DEPTH_AT = 24  # place of the bit depth in a PNG file
+PNG_MODES = ("1", "L", "P", "I", "I;16")
+"""Pillow's names of images with one number per pixel."""
+
+PNG_DEPTH_AT = 24
+"""Place of the bit depth in a PNG file, bytes from its beginning."""
 
 PNG_GRAY_STRETCH = {2: 85, 4: 17}
-"""Pillow stretches gray of so few bits to 0 to 255 by this factor; labels are wanted as stored."""
+"""Factor by which Pillow stretches gray of 2 or 4 bits to 0 to 255. Labels are wanted as stored."""
 
 PGM_GAP = rb"(?:\s|#[^\r\n]*+[\r\n])++"
-"""Blanks and comments between the numbers of a header; possessive, so that it is read once and
-never again."""
+"""Blanks and comments between the numbers of a header. It is possessive: read once, never again, so
+that no header can keep the reader busy."""
 
 PGM_HEADER = re.compile(rb"(P[25])" + (PGM_GAP + rb"(\d{1,9}+)") * 3 + rb"(?:[ \t]*+#[^\r\n]*+)?\s")
+"""Header of a plain (P2) or raw (P5) PGM: kind, width, height and greatest value."""
 
-MAX_PLAIN_SIZE = 32 * MEGABYTE  # of a plain PGM, whose numbers are text, bytes
-PGM_HEADER_ROOM = 4096  # bytes within which a PGM header must end
+MAX_PLAIN_SIZE = 32 * MEGABYTE
+"""Largest size of a plain PGM, whose numbers are text, bytes."""
+
+PGM_HEADER_ROOM = 4096
+"""Number of bytes within which a PGM's header must end."""
 
 FORM = "a PGM or PNG label image: 0 is background, every other value a part"
+"""The expected form of a mask, for messages."""
 
 WANTED = f"expected {FORM}"
+"""End of the messages that refuse a mask."""
 
 Rows = Callable[[int, int], NDArray[np.generic]]
-"""Rows from the first number to before the second, (rows, width)."""
+"""Reads an image's rows (rows, width) from the first number to before the second."""
 
 
 def read_labels(path: Path) -> NDArray[np.uint16]:
-    """Reads a label image, cropped to what is not background, 0: (height, width), rows run down the image.
+    """Reads a label image, cropped to what is not background.
 
-    A PGM (plain or raw, 8 or 16 bit) or PNG (gray of 1 to 16 bit, or palette) file.
+    Args:
+        path: a PGM (plain or raw, 8 or 16 bit) or PNG (gray of 1 to 16 bit, or palette) file.
+
+    Returns:
+        (height, width) labels; rows run down the image, and 0 is background.
 
     Raises:
         ObjectError: the file cannot be read, is a color image or another kind of file, is too
@@ -81,8 +104,23 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
 
 
 def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
-    """Cuts the bounding box of what is not 0 out of an image that is read strip by strip."""
-    used_rows, used_columns = np.zeros(height, dtype=bool), np.zeros(width, dtype=bool)
+    """Cuts the bounding box of what is not 0 out of an image that is read strip by strip.
+
+    Args:
+        path: the image's file, for messages.
+        rows: reads some of its rows.
+        width: of the image, pixels.
+        height: of the image, pixels.
+
+    Returns:
+        (height, width) labels within the box.
+
+    Raises:
+        ObjectError: all of the image is 0.
+    """
+    # The first reading finds the box, a second one fills it: no whole image is held in memory.
+    used_rows = np.zeros(height, dtype=bool)
+    used_columns = np.zeros(width, dtype=bool)
     step = max(1, STRIP_PIXELS // width)
     for top in range(0, height, step):
         object_here = rows(top, min(height, top + step)) != 0
@@ -90,9 +128,8 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
         used_columns |= object_here.any(axis=0)
     if not used_rows.any():
         raise ObjectError(f"{path}: holds background (0) only; {WANTED}")
-    (top, bottom), (left, right) = (
-        (int(i[0]), int(i[-1]) + 1) for i in map(np.flatnonzero, (used_rows, used_columns))
-    )
+    top, bottom = _find_range(used_rows)
+    left, right = _find_range(used_columns)
     labels = np.empty((bottom - top, right - left), dtype=np.uint16)
     for first in range(top, bottom, step):
         last = min(bottom, first + step)
@@ -102,13 +139,21 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
     return labels
 
 
-INVERTED_SHARE, MAIN_SHARE = 0.01, 0.9
-"""Least share of a picture, and of all background, that a hole has which is the object of an
-inverted mask."""
+def _find_range(used: NDArray[np.bool_]) -> tuple[int, int]:
+    """Finds the first place that is used, and the one after the last."""
+    places = np.flatnonzero(used)
+    return int(places[0]), int(places[-1]) + 1
+
+
+INVERTED_SHARE = 0.01
+"""Share of a picture from which on a hole may be the object of an inverted mask."""
+
+MAIN_SHARE = 0.9
+"""Share of all background from which on a hole may be the object of an inverted mask."""
 
 
 def _doubt_inverted(path: Path, labels: NDArray[np.uint16]) -> None:
-    """Warns where all of the border is object and one hole is all there is of background."""
+    """Warns where all of the border is object, and one hole is nearly all of the background."""
     edges = (labels[0], labels[-1], labels[:, 0], labels[:, -1])
     if not all(edge.all() for edge in edges):
         return
@@ -116,14 +161,15 @@ def _doubt_inverted(path: Path, labels: NDArray[np.uint16]) -> None:
     sizes = np.bincount(holes.ravel())[1:]
     if count and sizes.max() >= max(INVERTED_SHARE * labels.size, MAIN_SHARE * sizes.sum()):
         warnings.warn(
-            f"{path}: is the mask inverted? The object takes all of the picture's border and has a hole of "
-            f"{sizes.max()} pixels; expected 0 for background, beyond the border too",
+            f"{path}: is the mask inverted? The object takes all of the picture's border and has "
+            f"a hole of {sizes.max()} pixels; expected 0 for background, beyond the border too",
             ObjectWarning,
             stacklevel=2,
         )
 
 
 def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
+    """Reads a PNG file, which begins with `head`, and crops it."""
     # The plugin is opened itself: Image.open would measure it by Pillow's global limit instead of
     # MAX_PIXELS.
     try:
@@ -146,6 +192,7 @@ def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
 
 
 def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
+    """Reads a PGM file, which begins with `head`, and crops it."""
     header = PGM_HEADER.match(head)
     if header is None:
         raise ObjectError(f"{path}: is a PGM with a damaged header; {WANTED}")
@@ -161,6 +208,7 @@ def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
             numbers = re.sub(rb"#[^\r\n]*", b"", text[header.end() :]).split()
             pixels = np.array(numbers[: width * height], dtype=np.uint16).reshape(height, width)
         else:
+            # Numbers of two bytes have the greater one first.
             kind = np.dtype(np.uint8 if greatest <= np.iinfo(np.uint8).max else ">u2")
             pixels = np.memmap(
                 file, dtype=kind, mode="r", offset=header.end(), shape=(height, width)
@@ -173,56 +221,98 @@ def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
+    """Refuses an image of no pixels, or of too many."""
     if not 0 < width * height <= MAX_PIXELS:
         raise ObjectError(
-            f"{path}: has {width} x {height} pixels; expected at least one and at most {MAX_PIXELS // 10**6} million"
+            f"{path}: has {width} x {height} pixels; expected at least one and at most "
+            f"{MAX_PIXELS // 10**6} million"
         )
 
 
 WORKING_PIXELS = 4_000_000
-"""Larger masks are averaged over square blocks of pixels down to about this many before they are
-traced."""
+"""Number of pixels beyond which a mask is averaged over square blocks, down to about this many,
+before it is traced."""
 
-MAX_PARTS = 100  # more labels than this are taken for a photograph or a softened edge
+MAX_SHOWN = 4
+"""Number of pieces whose sizes a message tells."""
+
+MAX_PARTS = 100
+"""Largest number of labels. An image with more is taken for a photograph, or for a mask with
+softened edges."""
+
+CENTER = 0.5
+"""Distance of a pixel's center from its corner in x and y, pixels."""
 
 
 def coarsen_mask(
     path: Path, meters_per_pixel: float, max_cells: int, *, largest_piece: bool = False, name: str
 ) -> CellGrid:
-    """Reads a label image and coarsens it to square cells, none smaller than a pixel; as `GridObject.from_mask`.
+    """Reads a label image and coarsens it to square cells, as `GridObject.from_mask` does.
 
     A cell belongs to the object when at least half its area does, and to the part that covers most
     of it.
+
+    Args:
+        path: the image.
+        meters_per_pixel: its scale, m.
+        max_cells: largest number of cells; none is smaller than a pixel.
+        largest_piece: whether the largest piece is taken where there are several.
+        name: the object's name, for messages.
+
+    Returns:
+        Cells and outline; the body frame is at the cells' centroid, x right and y up.
+
+    Raises:
+        ObjectError: the image cannot be read or is no label image, is empty or in several pieces,
+            or a number is out of range.
     """
     check_max_cells(name, max_cells)
     require_positive(ObjectError, f"{path}: ", "m", meters_per_pixel=meters_per_pixel)
     labels = _keep_one_piece(path, read_labels(path), largest_piece)
     values = _find_values(path, labels)
+
+    # From here to the last step, lengths are in blocks of pixels, with y down.
     block = int(np.ceil(np.sqrt(labels.size / WORKING_PIXELS)))
     coverage = _average(labels, None, block)
     share = _make_share(coverage)
     cells = choose_cells(_describe(coverage), share, share, int(max_cells), min_size=1.0)
     majority = _vote(labels, values, block, cells)
+    contour = calc_contour(coverage)
+
     center = cells.centers.mean(axis=0)
     scale = meters_per_pixel * block * np.array([1.0, -1.0])
-    outline = shapely.transform(calc_contour(coverage), lambda p: (p - center) * scale)
+    outline = shapely.transform(contour, lambda p: (p - center) * scale)
     return CellGrid(
-        (cells.centers - center) * scale, cells.size * float(scale[0]), majority, orient(outline)
+        p_BC=(cells.centers - center) * scale,
+        cell_size=cells.size * float(scale[0]),
+        labels=majority,
+        outline=orient(outline),
     )
 
 
 def _keep_one_piece(
     path: Path, labels: NDArray[np.uint16], largest_piece: bool
 ) -> NDArray[np.uint16]:
-    """Leaves the largest piece of pixels that touch along a side or at a corner, cropped to it."""
+    """Leaves one piece of pixels that touch along a side or at a corner, cropped to it.
+
+    Args:
+        path: the image's file, for messages.
+        labels: (height, width) labels.
+        largest_piece: whether the largest piece is taken where there are several.
+
+    Returns:
+        (height, width) labels of the piece.
+
+    Raises:
+        ObjectError: there are several, and `largest_piece` is not set.
+    """
     pieces, count = label(labels != 0, np.ones((3, 3)))
     if count == 1:
         return labels
     sizes = np.bincount(pieces.ravel())[1:]
     if not largest_piece:
-        largest = ", ".join(str(size) for size in np.sort(sizes)[::-1][:4]) + (
-            ", ..." if count > 4 else ""
-        )
+        shown = [str(size) for size in np.sort(sizes)[::-1][:MAX_SHOWN]]
+        largest = ", ".join([*shown, "..."] if count > MAX_SHOWN else shown)
         raise ObjectError(
             f"{path}: the mask has {count} separate pieces (of {largest} pixels); expected one; "
             "pass --largest-piece to keep the largest and leave out the others"
@@ -233,6 +323,7 @@ def _keep_one_piece(
 
 
 def _find_values(path: Path, labels: NDArray[np.uint16]) -> IntArray:
+    """Lists the labels that occur, in increasing order; refuses too many with an ObjectError."""
     counts = np.zeros(np.iinfo(np.uint16).max + 1, dtype=np.int64)
     flat = labels.ravel()
     for start in range(0, flat.size, WORKING_PIXELS):
@@ -240,63 +331,93 @@ def _find_values(path: Path, labels: NDArray[np.uint16]) -> IntArray:
     values = np.flatnonzero(counts[1:]) + 1
     if len(values) > MAX_PARTS:
         raise ObjectError(
-            f"{path}: has {len(values)} different labels; expected a label image of at most {MAX_PARTS} parts, "
-            "not a photograph or an image with softened edges"
+            f"{path}: has {len(values)} different labels; expected a label image of at most "
+            f"{MAX_PARTS} parts, not a photograph or an image with softened edges"
         )
     return values
 
 
 def _average(labels: NDArray[np.uint16], value: int | None, block: int) -> Array:
-    """Share of each block of pixels that is `value` (None: anything but background), padded with background."""
+    """Calculates which share of each square block of pixels has a label.
+
+    Args:
+        labels: (height, width) labels.
+        value: the label; None for anything but background.
+        block: side of a block, pixels.
+
+    Returns:
+        (rows, columns) shares, 0 to 1; blocks that reach over the image have background there.
+    """
     height, width = labels.shape
-    rows, columns = -(-height // block), -(-width // block)
+    rows = math.ceil(height / block)
+    columns = math.ceil(width / block)
     share = np.empty((rows, columns))
+    # Strip by strip, for the comparison and the padding take memory.
     step = max(1, WORKING_PIXELS // (width * block))
     for first in range(0, rows, step):
         strip = labels[first * block : (first + step) * block]
         wanted = strip != 0 if value is None else strip == value
-        padded = np.pad(wanted, ((0, -len(strip) % block), (0, columns * block - width)))
-        share[first : first + step] = padded.reshape(-1, block, columns, block).mean(axis=(1, 3))
+        missing_rows = -len(strip) % block
+        missing_columns = columns * block - width
+        padded = np.pad(wanted, ((0, missing_rows), (0, missing_columns)))
+        blocks = padded.reshape(-1, block, columns, block)
+        share[first : first + step] = blocks.mean(axis=(1, 3))
     return share
 
 
 def _make_share(coverage: Array) -> Share:
-    """Exact share of square cells by the summed-area table, which is bilinear within a pixel."""
+    """Makes the function that calculates the exact share of square cells that is object.
+
+    It is by the summed-area table S, which is bilinear within a pixel:
+
+        share = (S(x0, y0) + S(x1, y1) - S(x1, y0) - S(x0, y1)) / size²
+    """
     table = np.zeros(np.add(coverage.shape, 1))
     table[1:, 1:] = coverage.cumsum(axis=0).cumsum(axis=1)
 
     def share(corners: Array, size: float) -> Array:
-        (x0, y0), (x1, y1) = corners.T, corners.T + size
+        x0, y0 = corners.T
+        x1, y1 = corners.T + size
+        # The table's first index is the row.
         at = np.array([[y0, y1, y0, y1], [x0, x1, x1, x0]])
-        below, above, right, left = map_coordinates(table, at, order=1, mode="nearest")
-        return (below + above - right - left) / size**2
+        S_00, S_11, S_10, S_01 = map_coordinates(table, at, order=1, mode="nearest")
+        return (S_00 + S_11 - S_10 - S_01) / size**2
 
     return share
 
 
 def _describe(coverage: Array) -> Region:
+    """Measures a mask (height, width), pixels: bounding box, area, centroid, second moments."""
     area = float(coverage.sum())
-    by_axis = [coverage.sum(axis=0), coverage.sum(axis=1)]
-    middles = [np.arange(len(mass)) + 0.5 for mass in by_axis]
-    centroid = (
-        np.array([mass @ middle for mass, middle in zip(by_axis, middles, strict=True)]) / area
+    by_x = coverage.sum(axis=0)
+    by_y = coverage.sum(axis=1)
+    x = np.arange(len(by_x)) + CENTER
+    y = np.arange(len(by_y)) + CENTER
+    centroid = np.array([by_x @ x, by_y @ y]) / area
+    dx = x - centroid[0]
+    dy = y - centroid[1]
+    # Each pixel's own area adds 1/12 per axis to the moments of the pixels' centers.
+    moments = np.full((2, 2), dy @ coverage @ dx)
+    np.fill_diagonal(moments, [by_x @ dx**2, by_y @ dy**2])
+    covariance = (moments + area / 12 * np.eye(2)) / area
+    return Region(
+        low=np.zeros(2),
+        extent=np.array(coverage.shape[::-1], dtype=np.float64),
+        area=area,
+        centroid=centroid,
+        covariance=covariance,
     )
-    dx, dy = (middle - c for middle, c in zip(middles, centroid, strict=True))
-    covariance = np.full((2, 2), dy @ coverage @ dx)
-    np.fill_diagonal(covariance, [by_axis[0] @ dx**2, by_axis[1] @ dy**2])
-    covariance = (covariance + area / 12 * np.eye(2)) / area
-    extent = np.array(coverage.shape[::-1], dtype=np.float64)
-    return Region(np.zeros(2), extent, area, centroid, covariance)
 
 
 def _vote(labels: NDArray[np.uint16], values: IntArray, block: int, cells: Cells) -> IntArray:
-    """The label with the largest share of each cell; the lowest of equals."""
+    """Finds the label with the largest share of each cell: (n,), the lowest of equals."""
     if len(values) == 1:
         return np.full(len(cells.corners), values[0])
     best = np.zeros(len(cells.corners))
     winner = np.full(len(cells.corners), values[0])
     for value in values:
-        share = _make_share(_average(labels, int(value), block))(cells.corners, cells.size)
+        calc_share = _make_share(_average(labels, int(value), block))
+        share = calc_share(cells.corners, cells.size)
         winner = np.where(share > best, value, winner)
         best = np.maximum(share, best)
     return winner

@@ -1,4 +1,8 @@
-"""Object files: an object's outline or mask and what is known of it, as YAML; and those that are shipped."""
+"""Object files: an object's outline or mask and what is known of it, as YAML; and shipped objects.
+
+The form is described for users in `docs/howto/own_object.md`. Learned models, whose files hold an
+object of this form, are read and written in `identification.model_file`.
+"""
 
 import unicodedata
 from dataclasses import dataclass
@@ -28,15 +32,23 @@ from gridpush_drake.objects.cells import (
 from gridpush_drake.objects.mask import coarsen_mask
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, dump_yaml, read_mapping
 
-LEAST_FRICTION, GREATEST_FRICTION = 1e-6, 100.0
-"""Of any coefficient that is not zero, and of its standard deviation; nothing that is pushed rubs less
-or more."""
+LEAST_FRICTION = 1e-6
+"""Smallest friction coefficient that is not zero, and smallest such standard deviation. Nothing
+that is pushed rubs less."""
+
+GREATEST_FRICTION = 100.0
+"""Largest friction coefficient, and largest such standard deviation. Nothing that is pushed rubs
+more."""
 
 LEAST_SPREAD = 1e-12
-"""Least standard deviation of what is known as good as exactly, m and, of a coefficient, 1."""
+"""Smallest standard deviation of a thing that is known as good as exactly, m or, of a coefficient,
+1."""
 
-LEAST_MASS, GREATEST_MASS = 1e-9, 1e6
-"""Of an object, kg."""
+LEAST_MASS = 1e-9
+"""Smallest mass of an object, kg."""
+
+GREATEST_MASS = 1e6
+"""Largest mass of an object, kg."""
 
 _RANGES = {
     "total_mass": (LEAST_MASS, GREATEST_MASS),
@@ -107,17 +119,18 @@ class PhysicalPrior:
 
 
 MAX_RADIUS = 1.0
-"""Of a pusher, m; a greater one is given in millimeters."""
+"""Largest radius of a pusher, m. A larger one is refused, for it was given in millimeters."""
 
 MAX_NAME = 200
-"""Characters of an object's name."""
+"""Largest number of characters of an object's name."""
 
 NAME = f"some text, at most {MAX_NAME} characters, without control characters"
 
 
 def is_name(text: str) -> bool:
-    """Whether an object can have this name: one that any file, in XML or YAML, can hold on one line."""
-    unfit = ("Cc", "Cs", "Zl", "Zp")  # control characters, half characters, ends of lines
+    """Whether an object can have this name, which XML and YAML files must hold on one line."""
+    # Unicode's control characters, half characters and ends of lines
+    unfit = ("Cc", "Cs", "Zl", "Zp")
     printable = all(
         unicodedata.category(letter) not in unfit and letter not in "\ufffe\uffff"
         for letter in text
@@ -163,7 +176,10 @@ class PartSchema(StrictSchema):
 
 
 class CellsSchema(StrictSchema):
-    """The very cells of an outline, body frame, m, instead of filling it; labels are 1 where not given."""
+    """The very cells of an outline, which is then not filled with others, body frame, m.
+
+    Labels are 1 where they are not given.
+    """
 
     size: Length
     centers: list[Point] = Field(min_length=1, description="a list of points [x, y], in meters")
@@ -225,7 +241,10 @@ class TagSchema(StrictSchema):
 
 
 class SeenSchema(StrictSchema):
-    """Where the body frame was in the photograph that the object was made of, to align other trackers with it."""
+    """Where the body frame was in the photograph that the object was made of.
+
+    By it the frames of other trackers can be aligned with the object's.
+    """
 
     pixel: Point = Field(description="[x, y] of the body frame's origin in the photograph, pixels")
     pose: Annotated[tuple[float, float, float], Strict(False)] = Field(
@@ -300,7 +319,11 @@ class ObjectSchema(StrictSchema):
         return self
 
     def to_prior(self) -> PhysicalPrior:
-        """What the file says of mass and friction. Raises ParameterError: the values do not fit together."""
+        """Takes what the file says of mass and friction.
+
+        Raises:
+            ParameterError: the values do not fit together.
+        """
         center = self.center_of_mass
         return PhysicalPrior(
             total_mass=self.total_mass,
@@ -342,23 +365,41 @@ def read_object_file(path: Path) -> ObjectSchema:
 def make_cells(
     schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False
 ) -> CellGrid:
-    """Makes the cells and the outline that a schema describes; a mask that it names is looked up in `folder`.
+    """Makes the cells and the outline that a schema describes.
 
-    Raises ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is
-    none.
+    Args:
+        schema: the object file's content.
+        name: the object's name, for messages.
+        folder: where a mask that it names is looked up.
+        largest_piece: whether the largest piece of a mask is taken where there are several.
+
+    Returns:
+        Cells and outline.
+
+    Raises:
+        ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
     """
     if schema.mask is not None:
-        image, scale = folder / schema.mask.image, schema.mask.meters_per_pixel
-        return coarsen_mask(image, scale, schema.max_cells, largest_piece=largest_piece, name=name)
+        return coarsen_mask(
+            folder / schema.mask.image,
+            schema.mask.meters_per_pixel,
+            schema.max_cells,
+            largest_piece=largest_piece,
+            name=name,
+        )
     assert schema.outline is not None
     outline = make_polygon(schema.outline, "outline", tuple(schema.holes))
     if schema.cells is not None:
         labels = schema.cells.labels or [1] * len(schema.cells.centers)
         grid = CellGrid(
-            np.array(schema.cells.centers), schema.cells.size, np.array(labels), outline
+            p_BC=np.array(schema.cells.centers),
+            cell_size=schema.cells.size,
+            labels=np.array(labels),
+            outline=outline,
         )
         check_cells(grid)
         return grid
+    # Several outlines may be of one part.
     by_label: dict[int, list[Polygon]] = {}
     for i, part in enumerate(schema.parts):
         by_label.setdefault(part.label, []).append(
@@ -375,7 +416,20 @@ def describe_object(
     height: float | None = None,
     seen: SeenSchema | None = None,
 ) -> dict[str, Any]:
-    """The plain values, in a file's order, of which `ObjectSchema` makes the same object again, bit for bit."""
+    """Lists the plain values of an object, in a file's order.
+
+    `ObjectSchema` makes the same object of them again, bit for bit.
+
+    Args:
+        name: the object's name.
+        grid: its cells and outline.
+        prior: what is known of its mass and friction.
+        height: its height, m; None where it is not known.
+        seen: where its frame was in the photograph it was made of; None without one.
+
+    Returns:
+        The values by key.
+    """
     data: dict[str, Any] = {"name": name, "outline": _points(grid.outline.exterior)}
     if grid.outline.interiors:
         data["holes"] = [_points(ring) for ring in grid.outline.interiors]
@@ -410,7 +464,7 @@ def dump_object(
     seen: SeenSchema | None = None,
 ) -> str:
     """An object file's text; the arguments are those of `describe_object`."""
-    data = describe_object(name, grid, prior, height, seen)
+    data = describe_object(name, grid, prior, height=height, seen=seen)
     return dump_yaml(data, default_flow_style=None, allow_unicode=True)
 
 

@@ -1,4 +1,8 @@
-"""Per-cell mass and friction, and the mass properties that follow from them."""
+"""Per-cell mass and friction, and the mass properties that follow from them.
+
+These are the numbers with which an object is simulated, and those that are learned. What is known
+of them beforehand is in `PhysicalPrior`; how they are learned stands in `identification`.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +16,8 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM, count, describe_range, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 
-DEFAULT_TOTAL_MASS = 1.0  # kg, for objects that were never weighed
+DEFAULT_TOTAL_MASS = 1.0
+"""Mass that is taken for an object that was never weighed, kg."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +49,8 @@ class CellParameters(Frozen):
         mass, friction = (np.array(value, dtype=np.float64) for value in (self.mass, self.friction))
         if mass.ndim != 1 or mass.shape != friction.shape or not len(mass):
             raise ParameterError(
-                f"mass of shape {mass.shape} and friction of shape {friction.shape}; expected (n,) and (n,)"
+                f"mass of shape {mass.shape} and friction of shape {friction.shape}; expected "
+                "(n,) and (n,)"
             )
         if not (np.isfinite(mass).all() and (mass > 0).all()):
             raise ParameterError("mass: expected positive finite numbers (kg)")
@@ -120,7 +126,13 @@ class CellParameters(Frozen):
         friction: Mapping[int, float] | float | None = None,
         contact_friction: float | None = None,
     ) -> "CellParameters":
-        """Gives every cell of a part the same values: kg per *cell*, and friction by label, or one for all.
+        """Gives every cell of a part the same values.
+
+        Args:
+            obj: the object.
+            mass: mass of one *cell*, kg, by the part's label.
+            friction: friction coefficient by label, or one for all; the prior's by default.
+            contact_friction: friction of the pusher; the prior's by default.
 
         Raises:
             ParameterError: a label of the object is missing, or a value is out of range.
@@ -144,9 +156,14 @@ class CellParameters(Frozen):
         friction_range: tuple[float, float] | None = None,
         by: str = "part",
     ) -> "CellParameters":
-        """Draws masses (log-uniform, kg per cell) and frictions (uniform), one per "part" or per "cell".
+        """Draws masses, uniform in their logarithm, and frictions, uniform.
 
-        Without a range of frictions every cell has `obj.prior.friction`.
+        Args:
+            obj: the object.
+            seed: seed of the draws.
+            mass_range: smallest and largest mass of a cell, kg.
+            friction_range: smallest and largest friction; None for `obj.prior.friction` everywhere.
+            by: "part" to draw once for each part, "cell" once for each cell.
 
         Raises:
             ParameterError: a range is not positive and increasing, or `by` is neither word.
@@ -177,11 +194,11 @@ class CellParameters(Frozen):
 
     @property
     def total_mass(self) -> float:
-        """Of all cells, kg."""
+        """Mass of all cells together, kg."""
         return float(self.mass.sum())
 
     def center_of_mass(self, obj: GridObject) -> Array:
-        """p_BBcm, (2,), m."""
+        """Center of mass p_BBcm (2,), m; raises ParameterError for an object of other cells."""
         if obj.n != self.n:
             raise ParameterError(
                 f"parameters of {self.n} cells; expected {obj.n}, as {obj.name} has"
@@ -189,12 +206,16 @@ class CellParameters(Frozen):
         return self.mass @ obj.p_BC / self.total_mass
 
     def inertia(self, obj: GridObject) -> float:
-        """Moment of inertia about the center of mass, normal to the support, kg m²; each cell a plate m s²/6."""
+        """Moment of inertia about the vertical axis through the center of mass, kg m²."""
+        # Each cell is a plate, with m s²/6 about its own center.
         arm = obj.p_BC - self.center_of_mass(obj)
         return float(self.mass @ ((arm**2).sum(axis=1) + obj.cell_size**2 / 6))
 
     def relative_friction(self) -> Array:
-        """(n,) k_i = mu_i m_i / sum(mu m): the share of the support's friction that each cell carries."""
+        """Shares (n,) of the support's friction that the cells carry, k_i = mu_i m_i / sum(mu m).
+
+        They are equal where there is no friction at all.
+        """
         load = self.mass * self.friction
         total = load.sum()
         return load / total if total > 0 else np.full(self.n, 1 / self.n)

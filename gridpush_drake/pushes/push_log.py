@@ -59,9 +59,9 @@ WHAT = "a push log (CSV)"
 UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
 """Unit of each column; m where not listed."""
 
-SUGGESTION_CUTOFF = (
-    0.5  # similarity (0 to 1) from which a known column is suggested for an unknown one
-)
+SUGGESTION_CUTOFF = 0.5
+"""Similarity (0 to 1) from which a known column is suggested for an unknown one."""
+
 TYPO_CUTOFF = 0.88
 """Similarity (0 to 1) to a column that is not there, from which a further column is taken for a
 misspelled one and refused, lest what it holds is lost."""
@@ -73,9 +73,14 @@ MAX_POSES = 300
 """Most poses of one push that are kept after the first; of more, this many evenly spread ones. The
 work of learning grows with their square, and neighbors tell nearly the same."""
 
-MAX_SHOWN = 60  # characters of a refused value that a message repeats
-MAX_NAMED = 5  # further columns that a warning names
-MIN_TIME_STEP = 1e-9  # s between two rows of a push
+MAX_SHOWN = 60
+"""Characters of a refused value that a message repeats."""
+
+MAX_NAMED = 5
+"""Further columns that a warning names."""
+
+MIN_TIME_STEP = 1e-9
+"""S between two rows of a push."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +164,8 @@ class ObservedPush(Frozen):
             raise PushLogError(f"push {self.name!r}: {name} must be strictly increasing")
         if len(t) and (t[0] < 0 or t[-1] > self.push.duration):
             raise PushLogError(
-                f"push {self.name!r}: {name} runs from {t[0]} to {t[-1]} s; expected times within the push, "
+                f"push {self.name!r}: {name} runs from {t[0]} to {t[-1]} s; expected times within "
+                "the push, "
                 f"0 to {self.push.duration} s"
             )
 
@@ -203,7 +209,8 @@ class PushLog(Frozen):
                 or not np.isfinite(corners).all()
             ):
                 raise PushLogError(
-                    f"table: corners of shape {corners.shape}; expected (K, 2) finite numbers, K >= 3 (m)"
+                    f"table: corners of shape {corners.shape}; expected (K, 2) finite numbers, K "
+                    ">= 3 (m)"
                 )
             corners.setflags(write=False)
             object.__setattr__(self, "table", corners)
@@ -302,7 +309,8 @@ class PushLog(Frozen):
         kept = self.subset([i for i, seen in enumerate(self) if not seen.overhang])
         if len(self) and not len(kept):
             raise PushLogError(
-                f"{self.source or 'push log'}: overhang is 1 in every push; expected the column table, or at least "
+                f"{self.source or 'push log'}: overhang is 1 in every push; expected the column "
+                "table, or at least "
                 "one push with the whole object on the table"
             )
         return replace(kept, table=None)
@@ -354,13 +362,15 @@ def _read_push_csv(path: Path, radius: float | None, require_final: bool) -> Pus
         if len(rows) > MAX_ROWS:
             fail(
                 path, rows[-1].line, "push",
-                f"push {first.push!r} has more than {MAX_ROWS} rows; expected one push: a stream of "
+                f"push {first.push!r} has more than {MAX_ROWS} rows; expected one push: a stream "
+                "of "
                 "many is cut into pushes by `gridpush record`",
             )  # fmt: skip
         if first.push in seen:
             fail(
                 path, first.line, "push",
-                f"push {first.push!r} began on line {seen[first.push]} already; expected its rows together",
+                f"push {first.push!r} began on line {seen[first.push]} already; expected its rows "
+                "together",
             )  # fmt: skip
         seen[first.push] = first.line
         for row in rows:

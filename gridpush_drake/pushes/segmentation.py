@@ -167,12 +167,14 @@ def find_episodes(samples: Iterable[Sample], options: SegmenterOptions) -> Itera
             yield episode
 
 
-SAME_TIME = 1e-6  # s; times that differ by less are one
+SAME_TIME = 1e-6
+"""S; times that differ by less are one."""
 
 UNUSABLE = (GridPushError, np.linalg.LinAlgError, ArithmeticError, ValueError)
 """What a push that was badly seen may lead to when it is written down or learned from."""
 
-LATEST = 5  # observations at the end whose median tells where the object rests
+LATEST = 5
+"""Observations at the end whose median tells where the object rests."""
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,8 @@ WHAT = "a stream of poses (CSV)"
 MAX_TOLD_DELAY = 10.0
 """Greatest delay of the object's poses that is believed, s; a larger one is in another unit."""
 
-VELOCITY_WINDOW = 0.1  # over which a velocity is found from places by a straight line, s
+VELOCITY_WINDOW = 0.1
+"""Over which a velocity is found from places by a straight line, s."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,8 +52,11 @@ def describe_sight(sight: Sight) -> str:
     """Writes the caption of `draw_sight`."""
     position, angle = sight.calc_rms()
     return (
-        f"The object was seen in {sight.seen.mean() * 100:.0f} % of the pictures, its pose wrong by "
-        f"{position * MM:.2f} mm and {angle * DEGREES:.2f} degrees root mean square. Above, the photograph and the "
-        "outline found, on the table in blue and on top in green; below, the poses less the true ones, and twice "
+        f"The object was seen in {sight.seen.mean() * 100:.0f} % of the pictures, its pose wrong "
+        "by "
+        f"{position * MM:.2f} mm and {angle * DEGREES:.2f} degrees root mean square. Above, the "
+        "photograph and the "
+        "outline found, on the table in blue and on top in green; below, the poses less the true "
+        "ones, and twice "
         "the standard deviation that the tracker states."
     )

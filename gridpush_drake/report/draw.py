@@ -135,7 +135,8 @@ def draw_cells(
         numbers = np.asarray(values, dtype=np.float64)
         if numbers.shape != (obj.n,):
             raise ObjectError(
-                f"{obj.name}: values of shape {numbers.shape}; expected ({obj.n},), one for each cell"
+                f"{obj.name}: values of shape {numbers.shape}; expected ({obj.n},), one for each "
+                "cell"
             )
         cells.set_array(numbers)
         cells.set_cmap(colormaps[cmap])

@@ -337,12 +337,14 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
     which = "pushes it had never seen" if judged.held_out else "the pushes it learned from"
     if result.status == IdentificationStatus.EXPLAINS_LITTLE:
         return (
-            f"This model of the {name} should not be used: it explains little of the pushes it was learned from, and "
+            f"This model of the {name} should not be used: it explains little of the pushes it "
+            "was learned from, and "
             f"is off by {after * MM:.1f} mm on average where {which} end."
         )
     if result.status == IdentificationStatus.PRIOR_KEPT:
         return (
-            f"These pushes gave no reason to leave the assumption of an even object: predictions of {which} are off by "
+            "These pushes gave no reason to leave the assumption of an even object: predictions "
+            f"of {which} are off by "
             f"{after * MM:.1f} mm on average."
         )
     count = len(result.push_names)
@@ -355,7 +357,8 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
     learned = f"{spent}After {count} {pushes}, the model predicts where {which} leave the {name}"
     if after > (1 - SIMILAR) * before:
         return (
-            f"{learned} to {after * MM:.1f} mm on average, about as well as assuming an even object "
+            f"{learned} to {after * MM:.1f} mm on average, about as well as assuming an even "
+            "object "
             f"({before * MM:.1f} mm)."
         )
     return f"{learned} to {after * MM:.1f} mm on average; assuming an even object, it is off by {before * MM:.1f} mm."

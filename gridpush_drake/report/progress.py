@@ -79,7 +79,8 @@ class Progress:
             return ""
         told, even = self.foretold.mean() * MM, self.even.mean() * MM
         return (
-            f"On average each push was foretold to {told:.1f} mm from the pushes before it; an even "
+            f"On average each push was foretold to {told:.1f} mm from the pushes before it; an "
+            "even "
             f"object would have given {even:.1f} mm."
         )
 

@@ -21,7 +21,8 @@ from gridpush_drake.objects.parameters import CellParameters
 
 clarabel = import_extra("clarabel", "reference")
 
-CONIC_TOLERANCE = 1e-13  # Clarabel's relative and absolute tolerance, on problems scaled to one
+CONIC_TOLERANCE = 1e-13
+"""Clarabel's relative and absolute tolerance, on problems scaled to one."""
 
 USABLE = ("Solved", "AlmostSolved", "InsufficientProgress")
 """Statuses whose point is near enough to be refined; the caller verifies what it makes of it."""
@@ -51,13 +52,13 @@ turn."""
 SUBSPACE_TOLERANCE = 1e-10
 """Relative singular value below which the subspace of vanishing norms ignores a direction."""
 
-POLISH_DISTANCE = (
-    1e-4  # greatest correction that Newton's method may make to the cone program's solution
-)
+POLISH_DISTANCE = 1e-4
+"""Greatest correction that Newton's method may make to the cone program's solution."""
 
 MAX_NEWTON_STEPS = 30
 
-NEWTON_TOLERANCE = 1e-13  # relative Newton step that ends the polish
+NEWTON_TOLERANCE = 1e-13
+"""Relative Newton step that ends the polish."""
 
 
 def solve_isotropic_socp(

@@ -34,7 +34,8 @@ from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-STANDARD_GRAVITY = 9.81  # m/s²
+STANDARD_GRAVITY = 9.81
+"""M/s²."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,14 +33,16 @@ from gridpush_drake.geometry.se2 import Array, IntArray
 
 clarabel = import_extra("clarabel", "reference")
 
-PROXIMAL_WEIGHT = (
-    1e-12  # delta of `project`: makes redundant rows of C harmless; its effect is iterated away
-)
+PROXIMAL_WEIGHT = 1e-12
+"""Delta of `project`: makes redundant rows of C harmless; its effect is iterated away."""
 
 MAX_REFINEMENTS = 40
 
-ROUND_OFF = 1e-15  # relative residual at which refinement stops
-NEAR_ROUND_OFF = 1e3  # multiple of it below which refinement stops once it halves no more
+ROUND_OFF = 1e-15
+"""Relative residual at which refinement stops."""
+
+NEAR_ROUND_OFF = 1e3
+"""Multiple of it below which refinement stops once it halves no more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +168,11 @@ def calc_residuals(
 
 __all__ = ["LcpSolution", "LcpSolver", "solve_as_lcp", "solve_as_qp", "solve_isotropic_socp"]
 
-SIGN_TOLERANCE = (
-    1e-11  # violation of a sign, in the dimensionless LCP, that counts as a wrong active set
-)
-MAX_ACTIVE_SETS = 600  # active sets to try before giving up
+SIGN_TOLERANCE = 1e-11
+"""Violation of a sign, in the dimensionless LCP, that counts as a wrong active set."""
+
+MAX_ACTIVE_SETS = 600
+"""Active sets to try before giving up."""
 
 STICK = 0
 SLIDE = 1

@@ -44,10 +44,11 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-AT_BOUND = (
-    1e-9  # share of the bound within which a friction impulse counts as zero or as at its bound
-)
-REDUNDANT = 1e-10  # relative singular value below which rows of C count as redundant
+AT_BOUND = 1e-9
+"""Share of the bound within which a friction impulse counts as zero or as at its bound."""
+
+REDUNDANT = 1e-10
+"""Relative singular value below which rows of C count as redundant."""
 
 
 @dataclass(frozen=True, eq=False)

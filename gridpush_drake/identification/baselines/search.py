@@ -127,7 +127,8 @@ class CellLoss:
         """Prepares the log; nothing is simulated yet. The arguments are those of `run_search`."""
         if not len(log) or budget < len(log):
             raise IdentificationError(
-                f"budget is {budget} simulations for {len(log)} pushes; expected enough to simulate each push once"
+                f"budget is {budget} simulations for {len(log)} pushes; expected enough to "
+                "simulate each push once"
             )
         self.obj = obj
         self.budget = budget

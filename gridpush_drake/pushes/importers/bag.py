@@ -26,15 +26,32 @@ from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_p
 
 EXTRA = "pip install 'gridpush-drake[bags]'"
 
-NS = 1e-9  # seconds in a nanosecond
-FORCE_SIZE = 3  # numbers of a force, and of a position
-MAX_SHOWN = 200  # characters of another package's message
-MAX_GAP = 6  # median periods of a topic, across which nothing is interpolated
-QUATERNION_TOLERANCE = 0.01  # largest difference of a quaternion's length from 1
-MIN_MESSAGES = 2  # of a topic that can be interpolated
-MAX_RATE = 1000.0  # of the samples that are made of a bag, Hz
-MAX_SAMPLES = 500_000  # so many in all: 4 h at 30 Hz
-MAX_SHIFT = 1e9  # of a delay that is told, s
+NS = 1e-9
+"""Seconds in a nanosecond."""
+
+FORCE_SIZE = 3
+"""Numbers of a force, and of a position."""
+
+MAX_SHOWN = 200
+"""Characters of another package's message."""
+
+MAX_GAP = 6
+"""Median periods of a topic, across which nothing is interpolated."""
+
+QUATERNION_TOLERANCE = 0.01
+"""Largest difference of a quaternion's length from 1."""
+
+MIN_MESSAGES = 2
+"""Of a topic that can be interpolated."""
+
+MAX_RATE = 1000.0
+"""Of the samples that are made of a bag, Hz."""
+
+MAX_SAMPLES = 500_000
+"""So many in all: 4 h at 30 Hz."""
+
+MAX_SHIFT = 1e9
+"""Of a delay that is told, s."""
 
 TF = "TFMessage"
 

@@ -32,10 +32,12 @@ FORCE_FORM = "t (s) fx fy (N)"
 TOOL_FORM = "t (s) x y z (mm) qw qx qy qz"
 
 POSE_SIZE, FORCE_SIZE, TOOL_SIZE = 7, 3, 8  # numbers on a line of each kind
-QUATERNION_TOLERANCE = 1e-3  # largest difference of a quaternion's norm from 1
+QUATERNION_TOLERANCE = 1e-3
+"""Largest difference of a quaternion's norm from 1."""
 
 
-MAX_DIGITS = 9  # of a count
+MAX_DIGITS = 9
+"""Of a count."""
 
 
 class CmuPush(NamedTuple):
@@ -130,7 +132,8 @@ class _Lines:
         )
 
 
-MM = 1e-3  # meters in a millimeter
+MM = 1e-3
+"""Meters in a millimeter."""
 
 CENTROID = (0.050, 0.050)
 """The block's centroid, from the logged origin (the right-angle corner) in body axes, m."""
@@ -145,24 +148,34 @@ TIP_OFFSET = (-0.0012, -0.00085)
 """From the logged tool point to the tip's center, tool's axes, m; from contact geometry over all
 logs."""
 
-TIP_EXTENSION = 0.00065  # what the tool travels along its straight path after its logging stops, m
-TIP_RADIUS = 0.0005  # m
-STANDSTILL = 0.00005  # a tool within this of where it starts (or ends) stands still, m: half a step of its log
-STRAIGHT = 0.0002  # a tool's path within this of a straight line is one, m: it is logged in steps of 0.1 mm
+TIP_EXTENSION = 0.00065
+"""What the tool travels along its straight path after its logging stops, m."""
+
+TIP_RADIUS = 0.0005
+"""M."""
+
+STANDSTILL = 0.00005
+"""A tool within this of where it starts (or ends) stands still, m: half a step of its log."""
+
+STRAIGHT = 0.0002
+"""A tool's path within this of a straight line is one, m: it is logged in steps of 0.1 mm."""
+
 SENSOR_AXES = (
     (2**-0.5, 2**-0.5),
     (2**-0.5, -(2**-0.5)),
 )  # R_tool: from the force sensor's axes to the tool's
-BLOCK_MASS = 1.518  # kg
+BLOCK_MASS = 1.518
+"""Kg."""
 
 CONTACT_FRICTION, CONTACT_FRICTION_STD = 0.5, 0.15
 """What is held of the tip's friction coefficient on the block's side, and its standard
 deviation."""
 
-BLOCK_CELLS = 55  # most cells of the block's grid
-UNIFORM_PLATE_STD = (
-    0.002  # how well the center of mass of a uniform plate is known to be at its centroid, m
-)
+BLOCK_CELLS = 55
+"""Most cells of the block's grid."""
+
+UNIFORM_PLATE_STD = 0.002
+"""How well the center of mass of a uniform plate is known to be at its centroid, m."""
 
 
 def triangle_block(uniform_plate: bool = False) -> GridObject:

@@ -37,8 +37,11 @@ TRIANGLE_CORNER = (0.045, 0.045)
 """Where the triangles' right angle is: the frame is that of the 90 mm square the markers were put
 on, m."""
 
-ELLIPSE_VERTICES = 120  # vertices of an ellipse's polygon; it then lies within 0.03 mm
-HEXAGON_RADIUS = 0.0605  # from the hexagon's center to its vertices, the first on the x axis, m
+ELLIPSE_VERTICES = 120
+"""Vertices of an ellipse's polygon; it then lies within 0.03 mm."""
+
+HEXAGON_RADIUS = 0.0605
+"""From the hexagon's center to its vertices, the first on the x axis, m."""
 
 BUTTER_HALF_MM = (
     (-27.46, 0.00), (-27.94, -3.73), (-29.67, -8.71), (-32.20, -13.67), (-35.23, -18.62),
@@ -52,7 +55,8 @@ BUTTER_HALF_MM = (
 )  # fmt: skip
 """Half of the butterfly's outline; the other half is this one turned by pi about the origin, mm."""
 
-MM = 1e-3  # meters in a millimeter
+MM = 1e-3
+"""Meters in a millimeter."""
 
 
 def _rectangle(along_x: float, along_y: float) -> Array:
@@ -84,11 +88,15 @@ MIT_SHAPES: dict[str, Callable[[], Array]] = {
 """(k, 2) vertices by the data set's name of the shape, m."""
 
 
-TIP_RADIUS = 0.00475  # m
-SPEED = 0.010  # of the pusher where the file does not say (`vel`, mm/s), m/s
+TIP_RADIUS = 0.00475
+"""M."""
+
+SPEED = 0.010
+"""Of the pusher where the file does not say (`vel`, mm/s), m/s."""
 
 
-MIT_CELLS = 60  # most cells of an object's grid
+MIT_CELLS = 60
+"""Most cells of an object's grid."""
 
 WHAT = "a MATLAB v5 file"
 
@@ -100,7 +108,8 @@ HEAD, TAG = (
     128,
     8,
 )  # bytes before a file's first element; before an element's content: its kind and size
-PACKED = 15  # kind of an element that is compressed
+PACKED = 15
+"""Kind of an element that is compressed."""
 
 RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_tip_pt": 2}
 """What is read of a record, and how many numbers each has (m, rad)."""
