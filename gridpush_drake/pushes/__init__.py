@@ -1,4 +1,4 @@
-"""What was observed: the push log and its CSV form, a stream cut into pushes, and importers of public data sets.
+"""What was observed: push logs and their CSV form, streams cut into pushes, and importers.
 
 The names below are imported on first use.
 """

@@ -26,23 +26,12 @@ TRAVEL_FACTOR = 2.0
 """Times the pusher's path that the centroid, or a point at the radius of gyration as the body
 turns, may move."""
 
-SPEED_FACTOR = 2.0
-"""Times the pusher's mean speed at which it may let go of the object."""
-
-NOISE_SHARE = 0.25
-"""Of the object's diameter, by which a pose may be off besides."""
-
-MAX_SPEED = 30.0
-"""Of a pusher, mean, m/s."""
-
-MAX_DIAMETER = 10.0
-"""Of an object, m."""
-
-MAX_TABLE = 100.0
-"""Of a table's side, where it is not doubted, m."""
-
-MAX_FIRST_ANGLE = 4 * np.pi
-"""Of an object at a push's beginning, where it is not doubted, rad."""
+SPEED_FACTOR = 2.0  # times the pusher's mean speed at which it may let go of the object
+NOISE_SHARE = 0.25  # of the object's diameter, by which a pose may be off besides
+MAX_SPEED = 30.0  # of a pusher, mean, m/s
+MAX_DIAMETER = 10.0  # of an object, m
+MAX_TABLE = 100.0  # of a table's side, where it is not doubted, m
+MAX_FIRST_ANGLE = 4 * np.pi  # of an object at a push's beginning, where it is not doubted, rad
 
 GAP, GAP_SHARE = 0.005, 0.05
 """A pusher this far off the outline, m plus this share of the object's diameter, is not where the
@@ -245,8 +234,7 @@ def _find_units(obj: GridObject, log: PushLog) -> Iterator[str]:
         gap, depth = _calc_gap(obj, log[int(i)], AS_SAID)
         place = f"{gap:.3g} m off" if gap >= depth else f"{depth:.3g} m inside"
         yield (
-            f"push {log[int(i)].name!r}, column {reading.says}; as it stands, the pusher is "
-            f"{place} the outline of "
+            f"push {log[int(i)].name!r}, column {reading.says}; as it stands, the pusher is {place} the outline of "
             f"{obj.name}"
         )
 
@@ -278,8 +266,7 @@ def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
         speed = seen.push.length / seen.push.duration
         if speed > MAX_SPEED:
             yield (
-                f"push {seen.name!r}, column t: the pusher moves {seen.push.length:.3g} m in "
-                f"{seen.push.duration:.3g} "
+                f"push {seen.name!r}, column t: the pusher moves {seen.push.length:.3g} m in {seen.push.duration:.3g} "
                 f"s; expected at most {MAX_SPEED:g} m/s: are times in s, and tip_x, tip_y in m?"
             )
 
@@ -455,8 +442,7 @@ def _describe_off_table(obj: GridObject, seen: ObservedPush, row: int) -> str:
     t, pose = (seen.t_observed[row - 1], seen.poses_observed[row - 1]) if row else (0.0, seen.pose)
     at = ", ".join(f"{value:.3g}" for value in pose)
     return (
-        f"push {seen.name!r}, column table: at t = {t:.3g} s the object, at ({at}), has no cell "
-        f"of {obj.name} with its "
+        f"push {seen.name!r}, column table: at t = {t:.3g} s the object, at ({at}), has no cell of {obj.name} with its "
         "center on the table; expected an object on it, and both in one frame"
     )
 
@@ -475,8 +461,7 @@ def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
         column = ("object_x", "object_y")[int(np.argmax(np.abs(moved[k])))]
         cause = "in millimeters, or a lost track?" if far[k] * MM < allowed else "a lost track?"
         yield (
-            f"push {seen.name!r}, column {column}: the object moves {far[k]:.3g} m by t = "
-            f"{seen.t_observed[k - 1]:.3g} "
+            f"push {seen.name!r}, column {column}: the object moves {far[k]:.3g} m by t = {seen.t_observed[k - 1]:.3g} "
             f"s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} m: {cause}"
         )
 
@@ -490,8 +475,7 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
         k = int(np.argmax(turned))
         yield (
             f"push {seen.name!r}, column object_theta: the object turns {turned[k]:.3g} rad by t = "
-            f"{seen.t_observed[k]:.3g} s, in a push of {seen.push.length:.3g} m; expected less "
-            f"than {allowed:.3g} rad: "
+            f"{seen.t_observed[k]:.3g} s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} rad: "
             "in degrees, or a lost track?"
         )
 
@@ -499,8 +483,7 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
 def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
     if _calc_diameter(obj) > MAX_DIAMETER:
         yield (
-            f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimeters? expected "
-            "m, at most "
+            f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimeters? expected m, at most "
             f"{MAX_DIAMETER:g}"
         )
 

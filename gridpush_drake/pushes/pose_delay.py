@@ -24,47 +24,52 @@ from gridpush_drake.pushes.segmentation import (
 )
 
 MAX_DELAY = 0.3
-"""Greatest delay that is looked for, s."""
+"""Largest delay that is looked for, s."""
 
 DELAY_STEP = 0.002
-"""Between the delays that are tried before the best is refined, s."""
+"""Distance between the delays that are tried before the best one is refined, s."""
 
 LAST_SHARE = 0.2
 """Share of a push's path, at its end, on which the object's pose is taken for a parabola of the
 path."""
 
 REST = 0.5
-"""How long after the tip's stop, and the delay, the poses at rest are used, s."""
+"""Length of time after the tip's stop, and the delay, whose poses at rest are used, s."""
 
 MIN_MOVING = 6
 """Fewest poses on the last share of a path from which a push's delay is found."""
 
 MAX_LAST_SHARE = 0.6
-"""Share that is taken at most, where poses are so rare that MIN_MOVING of them need a longer one."""
+"""Largest share of a path that is taken, where poses are so rare that `MIN_MOVING` of them need
+more than the last share."""
 
 MIN_MOTION = 0.002
-"""By how much the object must move on the last share of the path for its stop to be seen, m."""
+"""Least motion of the object on the last share of the path by which its stop can be seen, m."""
 
 ROUNDS = 8
 """Most rounds of choosing poses by the delay found so far."""
 
 CONVERGED = 1e-4
-"""A change of the delay from one round to the next at which it is found, s."""
+"""Change of the delay from one round to the next below which it is found, s."""
 
 MIN_TELLING = 0.005
-"""Delays, and differences from a delay that was told, below this are not spoken of, s."""
+"""Delay, and difference from a delay that was told, below which nothing is said of it, s."""
 
 SURE = 2.0
-"""Standard deviations from which a delay is told apart from none, or from the one that was said."""
+"""Number of standard deviations from which on a delay is told apart from none, or from the one that
+was told."""
 
 MS = 1e3
 """Milliseconds in a second."""
 
 MAD_TO_STD = 1.4826
-"""Standard deviation by median absolute deviation, of normal errors."""
+"""Ratio of the standard deviation of normal numbers to their median absolute deviation."""
 
 MEDIAN_VARIANCE = math.pi / 2
-"""Variance of a median of normal numbers, in variances of their mean."""
+"""Ratio of the variance of a median of normal numbers to that of their mean."""
+
+PARAMETERS = 10
+"""Number of parameters of one push's fit: q_end, b and c of three coordinates, and the delay."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ class ChosenDelay:
     """The delay with which a stream's pushes are written down, and where it is from.
 
     Attributes:
-        value: s.
+        value: the delay, s.
         found: what the pushes say; None where they do not tell.
         told_by: who said it: "--pose-delay", for instance; empty where nobody did, and `value` is
             what was found, or 0 where that is not told apart from none.
@@ -143,14 +148,17 @@ def choose_delay(
     """Chooses the delay with which a stream is written down: what was told, or else what is found.
 
     Args:
-        samples: of the stream, later and later.
+        samples: the stream's samples, in the order of their times.
         obj: the object.
         segmenter: when a push begins and ends.
         record: how a push is written down.
         told: the delay as somebody says it, s; None where nobody does.
-        told_by: who does.
+        told_by: who says it; an option's or a column's name.
         otherwise: the delay that is taken where nobody says one, and the pushes do not tell it
             apart from this one, s.
+
+    Returns:
+        The delay, and where it is from.
     """
     episodes = list(find_episodes(samples, segmenter or SegmenterOptions()))
     return choose_episodes_delay(episodes, obj, record, told, told_by, otherwise)
@@ -178,8 +186,9 @@ def choose_episodes_delay(
     found = estimate_episodes_delay(episodes, obj, record)
     if told is not None:
         return ChosenDelay(told, found, told_by)
-    telling = found is not None and found.differs_from(otherwise)
-    return ChosenDelay(found.value if found is not None and telling else otherwise, found)
+    if found is not None and found.differs_from(otherwise):
+        return ChosenDelay(found.value, found)
+    return ChosenDelay(otherwise, found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,15 +214,18 @@ def estimate_delay(
     segmenter: SegmenterOptions | None = None,
     record: RecordOptions | None = None,
 ) -> Delay | None:
-    """Estimates how late the object's poses are in a stream, from its standing still when the tip stops.
+    """Estimates how late the object's poses are in a stream.
 
-    Over the last part of a push the pose is q(t) = q_end + b d + c d², d = s(t - delay) - s_end, s
-    the tip's path: the delay, q_end, b and c that fit it best. Of all pushes the median counts: in
-    some the tip slides off before it stops. As the poses are chosen by the delay, this is repeated
-    until the delay does not change any more.
+    The object stands still from when the tip does. Over the last part of a push its pose is
+
+        q(t) = q_end + b d + c d²,     d = s(t - delay) - s_end
+
+    with s the length of the tip's path. The delay, q_end, b and c are those that fit it best. Of
+    all pushes the median counts, for in some of them the tip slides off before it stops. As the
+    poses are chosen by the delay, this is repeated until the delay does not change any more.
 
     Args:
-        samples: of the stream, later and later.
+        samples: the stream's samples, in the order of their times.
         obj: the object.
         segmenter: when a push begins and ends.
         record: how a push is written down; its `pose_delay` has no influence.
@@ -242,75 +254,96 @@ def estimate_episodes_delay(
         if not fits:
             return None
         found = np.array([value for value, _ in fits])
-        before, delay = delay, float(np.median(found))
+        before = delay
+        delay = float(np.median(found))
         if abs(delay - before) < CONVERGED:
             break
+    # Pushes may differ by less than each of them is uncertain, where they are few.
     spread = MAD_TO_STD * float(np.median(np.abs(found - delay)))
     spread = max(spread, float(np.median([std for _, std in fits])))
     return Delay(delay, spread * math.sqrt(MEDIAN_VARIANCE / len(found)), len(found))
 
 
 def _cut_end(episode: Episode, rho: float, record: RecordOptions) -> _LastPart | None:
-    """A push's tip path and the poses seen from its beginning on; None where the tip hardly moved."""
+    """Takes a push's tip path, and the poses seen from its beginning on.
+
+    Args:
+        episode: the push.
+        rho: the object's radius of gyration, m, by which angles become lengths.
+        record: how a push is written down.
+
+    Returns:
+        Path and poses; None where the tip hardly moved, or the object was never seen.
+    """
     t, xy = trim_path(episode.path, record.still)
     if len(t) < 2:
         return None
     traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
     if traveled[-1] < record.min_distance:
         return None
-    samples: dict[float, Sequence[float]] = {
-        sample.t: sample.pose
-        for sample in (*episode.path, *episode.after)
-        if np.isfinite(sample.pose).all()
-    }
+    # A sample may be on the path and after it; each time counts once.
+    samples: dict[float, Sequence[float]] = {}
+    for sample in (*episode.path, *episode.after):
+        if np.isfinite(sample.pose).all():
+            samples[sample.t] = sample.pose
     if not samples:
         return None
     t_seen = np.array(sorted(samples))
     seen = np.array([samples[time] for time in t_seen.tolist()])
     seen[:, 2] = rho * np.unwrap(seen[:, 2])
-    return _LastPart(t, traveled, t_seen, seen)
+    return _LastPart(t=t, traveled=traveled, t_seen=t_seen, seen=seen)
 
 
 def _fit_delay(end: _LastPart, around: float) -> tuple[float, float] | None:
-    """A push's delay and its standard deviation, s; None where there is too little to see.
+    """Finds the delay that explains best how a push ends.
 
     Args:
-        end: of the push.
+        end: the push's end.
         around: the delay by which the poses are chosen, s.
+
+    Returns:
+        The delay and its standard deviation, s; None where there is too little to see.
     """
+    # The part begins at the last share of the path, or earlier where poses are rare.
     stop = float(end.t[-1])
-    longest, usual = (
-        float(np.interp((1 - share) * end.traveled[-1], end.traveled, end.t))
-        for share in (MAX_LAST_SHARE, LAST_SHARE)
-    )
+    way = end.traveled[-1]
+    usual = float(np.interp((1 - LAST_SHARE) * way, end.traveled, end.t))
+    earliest = float(np.interp((1 - MAX_LAST_SHARE) * way, end.traveled, end.t))
     before = end.t_seen[end.t_seen < stop + around] - around
-    begin = max(longest, min(usual, float(before[-MIN_MOVING:].min(initial=usual))))
+    needed = float(before[-MIN_MOVING:].min(initial=usual))
+    begin = max(earliest, min(usual, needed))
     chosen = (end.t_seen >= begin + around) & (end.t_seen <= stop + around + REST)
     moving = int((chosen & (end.t_seen < stop + around)).sum())
     resting = int(chosen.sum()) - moving
     if moving < MIN_MOVING or resting < 2:
         return None
-    t, seen = end.t_seen[chosen], end.seen[chosen]
-    if np.linalg.norm(np.median(seen[moving:], axis=0) - seen[:2].mean(axis=0)) < MIN_MOTION:
+
+    # An object that hardly moves does not show when it stops.
+    t = end.t_seen[chosen]
+    seen = end.seen[chosen]
+    at_rest = np.median(seen[moving:], axis=0)
+    if np.linalg.norm(at_rest - seen[:2].mean(axis=0)) < MIN_MOTION:
         return None
 
-    def fit(delay: float) -> tuple[float, Array]:
-        d = np.interp(t - delay, end.t, end.traveled) / end.traveled[-1] - 1
+    def calc_misfit(delay: float) -> float:
+        """Sum of squared residuals of the best parabola in d, m²."""
+        d = np.interp(t - delay, end.t, end.traveled) / way - 1
         basis = np.column_stack([np.ones_like(d), d, d**2])
         factors = np.asarray(np.linalg.lstsq(basis, seen, rcond=None)[0], dtype=np.float64)
-        return float(((seen - basis @ factors) ** 2).sum()), factors
+        return float(((seen - basis @ factors) ** 2).sum())
 
     reach = min(MAX_DELAY, stop - begin + REST / 2)
     tried = around + np.arange(-reach, reach + DELAY_STEP, DELAY_STEP)
-    misfits = np.array([fit(float(delay))[0] for delay in tried])
+    misfits = np.array([calc_misfit(float(delay)) for delay in tried])
     k = int(np.argmin(misfits))
     if k in (0, len(tried) - 1):
         return None
-    # the parabola through the three lowest, and the variance by its curvature
+    # The delay is where the parabola through the three lowest misfits is lowest, and its variance
+    # is by that parabola's curvature.
     low, middle, high = misfits[k - 1 : k + 2]
     curvature = low - 2 * middle + high
     if not curvature > 0:
         return None
     value = float(tried[k] + DELAY_STEP * (low - high) / (2 * curvature))
-    variance = middle / max(seen.size - 10, 1)
+    variance = middle / max(seen.size - PARAMETERS, 1)
     return value, DELAY_STEP * math.sqrt(2 * variance / curvature)

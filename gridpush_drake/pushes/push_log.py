@@ -41,20 +41,34 @@ DEFAULT_PUSHER_RADIUS = 0.008
 finger, `models/fingers/rod`. Learning and planning take the same one."""
 
 TIP = ("tip_x", "tip_y")
+"""Columns of the tip's center."""
+
 POSE = ("object_x", "object_y", "object_theta")
+"""Columns of the object's pose."""
+
 FORCE = ("force_x", "force_y")
+"""Columns of the force on the object."""
+
 REQUIRED = ("push", "t", *TIP, *POSE)
+"""Columns that every file has."""
+
 OVERHANG = "overhang"
+"""Column that says whether a part of the object hung over the table's edge."""
+
 TABLE = "table"
+"""Column of the table's top."""
+
 COLUMNS = (*REQUIRED, *FORCE, OVERHANG, TABLE)
+"""All columns that are read."""
 
 FLAGS = {"0": False, "1": True, "0.0": False, "1.0": True}
-"""What may stand in a column that says yes or no; pandas writes such a column with points."""
+"""Texts that say no or yes in a column; pandas writes numbers of such a column with points."""
 
 NO_NUMBER = "nan"
-"""What stands in an empty cell where pandas or NumPy wrote the file."""
+"""Text of an empty cell where pandas or NumPy wrote the file."""
 
 WHAT = "a push log (CSV)"
+"""The expected form of a file, for messages."""
 
 UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
 """Unit of each column; m where not listed."""
@@ -144,6 +158,7 @@ class ObservedPush(Frozen):
         return f"ObservedPush {self.name!r}: {path}, {seen}{went}{over}"
 
     def _array(self, name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+        """Makes a field a read-only array of a shape, in which -1 stands for any number."""
         array = np.array(value, dtype=np.float64)
         if array.size == 0 and 0 in shape:
             array = array.reshape(shape)
@@ -160,18 +175,22 @@ class ObservedPush(Frozen):
         return array
 
     def _check_times(self, name: str, t: Array) -> None:
+        """Refuses times, s, that do not increase or are not within the push."""
         if np.any(np.diff(t) <= 0):
             raise PushLogError(f"push {self.name!r}: {name} must be strictly increasing")
         if len(t) and (t[0] < 0 or t[-1] > self.push.duration):
             raise PushLogError(
                 f"push {self.name!r}: {name} runs from {t[0]} to {t[-1]} s; expected times within "
-                "the push, "
-                f"0 to {self.push.duration} s"
+                f"the push, 0 to {self.push.duration} s"
             )
 
     @property
     def final_pose(self) -> Array:
-        """(3,) q_W at the last observation. Raises PushLogError where there is none after the first."""
+        """Pose q_W (3,) at the last observation, m and rad.
+
+        Raises:
+            PushLogError: the object was not observed after the push's beginning.
+        """
         if not len(self.poses_observed):
             raise PushLogError(
                 f"push {self.name!r}: the object was not observed after the push's beginning"
@@ -290,7 +309,17 @@ class PushLog(Frozen):
         return self.subset(index)
 
     def subset(self, indices: Sequence[int] | NDArray[np.integer]) -> "PushLog":
-        """The log of the pushes at `indices` (or of a mask), in their order. Raises IndexError beyond the last."""
+        """Takes some of the pushes.
+
+        Args:
+            indices: their places, or a mask of booleans.
+
+        Returns:
+            A log of them, in the order of the indices.
+
+        Raises:
+            IndexError: an index is beyond the last push.
+        """
         chosen = np.arange(len(self))[list(indices)]
         return replace(self, pushes=tuple(self.pushes[i] for i in chosen))
 
@@ -301,7 +330,9 @@ class PushLog(Frozen):
 
     @property
     def on_table(self) -> "PushLog":
-        """The pushes during which the whole object was on the table, and no table: for models that know no edge.
+        """The pushes during which the whole object was on the table, for models that know no edge.
+
+        The log has no table.
 
         Raises:
             PushLogError: there are pushes, but none of them is such a one.
@@ -310,20 +341,23 @@ class PushLog(Frozen):
         if len(self) and not len(kept):
             raise PushLogError(
                 f"{self.source or 'push log'}: overhang is 1 in every push; expected the column "
-                "table, or at least "
-                "one push with the whole object on the table"
+                "table, or at least one push with the whole object on the table"
             )
         return replace(kept, table=None)
 
     @property
     def overhanging(self) -> "PushLog":
-        """The pushes that no model can explain: those over the edge of a table that is not known."""
+        """Takes the pushes that no model can explain: over the edge of a table that is not known."""
         return self.subset(
             [i for i, seen in enumerate(self) if seen.overhang and self.table is None]
         )
 
     def with_radius(self, radius: float) -> "PushLog":
-        """The same pushes made by a disc of `radius`, m. Raises PushError where it is not positive."""
+        """Gives all pushes a disc of another radius, m.
+
+        Raises:
+            PushError: the radius is not positive.
+        """
         pushes = tuple(
             replace(seen, push=replace(seen.push, radius=radius)) for seen in self.pushes
         )
@@ -331,12 +365,33 @@ class PushLog(Frozen):
 
 
 def nearest_turn(theta: float, reference: float) -> float:
-    """`theta`, rad, by as many whole turns as bring it within pi of `reference`; none where it is already."""
+    """Adds whole turns to an angle so that it is within pi of another one.
+
+    Args:
+        theta: the angle, rad.
+        reference: the other one, rad.
+
+    Returns:
+        The angle, rad; the very same number where it is near already.
+    """
     turns = round((reference - theta) / math.tau)
     return theta + turns * math.tau if turns else theta
 
 
 class _Row(NamedTuple):
+    """A row of a file.
+
+    Attributes:
+        line: its number in the file.
+        push: the push's name.
+        t: time, s.
+        tip: x and y of the tip's center, m.
+        pose: x, y and theta of the object, m and rad; None where it was not seen.
+        force: x and y of the force on the object, N; None where it is not known.
+        overhang: whether the row says that the object hung over the table's edge.
+        table: (K, 2) corners of the table's top, m; None where the row does not say.
+    """
+
     line: int
     push: str
     t: float
@@ -348,23 +403,24 @@ class _Row(NamedTuple):
 
 
 def _read_push_csv(path: Path, radius: float | None, require_final: bool) -> PushLog:
-    seen: dict[str, int] = {}
+    """Reads a file; see `PushLog.read_csv`."""
+    seen: dict[str, int] = {}  # the line on which each push begins
     pushes = []
     table: Array | None = None
     read = (
         _parse_row(path, line, cells)
         for line, cells in read_table(path, WHAT, REQUIRED, _check_header)
     )
-    dense = list[tuple[str, int]]()
+    dense: list[tuple[str, int]] = []  # pushes with too many poses, and how many
     for _, group in groupby(read, lambda row: row.push):
+        # One row more than allowed shows that there are too many; no more are read.
         rows = list(islice(group, MAX_ROWS + 1))
         first = rows[0]
         if len(rows) > MAX_ROWS:
             fail(
                 path, rows[-1].line, "push",
                 f"push {first.push!r} has more than {MAX_ROWS} rows; expected one push: a stream "
-                "of "
-                "many is cut into pushes by `gridpush record`",
+                "of many is cut into pushes by `gridpush record`",
             )  # fmt: skip
         if first.push in seen:
             fail(
@@ -404,18 +460,25 @@ def _read_push_csv(path: Path, radius: float | None, require_final: bool) -> Pus
 
 
 def _thin_poses(rows: list[_Row]) -> tuple[list[_Row], int]:
-    """The rows of a push with at most MAX_POSES poses after the first row's, and how many there were."""
+    """Leaves out poses of a push that has many.
+
+    Args:
+        rows: the push's rows.
+
+    Returns:
+        The rows, with at most MAX_POSES poses after the first row's, and how many there were.
+    """
     later = [i for i, row in enumerate(rows) if i and row.pose is not None]
     if len(later) <= MAX_POSES:
         return rows, len(later)
-    kept = {later[k] for k in np.linspace(0, len(later) - 1, MAX_POSES).round().astype(int)}
-    thinned = [
-        row if i == 0 or i in kept else row._replace(pose=None) for i, row in enumerate(rows)
-    ]
+    evenly = np.linspace(0, len(later) - 1, MAX_POSES).round().astype(int)
+    kept = {0, *(later[k] for k in evenly)}
+    thinned = [row if i in kept else row._replace(pose=None) for i, row in enumerate(rows)]
     return thinned, len(later)
 
 
 def _write_push_csv(log: PushLog, path: Path, force: bool) -> None:
+    """Writes a file; see `PushLog.write_csv`."""
     check_writable(path, force)
     names = [seen.name for seen in log]
     if not names:
@@ -427,12 +490,15 @@ def _write_push_csv(log: PushLog, path: Path, force: bool) -> None:
             )
     with_force = any(seen.force is not None for seen in log)
     with_overhang = any(seen.overhang for seen in log)
+
+    # Columns of which nothing is known are left out.
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     more = [
         name for name, there in ((OVERHANG, with_overhang), (TABLE, log.table is not None)) if there
     ]
     writer.writerow([*REQUIRED, *(FORCE if with_force else ()), *more])
+    # The table stands in the first row, and nowhere else.
     text = [] if log.table is None else [_describe_table(log.table)]
     for seen in log:
         flag = [str(int(seen.overhang))] if with_overhang else []
@@ -443,15 +509,14 @@ def _write_push_csv(log: PushLog, path: Path, force: bool) -> None:
 
 
 def _describe_table(corners: Array) -> str:
-    """Corners (K, 2) as well-known text, exact to the last bit."""
-    return (
-        "POLYGON (("
-        + ", ".join(f"{x!r} {y!r}" for x, y in [*corners.tolist(), corners[0].tolist()])
-        + "))"
-    )
+    """Writes corners (K, 2), m, as well-known text, exact to the last bit."""
+    closed = [*corners.tolist(), corners[0].tolist()]
+    points = ", ".join(f"{x!r} {y!r}" for x, y in closed)
+    return f"POLYGON (({points}))"
 
 
 def _cells(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
+    """Makes the cells of each row of a push: a row for each time at which anything is known."""
     poses = dict(zip(seen.t_observed.tolist(), seen.poses_observed.tolist(), strict=True))
     poses[0.0] = seen.pose.tolist()
     forces: dict[float, list[float]] = {}
@@ -472,13 +537,16 @@ def read_table(
     required: Sequence[str],
     check_header: Callable[[Path, int, list[str]], None],
 ) -> Iterator[tuple[int, dict[str, str]]]:
-    """The rows of a CSV file: their lines' numbers, and their cells by column.
+    """Reads a CSV file row by row.
 
     Args:
         path: the file.
         what: it should hold, for messages.
         required: the columns that it must have, for messages.
         check_header: is called with path, line and header before the first row.
+
+    Yields:
+        Each row's line in the file, and its cells by column.
 
     Raises:
         PushLogError: the file cannot be read, is empty or no CSV, or a row is longer or shorter
@@ -508,7 +576,9 @@ def read_table(
 
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
-    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {','.join(FORCE)}, {OVERHANG} and {TABLE}"
+    """Refuses a header without a column that is needed, or with one twice or misspelled."""
+    known = f"{','.join(FORCE)}, {OVERHANG} and {TABLE}"
+    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {known}"
     twice = next((name for name in header if header.count(name) > 1), None)
     if twice is not None:
         fail(path, line, twice, f"is there twice; {form}")
@@ -569,15 +639,12 @@ def is_empty(cell: str) -> bool:
 
 
 def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
+    """Reads a row's cells; a PushLogError names the column of one that cannot be read."""
     name = cells["push"].strip()
     if not name:
         fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
-    pose, force = (
-        [_read_number(path, line, column, cells[column]) for column in columns]
-        if not all(is_empty(cells.get(column, "")) for column in columns)
-        else None
-        for columns in (POSE, FORCE)
-    )
+    pose = _read_group(path, line, cells, POSE)
+    force = _read_group(path, line, cells, FORCE)
     tip = [_read_number(path, line, column, cells[column]) for column in TIP]
     flag = cells.get(OVERHANG, "").strip()
     hangs_over = False if is_empty(flag) else FLAGS.get(flag)
@@ -585,11 +652,28 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
         fail(path, line, OVERHANG, f"is {flag[:MAX_SHOWN]!r}; expected 0 or 1, or empty")
     table = _table(path, line, cells.get(TABLE, "").strip())
     return _Row(
-        line, name, _read_number(path, line, "t", cells["t"]), tip, pose, force, hangs_over, table
+        line=line,
+        push=name,
+        t=_read_number(path, line, "t", cells["t"]),
+        tip=tip,
+        pose=pose,
+        force=force,
+        overhang=hangs_over,
+        table=table,
     )
 
 
+def _read_group(
+    path: Path, line: int, cells: dict[str, str], columns: tuple[str, ...]
+) -> list[float] | None:
+    """Reads the numbers of columns that are empty together; None where they are."""
+    if all(is_empty(cells.get(column, "")) for column in columns):
+        return None
+    return [_read_number(path, line, column, cells[column]) for column in columns]
+
+
 def _table(path: Path, line: int, cell: str) -> Array | None:
+    """Reads the corners (K, 2) of a table's top, counterclockwise, m; None of an empty cell."""
     if is_empty(cell):
         return None
     try:
@@ -597,7 +681,8 @@ def _table(path: Path, line: int, cell: str) -> Array | None:
             polygon = shapely.from_wkt(cell)
             usable = polygon.is_valid and 0 < polygon.area < np.inf
     except shapely.GEOSException:
-        polygon, usable = None, False
+        polygon = None
+        usable = False
     if not isinstance(polygon, shapely.Polygon) or polygon.interiors or not usable:
         form = (
             "expected POLYGON ((x y, x y, ..., x y)) in m "
@@ -608,6 +693,7 @@ def _table(path: Path, line: int, cell: str) -> Array | None:
 
 
 def _read_number(path: Path, line: int, column: str, cell: str) -> float:
+    """Reads a cell's number; a message tells its unit, and which columns may be empty together."""
     value = parse_number(cell)
     if value is None:
         group = next((columns for columns in (POSE, FORCE) if column in columns), None)
@@ -619,7 +705,7 @@ def _read_number(path: Path, line: int, column: str, cell: str) -> float:
 
 
 def parse_number(cell: str) -> float | None:
-    """A cell's number; None where it is not one that was measured."""
+    """Reads a cell's number; None where it is not one that was measured."""
     try:
         value = float(cell)
     except ValueError:
@@ -628,7 +714,21 @@ def parse_number(cell: str) -> float | None:
 
 
 def read_number(path: Path, line: int, column: str, cell: str, form: str) -> float:
-    """A cell's number. Raises PushLogError where it is not one that was measured; `form` says what is expected."""
+    """Reads a cell's number.
+
+    Args:
+        path: the file, for the message.
+        line: the row's line, for the message.
+        column: the column, for the message.
+        cell: the cell's text.
+        form: what is expected, for the message.
+
+    Returns:
+        The number.
+
+    Raises:
+        PushLogError: it is not a number that was measured.
+    """
     value = parse_number(cell)
     if value is None:
         large = False
@@ -642,6 +742,7 @@ def read_number(path: Path, line: int, column: str, cell: str, form: str) -> flo
 def _observed_push(
     path: Path, rows: list[_Row], radius: float, require_final: bool
 ) -> ObservedPush:
+    """Makes a push of its rows; a PushLogError names the line and the column of a wrong one."""
     first = rows[0]
     if first.pose is None:
         fail(
@@ -666,19 +767,20 @@ def _observed_push(
             path, rows[-1].line, POSE[0],
             f"is empty; expected the object's pose on a later row of push {first.push!r} too",
         )  # fmt: skip
+    # Angles go on from pose to pose, though a tracker may jump by whole turns.
     poses = [list(row.pose or ()) for row in [first, *seen]]
     for pose_before, pose in pairwise(poses):
         pose[2] = nearest_turn(pose[2], pose_before[2])
     felt = [row for row in rows if row.force is not None]
     return ObservedPush(
-        first.push,
-        Push.along([row.t for row in rows], [row.tip for row in rows], radius),
-        np.array(poses[0]),
-        np.array([row.t - first.t for row in seen]),
-        np.array(poses[1:]).reshape(-1, len(POSE)),
-        np.array([row.t - first.t for row in felt]) if felt else None,
-        np.array([row.force for row in felt]) if felt else None,
-        any(row.overhang for row in rows),
+        name=first.push,
+        push=Push.along([row.t for row in rows], [row.tip for row in rows], radius),
+        pose=np.array(poses[0]),
+        t_observed=np.array([row.t - first.t for row in seen]),
+        poses_observed=np.array(poses[1:]).reshape(-1, len(POSE)),
+        force_t=np.array([row.t - first.t for row in felt]) if felt else None,
+        force=np.array([row.force for row in felt]) if felt else None,
+        overhang=any(row.overhang for row in rows),
     )
 
 

@@ -1,4 +1,4 @@
-"""A stream of observations cut into pushes: where each begins and ends, and its entry in a push log.
+"""A stream of observations cut into pushes: where each begins and ends, and its push log entry.
 
 A push is going on while the tip is down (below `engaged_below`) and moves over the table; it is
 over when the tip has stopped and then lifts, moves on, or simply stands. The object moves only when
@@ -35,17 +35,24 @@ from gridpush_drake.pushes.push_log import ObservedPush, nearest_turn
 Numbers = tuple[float, float, float]
 
 MAX_SAMPLES = 50_000
-"""Most samples of one motion of the tip: 50 s of a robot that says a thousand times a second where
-its tip is."""
+"""Largest number of samples of one motion of the tip: 50 s of a robot that says a thousand times a
+second where its tip is."""
 
 
 class Sample(NamedTuple):
-    """What was seen at one time, W."""
+    """What was seen at one time, in the world frame W.
 
-    t: float  # s
-    pose: Numbers  # q = (x, y, theta) of the object, m and rad; not finite where it was not seen
-    tip: Numbers  # p_WP of the tip's center, m
-    velocity: Numbers  # v_WP, m/s
+    Attributes:
+        t: time, s.
+        pose: q = (x, y, theta) of the object, m and rad; not finite where it was not seen.
+        tip: p_WP of the tip's center, m.
+        velocity: v_WP of the tip, m/s.
+    """
+
+    t: float
+    pose: Numbers
+    tip: Numbers
+    velocity: Numbers
 
 
 @dataclass(frozen=True)
@@ -89,31 +96,51 @@ class Episode:
 
 @dataclass(frozen=True)
 class SegmenterState:
-    """What the segmenter remembers."""
+    """What the segmenter remembers from sample to sample.
 
-    rest: tuple[Sample, ...] = ()  # observations of the object since it last came to rest
-    path: tuple[
-        Sample, ...
-    ] = ()  # the present push while the tip is down; empty where there is none
-    lowest: float = inf  # height of the tip at its lowest on that path, m
-    after: tuple[Sample, ...] = ()  # from its stop on, lifted or not; empty while it moves
-    lifted: bool = False  # whether it has ended by lifting
+    Attributes:
+        rest: observations of the object since it last came to rest.
+        path: samples of the present push while the tip is down; empty where there is none.
+        lowest: height of the tip at its lowest on that path, m.
+        after: samples from the tip's stop on, lifted or not; empty while it moves.
+        lifted: whether the push has ended by lifting.
+    """
+
+    rest: tuple[Sample, ...] = ()
+    path: tuple[Sample, ...] = ()
+    lowest: float = inf
+    after: tuple[Sample, ...] = ()
+    lifted: bool = False
 
 
 def advance(
     state: SegmenterState, sample: Sample, options: SegmenterOptions
 ) -> tuple[SegmenterState, Episode | None]:
-    """Takes in one sample, later than all before: the state after it, and the episode that it ends, if any.
+    """Takes in one sample, which is later than all before.
 
-    It is passed over where the tip is not known.
+    Args:
+        state: what is remembered.
+        sample: the sample; it is passed over where the tip is not known.
+        options: when a push begins and ends.
+
+    Returns:
+        What is remembered after it, and the episode that it ends; None where it ends none.
+
+    Raises:
+        PushLogError: one motion of the tip has too many samples.
     """
     if not all(map(isfinite, (*sample.tip, *sample.velocity))):
         return state, None
     moving = sample.tip[2] < options.engaged_below and _slides(sample.velocity, options)
+
+    # Waiting: the object is seen at rest, until the tip moves.
     if not state.path:
+        if moving:
+            return _begin(state.rest, sample), None
         oldest = bisect_left(state.rest, sample.t - options.rest_window, key=lambda seen: seen.t)
-        kept = state.rest[oldest:]
-        return (_begin(state.rest, sample) if moving else SegmenterState((*kept, sample))), None
+        return SegmenterState(rest=(*state.rest[oldest:], sample)), None
+
+    # Moving on: as a new push after a lift or a long stop, else as the same one.
     lift_height = min(options.engaged_below, state.lowest + options.lift)
     lifted = state.lifted or sample.tip[2] > lift_height
     stopped_for = sample.t - state.after[0].t if state.after else 0.0
@@ -121,9 +148,10 @@ def advance(
         return _begin(state.after, sample), Episode(state.rest, state.path, state.after)
     if moving and not lifted:
         return replace(_go_on(state, sample), after=()), None
-    state = replace(
-        state if lifted else _go_on(state, sample), lifted=lifted, after=(*state.after, sample)
-    )
+
+    # Settling: the push is over once the object was seen at rest for long enough.
+    state = state if lifted else _go_on(state, sample)
+    state = replace(state, lifted=lifted, after=(*state.after, sample))
     if stopped_for >= (options.settle_lifted if lifted else options.settle):
         return SegmenterState(rest=state.after), Episode(state.rest, state.path, state.after)
     return state, None
@@ -138,7 +166,7 @@ def _slides(velocity: Numbers, options: SegmenterOptions) -> bool:
 def _begin(rest: tuple[Sample, ...], sample: Sample) -> SegmenterState:
     """Starts a push; the sample before, with the tip still at rest, is where its path begins."""
     path = (*rest[-1:], sample)
-    return SegmenterState(rest, path, min(seen.tip[2] for seen in path))
+    return SegmenterState(rest=rest, path=path, lowest=min(seen.tip[2] for seen in path))
 
 
 def _go_on(state: SegmenterState, sample: Sample) -> SegmenterState:
@@ -168,47 +196,68 @@ def find_episodes(samples: Iterable[Sample], options: SegmenterOptions) -> Itera
 
 
 SAME_TIME = 1e-6
-"""S; times that differ by less are one."""
+"""Difference below which two times are one, s."""
 
 UNUSABLE = (GridPushError, np.linalg.LinAlgError, ArithmeticError, ValueError)
-"""What a push that was badly seen may lead to when it is written down or learned from."""
+"""Errors to which a push that was badly seen may lead when it is written down or learned from."""
 
 LATEST = 5
-"""Observations at the end whose median tells where the object rests."""
+"""Number of observations at the end whose median tells where the object rests."""
 
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """How a push is written down."""
+    """How a push is written down.
 
-    observations: int = 10  # most poses a push, the last one included
-    min_distance: float = 0.005  # of the tip; less is no push, m
-    reach: float = 0.005  # a tip that never came closer to the object than its radius and this did not push it, m
-    path_tolerance: float = 5e-5  # by which the thinned path may differ from the measured one, m
-    still: float = (
-        5e-5  # the tip has not yet, or no longer, moved within this of its first, or last, place, m
-    )
-    coast: float = 0.1  # how long the object may slide on after the tip's stop, s
-    rest_tolerance: float = (
-        0.003  # observations further than this from where the object rests are not of that rest, m
-    )
-    rest_angle_tolerance: float = 0.03  # likewise, rad
-    pose_delay: float = 0.0  # how old a pose is when it is read, s
+    Attributes:
+        observations: largest number of poses of a push, the last one included.
+        min_distance: shortest path of the tip that is a push, m.
+        reach: a tip that never came closer to the object's outline than its radius and this did not
+            push it, m.
+        path_tolerance: largest difference of the thinned path from the measured one, m.
+        still: the tip has not begun to move while it is within this of its first place, and moves
+            no more once it is within this of its last one, m.
+        coast: longest time that the object may slide on after the tip's stop, s.
+        rest_tolerance: observations further than this from where the object rests are not of that
+            rest, m.
+        rest_angle_tolerance: observations turned by more than this from how the object rests are
+            not of that rest, rad.
+        pose_delay: how old a pose is when it is read, s.
+    """
+
+    observations: int = 10
+    min_distance: float = 0.005
+    reach: float = 0.005
+    path_tolerance: float = 5e-5
+    still: float = 5e-5
+    coast: float = 0.1
+    rest_tolerance: float = 0.003
+    rest_angle_tolerance: float = 0.03
+    pose_delay: float = 0.0
 
 
 def name_push(count: int) -> str:
-    """What the push after `count` others of a stream is called."""
+    """Names the push that comes after `count` others of a stream."""
     return f"push_{count + 1}"
 
 
 def make_observed_push(
     episode: Episode, obj: GridObject, radius: float, name: str, options: RecordOptions
 ) -> ObservedPush | None:
-    """Makes the log's entry for a tip of `radius`, m.
+    """Makes a push log's entry.
 
-    None where the tip hardly moved or never came near the object, or where that was not seen both
-    before and after.
+    Args:
+        episode: a motion of the tip that may be a push.
+        obj: the object.
+        radius: radius of the tip, m.
+        name: name of the push.
+        options: how a push is written down.
+
+    Returns:
+        The entry; None where the tip hardly moved or never came near the object, or where the
+        object was not seen both before and after.
     """
+    # Only a tip that moved, and came near the object, has pushed it.
     pose = calc_rest_pose(episode.before, options)
     t, xy = trim_path(episode.path, options.still)
     if pose is None or len(t) < 2:
@@ -217,8 +266,13 @@ def make_observed_push(
     distance = obj.outline.distance(LineString(transform_back(pose, xy)))
     if traveled[-1] < options.min_distance or distance > radius + options.reach:
         return None
-    end, t, xy = _add_coast(episode, t, xy, options.coast)
+
+    # The tip stands at the end for as long as the object may slide on.
+    end = float(t[-1])
+    t, xy = _add_coast(episode, t, xy, options.coast)
     traveled = np.append(traveled, np.full(len(t) - len(traveled), traveled[-1]))
+
+    # The last pose is that of the object at rest, where it was seen so.
     settled = [sample for sample in episode.after if sample.t - options.pose_delay >= t[-1]]
     last = calc_rest_pose(settled, options)
     seen = _choose_observations(episode.path, t, traveled, end, options, up_to_end=last is None)
@@ -229,27 +283,35 @@ def make_observed_push(
     times = np.array([time for time, _ in seen])
     t, xy = thin_path(t, xy, times, options.path_tolerance)
     return ObservedPush(
-        name, Push.along(t - t[0], xy, radius), pose, times - t[0], _continue_turns(pose, seen)
+        name=name,
+        push=Push.along(t - t[0], xy, radius),
+        pose=pose,
+        t_observed=times - t[0],
+        poses_observed=_continue_turns(pose, seen),
     )
 
 
 def find_begin(episode: Episode, options: RecordOptions) -> float:
-    """When the push that an episode is written down as begins, s: its time 0."""
+    """Finds the time in the stream at which an episode's push begins, s."""
     return float(trim_path(episode.path, options.still)[0][0])
 
 
 def calc_rest_pose(
     observations: tuple[Sample, ...] | list[Sample], options: RecordOptions
 ) -> Array | None:
-    """Mean of the latest observations of one pose; None where the object was not seen.
+    """Calculates where the object rests: the mean of the latest observations of one pose.
 
     Starting from the last one, all within the tolerance of the last few's median count, up to the
     first two in a row that do not: before them the object lay elsewhere. A single one is an
     outlier.
+
+    Returns:
+        (3,) the pose, m and rad; None where the object was not seen.
     """
     poses = np.array([seen.pose for seen in observations if np.isfinite(seen.pose).all()])
     if not len(poses):
         return None
+    # Angles may differ by whole turns.
     theta = poses[-1, 2]
     poses[:, 2] = theta + wrap_angle(poses[:, 2] - theta)
     off = poses - np.median(poses[-LATEST:], axis=0)
@@ -262,18 +324,25 @@ def calc_rest_pose(
 
 
 def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array, Array]:
-    """Leaves out samples that linear interpolation in time replaces (the algorithm of Ramer, Douglas and Peucker).
+    """Leaves out samples that linear interpolation in time replaces.
+
+    It is the algorithm of Ramer, Douglas and Peucker, with places of equal times compared.
 
     Args:
-        t: (K,) times, s, increasing; and the places `xy` (K, 2), m.
-        keep: times that the path is cut at in any case, within it, s.
-        tolerance: m.
+        t: (K,) times, increasing, s.
+        xy: (K, 2) places, m.
+        keep: times within the path at which it is cut in any case, s.
+        tolerance: largest distance of a place that is left out from the path that remains, m.
+
+    Returns:
+        The times (L,), s, and places (L, 2), m, that are left.
     """
     times = np.union1d(t, keep)
     places = np.column_stack([np.interp(times, t, xy[:, axis]) for axis in (0, 1)])
     wanted = np.isin(times, keep)
     wanted[[0, -1]] = True
     pending = list(pairwise(np.flatnonzero(wanted).tolist()))
+    # Each piece is replaced by a straight line, or cut where it is farthest from that.
     while pending:
         first, last = pending.pop()
         if last - first < 2:
@@ -289,8 +358,18 @@ def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array
 
 
 def trim_path(path: tuple[Sample, ...], still: float) -> tuple[Array, Array]:
-    """Times and places of the tip from its last moment at rest to its first."""
-    t, xy = np.array([sample.t for sample in path]), np.array([sample.tip[:2] for sample in path])
+    """Cuts off a path's ends, at which the tip stands.
+
+    Args:
+        path: samples of the tip.
+        still: distance within which the tip stands, m.
+
+    Returns:
+        Times (K,), s, and places (K, 2), m, from the tip's last moment at its first place to its
+        first moment at its last place; one of each where it never moved.
+    """
+    t = np.array([sample.t for sample in path])
+    xy = np.array([sample.tip[:2] for sample in path])
     moved = np.flatnonzero(np.linalg.norm(xy - xy[0], axis=1) > still)
     moving = np.flatnonzero(np.linalg.norm(xy - xy[-1], axis=1) > still)
     if not len(moved) or not len(moving):
@@ -299,11 +378,23 @@ def trim_path(path: tuple[Sample, ...], still: float) -> tuple[Array, Array]:
     return t[part], xy[part]
 
 
-def _add_coast(episode: Episode, t: Array, xy: Array, coast: float) -> tuple[float, Array, Array]:
-    """Lets the tip stand for as long as the object may slide on, while it was seen to; and when it stopped, s."""
+def _add_coast(episode: Episode, t: Array, xy: Array, coast: float) -> tuple[Array, Array]:
+    """Lets the tip stand at its path's end for as long as the object may slide on.
+
+    Args:
+        episode: the motion that the path was cut from.
+        t: (K,) times of the path, s.
+        xy: (K, 2) places of the tip, m.
+        coast: longest time that the object may slide on, s.
+
+    Returns:
+        Times and places with one more sample; without it where the tip was not seen to stand.
+    """
     end = float(t[-1])
     stood = min(coast, episode.path[-1].t - end)
-    return (end, np.append(t, end + stood), np.vstack([xy, xy[-1:]])) if stood > 0 else (end, t, xy)
+    if stood <= 0:
+        return t, xy
+    return np.append(t, end + stood), np.vstack([xy, xy[-1:]])
 
 
 def _choose_observations(
@@ -314,31 +405,45 @@ def _choose_observations(
     options: RecordOptions,
     up_to_end: bool,
 ) -> list[tuple[float, Array]]:
-    """Times and poses of the observations nearest to even shares of the tip's path, `traveled` (K,) m by t (K,) s."""
-    seen = [
-        (_snap(sample.t - options.pose_delay, t), np.array(sample.pose))
-        for sample in path
-        if np.isfinite(sample.pose).all()
-    ]
-    seen = [(time, pose) for time, pose in seen if t[0] < time <= end]
+    """Chooses the observations nearest to even shares of the tip's path.
+
+    Args:
+        path: the samples of a push.
+        t: (K,) times of the tip's path, s.
+        traveled: (K,) length of the path by then, m.
+        end: the time at which the tip stops, s.
+        options: how a push is written down.
+        up_to_end: whether the path's end is one of the shares; where the object was seen at rest
+            after it, it is not.
+
+    Returns:
+        Times, s, and poses (3,), m and rad.
+    """
+    seen: list[tuple[float, Array]] = []
+    for sample in path:
+        if np.isfinite(sample.pose).all():
+            time = _snap(sample.t - options.pose_delay, t)
+            if t[0] < time <= end:
+                seen.append((time, np.array(sample.pose)))
     if not seen:
         return []
     traveled_then = np.interp([time for time, _ in seen], t, traveled)
     wanted = traveled[-1] * np.arange(1, options.observations + up_to_end) / options.observations
-    return [
-        seen[i] for i in sorted({int(np.argmin(np.abs(traveled_then - share))) for share in wanted})
-    ]
+    # One observation may be the nearest to several shares.
+    nearest = {int(np.argmin(np.abs(traveled_then - share))) for share in wanted}
+    return [seen[i] for i in sorted(nearest)]
 
 
 def _snap(time: float, t: Array) -> float:
-    """The nearest of the times t where round-off alone keeps `time` from it."""
+    """Takes the nearest of the times t (K,), s, where round-off alone keeps a time from it."""
     nearest = float(t[np.argmin(np.abs(t - time))])
     return nearest if abs(nearest - time) < SAME_TIME else time
 
 
 def _continue_turns(pose: Array, seen: list[tuple[float, Array]]) -> Array:
-    """The poses (K, 3), theta without jumps from the first pose on."""
-    poses, before = [], float(pose[2])
+    """Collects the poses (K, 3), m and rad, theta without jumps from the first pose (3,) on."""
+    poses = []
+    before = float(pose[2])
     for _, q in seen:
         before = nearest_turn(float(q[2]), before)
         poses.append([q[0], q[1], before])

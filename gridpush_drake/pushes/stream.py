@@ -55,22 +55,28 @@ COLUMNS = ("t", *TIP, *VELOCITY, *POSE, DELAY)
 WHAT = "a stream of poses (CSV)"
 
 MAX_TOLD_DELAY = 10.0
-"""Greatest delay of the object's poses that is believed, s; a larger one is in another unit."""
+"""Largest delay of the object's poses that is believed, s. A larger one is in another unit."""
 
 VELOCITY_WINDOW = 0.1
-"""Over which a velocity is found from places by a straight line, s."""
+"""Length of time over which a straight line through the tip's places tells its velocity, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The pushes of a stream."""
+    """The pushes of a stream.
 
-    log: PushLog  # the pushes
-    begins: tuple[float, ...] = ()  # when in the stream each began, s
-    unusable: tuple[
-        str, ...
-    ] = ()  # why motions that may have been pushes could not be written down
-    unfinished: bool = False  # whether the stream ended within a push, which is left out
+    Attributes:
+        log: the pushes.
+        begins: when in the stream each of them began, s.
+        unusable: a sentence for each motion that may have been a push but could not be written
+            down.
+        unfinished: whether the stream ended within a push, which is left out.
+    """
+
+    log: PushLog
+    begins: tuple[float, ...] = ()
+    unusable: tuple[str, ...] = ()
+    unfinished: bool = False
 
 
 def record_pushes(
@@ -81,26 +87,32 @@ def record_pushes(
     record: RecordOptions | None = None,
     source: str = "",
 ) -> Recording:
-    """Cuts a stream into pushes as `GridIdentifier` does while it goes on, and names them as it does.
+    """Cuts a stream into pushes, and names them.
+
+    `GridIdentifier` does the same while a stream goes on.
 
     Args:
-        samples: of the stream, later and later.
-        radius: of the tip, m.
+        samples: the stream's samples, in the order of their times.
+        obj: the object that is pushed.
+        radius: radius of the tip, m.
         segmenter: when a push begins and ends.
-        record: how it is written down.
-        source: where the stream came from.
+        record: how a push is written down.
+        source: where the stream came from, for messages.
+
+    Returns:
+        The pushes, and what could not be made one.
     """
-    segmenter, record = segmenter or SegmenterOptions(), record or RecordOptions()
-    state, pushes, begins, unusable = (
-        SegmenterState(),
-        list[ObservedPush](),
-        list[float](),
-        list[str](),
-    )
+    segmenter = segmenter or SegmenterOptions()
+    record = record or RecordOptions()
+    state = SegmenterState()
+    pushes: list[ObservedPush] = []
+    begins: list[float] = []
+    unusable: list[str] = []
     for sample in samples:
         state, episode = advance(state, sample, segmenter)
         if episode is None:
             continue
+        # One push that was badly seen must not cost the others.
         try:
             observed = make_observed_push(episode, obj, radius, name_push(len(pushes)), record)
         except UNUSABLE as error:
@@ -116,47 +128,77 @@ def record_pushes(
                 f"before the motion at {episode.path[0].t:g} s the object was not seen at rest"
             )
     return Recording(
-        PushLog(tuple(pushes), source), tuple(begins), tuple(unusable), bool(state.path)
+        log=PushLog(tuple(pushes), source),
+        begins=tuple(begins),
+        unusable=tuple(unusable),
+        unfinished=bool(state.path),
     )
 
 
 def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) -> Array:
-    """Finds velocities (K, d), m/s, by straight lines through the places within half a window (s) of each.
+    """Finds velocities by fitting straight lines to the places around each time.
 
-    NaN where fewer than two places are known within it; rows of `places` (K, d), m, that are not
-    finite are not known.
+    With weights w_i of 1 where a place p_i is known and 0 where not, least squares gives
+
+        v = (sum w t p - sum w t sum w p / n) / (sum w t² - (sum w t)² / n),    n = sum w
+
+    Args:
+        t: (K,) times, increasing, s.
+        places: (K, d) places, m; a row that is not finite is not known.
+        window: length of time that a line is fitted to, s.
+
+    Returns:
+        (K, d) velocities, m/s; NaN where the place is not known, or fewer than two are within the
+        window.
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     weight = known.astype(float)
     p = np.where(known[:, None], places, 0.0)
+    # Places about their mean, and times about the middle: the sums below then lose fewest digits.
     origin = p[known].mean(axis=0) if known.any() else 0.0
     p = (p - origin) * weight[:, None]
+    time = t - (t[0] + t[-1]) / 2
+
+    # The rows within each window, and at least the row itself and the one before it.
+    index = np.arange(len(t))
     half = window / 2
-    first, last = np.searchsorted(t, t - half, "left"), np.searchsorted(t, t + half, "right")
-    first, last = (
-        np.minimum(first, np.maximum(np.arange(len(t)) - 1, 0)),
-        np.maximum(last, np.arange(len(t)) + 1),
-    )
+    first = np.minimum(np.searchsorted(t, t - half, "left"), np.maximum(index - 1, 0))
+    end = np.maximum(np.searchsorted(t, t + half, "right"), index + 1)
 
     def total(values: Array) -> Array:
-        sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
-        return sums[last] - sums[first]
+        """Sums rows over each window, as a difference of sums from the beginning."""
+        nothing = np.zeros((1, *values.shape[1:]))
+        sums = np.concatenate([nothing, np.cumsum(values, axis=0)])
+        return sums[end] - sums[first]
 
-    time = t - (t[0] + t[-1]) / 2
-    n, st, stt = total(weight), total(weight * time), total(weight * time**2)
-    sp, stp = total(p), total(p * time[:, None])
+    n = total(weight)
+    sum_t = total(weight * time)
+    sum_tt = total(weight * time**2)
+    sum_p = total(p)
+    sum_tp = total(p * time[:, None])
     n = np.maximum(n, 1.0)
-    spread = stt - st**2 / n
-    enough: NDArray[np.bool_] = np.greater(
-        spread, np.finfo(float).eps * np.maximum(stt, 1.0) * len(t)
-    )
-    velocity: Array = (stp - st[:, None] * sp / n[:, None]) / np.where(enough, spread, 1.0)[:, None]
+    spread = sum_tt - sum_t**2 / n
+    # A spread of round-off alone is that of a single time.
+    least_spread = np.finfo(float).eps * np.maximum(sum_tt, 1.0) * len(t)
+    enough: NDArray[np.bool_] = np.greater(spread, least_spread)
+    covariance = sum_tp - sum_t[:, None] * sum_p / n[:, None]
+    velocity: Array = covariance / np.where(enough, spread, 1.0)[:, None]
     velocity[~known | ~enough] = np.nan
     return velocity
 
 
 def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sample]:
-    """Puts samples together: times (K,), p_WP and v_WP of the tip (K, 3), q_W (K, 3), NaN where it was not seen."""
+    """Puts samples together.
+
+    Args:
+        t: (K,) times, s.
+        tip: (K, 3) p_WP, places of the tip's center, m.
+        velocity: (K, 3) v_WP, m/s.
+        poses: (K, 3) q_WB of the object, m and rad; NaN where it was not seen.
+
+    Returns:
+        K samples.
+    """
     rows = zip(t.tolist(), poses.tolist(), tip.tolist(), velocity.tolist(), strict=True)
     return [Sample(time, tuple(pose), tuple(place), tuple(v)) for time, pose, place, v in rows]
 
@@ -166,7 +208,7 @@ class Stream:
     """What a stream's file holds.
 
     Attributes:
-        samples: later and later.
+        samples: the samples, in the order of their times.
         pose_delay: how much later the object's poses are than their times say, s; None where the
             file does not say.
     """
@@ -184,7 +226,7 @@ def write_stream_csv(
     """Writes a stream so that `read_stream_csv` gives its numbers back bit for bit.
 
     Args:
-        samples: later and later.
+        samples: the samples, in the order of their times.
         path: the file to be written.
         force: whether an existing file may be replaced.
         pose_delay: how much later the object's poses are than their times say, s; None where it is
@@ -199,18 +241,17 @@ def write_stream_csv(
     writer.writerow(COLUMNS if told else COLUMNS[:-1])
     for sample in samples:
         row = [repr(float(sample.t))]
+        # Cells of what was not seen are empty, all of the tip's or all of the object's.
         for numbers in ((*sample.tip, *sample.velocity), sample.pose):
-            row += [
-                repr(float(number)) if all(map(math.isfinite, numbers)) else ""
-                for number in numbers
-            ]
+            was_seen = all(map(math.isfinite, numbers))
+            row += [repr(float(number)) if was_seen else "" for number in numbers]
         writer.writerow([*row, *told])
         told = [""] * len(told)
     write_whole(path, buffer.getvalue(), force)
 
 
 def read_stream_csv(path: Path | str) -> Stream:
-    """Reads a stream.
+    """Reads a stream's file; its form stands at the head of this module.
 
     Raises:
         PushLogError: the file cannot be read or breaks the form; the message names file, line,
@@ -220,7 +261,8 @@ def read_stream_csv(path: Path | str) -> Stream:
         PushLogWarning: the file has further columns, which are passed over.
     """
     path = Path(path)
-    t, groups = list[float](), list[list[list[float]]]()
+    t: list[float] = []
+    groups: list[list[list[float]]] = []
     measured = False
     pose_delay: float | None = None
     for line, row in read_table(path, WHAT, REQUIRED, _check_header):
@@ -231,14 +273,15 @@ def read_stream_csv(path: Path | str) -> Stream:
             pose_delay = _read_delay(path, line, row[DELAY], pose_delay)
     if not t:
         raise PushLogError(f"{path}: is empty; expected rows below the header {','.join(REQUIRED)}")
-    times, (tip, velocity, poses) = np.array(t), np.array(groups).transpose(1, 0, 2)
+    times = np.array(t)
+    tip, velocity, poses = np.array(groups).transpose(1, 0, 2)
     if not measured:
         velocity = calc_velocities(times, tip)
     return Stream(make_samples(times, tip, velocity, poses), pose_delay)
 
 
 def _read_delay(path: Path, line: int, cell: str, before: float | None) -> float:
-    """The delay in a row's cell, which must be the one of the rows before it, s."""
+    """Reads the delay in a row's cell, s, which must be the one of the rows before it."""
     form = f"how late the object's poses are (s), at most {MAX_TOLD_DELAY:g}"
     delay = read_number(path, line, DELAY, cell, form)
     if abs(delay) > MAX_TOLD_DELAY:
@@ -249,6 +292,7 @@ def _read_delay(path: Path, line: int, cell: str, before: float | None) -> float
 
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
+    """Refuses a header without a column that is needed, or with one twice or misspelled."""
     known = f"{TIP[2]}, {DELAY} and {', '.join(VELOCITY)}"
     form = f"expected {','.join(REQUIRED)} and, if known, {known}"
     for name in header:
@@ -263,6 +307,7 @@ def _check_header(path: Path, line: int, header: list[str]) -> None:
 
 
 def _read_time(path: Path, line: int, cell: str, before: list[float]) -> float:
+    """Reads a row's time, s, which must be later than those of the rows before it."""
     time = _read_number(path, line, "t", cell)
     if before and time <= before[-1]:
         fail(path, line, "t", f"is {time!r} after {before[-1]!r}; expected times (s) that increase")
@@ -272,7 +317,12 @@ def _read_time(path: Path, line: int, cell: str, before: list[float]) -> float:
 def _read_group(
     path: Path, line: int, row: dict[str, str], columns: tuple[str, ...]
 ) -> list[float]:
-    """The numbers of columns that are empty together; 0 for a column that the file does not have."""
+    """Reads the cells of columns that are empty together.
+
+    Returns:
+        A number for each column: NaN where the cells are empty, 0 where the file has no such
+        column.
+    """
     there = [name for name in columns if name in row]
     if all(is_empty(row[name]) for name in there):
         return [math.nan] * len(columns) if there else [0.0] * len(columns)
@@ -280,6 +330,7 @@ def _read_group(
 
 
 def _read_number(path: Path, line: int, column: str, cell: str) -> float:
+    """Reads a cell's number; a message says which columns may be empty together."""
     group = next((columns for columns in (TIP, VELOCITY, POSE) if column in columns), None)
     form = "a finite number" + (f", or {', '.join(group)} empty" if group else " (s)")
     return read_number(path, line, column, cell, form)

@@ -30,30 +30,32 @@ NS = 1e-9
 """Seconds in a nanosecond."""
 
 FORCE_SIZE = 3
-"""Numbers of a force, and of a position."""
+"""How many numbers a force has, and a position."""
 
 MAX_SHOWN = 200
-"""Characters of another package's message."""
+"""Largest number of characters of another package's message that are shown."""
 
 MAX_GAP = 6
-"""Median periods of a topic, across which nothing is interpolated."""
+"""Longest gap between two messages across which poses are interpolated, in median periods of their
+topic."""
 
 QUATERNION_TOLERANCE = 0.01
 """Largest difference of a quaternion's length from 1."""
 
 MIN_MESSAGES = 2
-"""Of a topic that can be interpolated."""
+"""Fewest messages of a topic that can be interpolated."""
 
 MAX_RATE = 1000.0
-"""Of the samples that are made of a bag, Hz."""
+"""Largest rate of the samples that are made of a bag, Hz."""
 
 MAX_SAMPLES = 500_000
-"""So many in all: 4 h at 30 Hz."""
+"""Largest number of samples that are made of a bag: 4 h at 30 Hz."""
 
 MAX_SHIFT = 1e9
-"""Of a delay that is told, s."""
+"""Largest delay that may be told, s."""
 
 TF = "TFMessage"
+"""Type of messages that hold the transforms of many frames."""
 
 POSES = {
     "PoseStamped": lambda message: (message.pose.position, message.pose.orientation),
@@ -64,18 +66,26 @@ POSES = {
     "Odometry": lambda message: (message.pose.pose.position, message.pose.pose.orientation),
     "TransformStamped": lambda message: (message.transform.translation, message.transform.rotation),
 }
-"""Of a message, by the last part of its type: where its position and its orientation stand."""
+"""Functions that take position and orientation out of a message, by the last part of its type."""
 
 WRENCH = "WrenchStamped"
+"""Type of messages that hold a force."""
 
 
 class Track(NamedTuple):
-    """What a topic tells."""
+    """What a topic tells.
 
-    what: str  # the topic, and the frame in it
-    frame: str  # in which it is told; empty where the messages do not say
-    t: Array  # (K,) s from the bag's beginning, increasing
-    values: Array  # (K, 7) p and quaternion (x, y, z, w), m; or (K, 3) a force, N
+    Attributes:
+        what: the topic, and the frame in it.
+        frame: the frame in which it is told; empty where the messages do not say.
+        t: (K,) times from the bag's beginning, increasing, s.
+        values: (K, 7) position, m, and quaternion (x, y, z, w); or (K, 3) a force, N.
+    """
+
+    what: str
+    frame: str
+    t: Array
+    values: Array
 
 
 @dataclass(frozen=True)
@@ -169,7 +179,8 @@ class BagImporter:
             )
         self._check_numbers()
         tracks = self._read_tracks(path)
-        tip, thing = tracks["--tip-topic"], tracks["--object-topic"]
+        tip = tracks["--tip-topic"]
+        thing = tracks["--object-topic"]
         force = tracks.get("--force-topic")
         for other in (tip, force):
             if other is not None and thing.frame and other.frame and other.frame != thing.frame:
@@ -268,7 +279,8 @@ def make_stream(
     """
     shift = round(late * rate)
     thing = thing._replace(t=thing.t - shift / rate)
-    first, last = max(thing.t[0], tip.t[0]), min(thing.t[-1], tip.t[-1])
+    first = max(thing.t[0], tip.t[0])
+    last = min(thing.t[-1], tip.t[-1])
     if last <= first:
         spans = " and ".join(
             f"{track.what} {track.t[0]:.3f} to {track.t[-1]:.3f} s" for track in (thing, tip)
@@ -415,7 +427,15 @@ class _Bag:
         self._reader.close()
 
     def read(self, option: str, name: str) -> list[_Message]:
-        """All messages of a topic. Raises PushLogError where it is not there or is of another kind."""
+        """Reads all messages of a topic.
+
+        Args:
+            option: the option that names it, for messages.
+            name: the topic; after a colon the frame, of a topic that holds many.
+
+        Raises:
+            PushLogError: the topic is not there, or is of another kind.
+        """
         topic, _, child = name.partition(":")
         kinds = {
             connection.topic: connection.msgtype.rpartition("/")[2]
@@ -466,7 +486,8 @@ class _Bag:
                 for each in message.transforms
                 if each.child_frame_id.strip("/") == child.strip("/")
             ]
-            kind, messages = "TransformStamped", chosen
+            kind = "TransformStamped"
+            messages = chosen
         else:
             messages = [message]
         for each in messages:

@@ -1,4 +1,6 @@
-"""Importer of the CMU pushes (Zhou, Paolini, Bagnell, Mason, ICRA 2016; GitHub robinzhoucmu/MLab_EXP).
+"""Importer of the CMU pushes (Zhou, Paolini, Bagnell, Mason, ICRA 2016).
+
+They are from GitHub's robinzhoucmu/MLab_EXP.
 
 A right-angled triangular block is pushed with a point; its pose is known before and after. As a
 file's pushes are chained (where one ends, the next begins), each is given in its own initial object
@@ -16,7 +18,6 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gridpush_drake.dynamics.push import Push
@@ -31,26 +32,36 @@ POSE_FORM = "x y z (mm) qw qx qy qz"
 FORCE_FORM = "t (s) fx fy (N)"
 TOOL_FORM = "t (s) x y z (mm) qw qx qy qz"
 
-POSE_SIZE, FORCE_SIZE, TOOL_SIZE = 7, 3, 8  # numbers on a line of each kind
+POSE_SIZE = 7
+"""How many numbers a line with a pose has."""
+
+FORCE_SIZE = 3
+"""How many numbers a line with a force has."""
+
+TOOL_SIZE = 8
+"""How many numbers a line with the tool's pose has."""
+
 QUATERNION_TOLERANCE = 1e-3
 """Largest difference of a quaternion's norm from 1."""
 
-
 MAX_DIGITS = 9
-"""Of a count."""
+"""Largest number of digits of a count."""
 
 
 class CmuPush(NamedTuple):
-    """One push as logged."""
+    """One push as logged.
 
-    before: NDArray[
-        np.float64
-    ]  # (7,) the object's pose before, mm and quaternion w x y z, robot base frame
-    after: Array  # (7,) the same after
-    force: Array  # (F, 3) rows t fx fy, s and N, sensor frame
-    tool: NDArray[
-        np.float64
-    ]  # (T, 8) rows t x y z qw qx qy qz, s, mm and quaternion, robot base frame
+    Attributes:
+        before: (7,) the object's pose before the push, robot base frame, mm and quaternion w x y z.
+        after: (7,) the object's pose after it.
+        force: (F, 3) rows t fx fy, sensor frame, s and N.
+        tool: (T, 8) rows t x y z qw qx qy qz, robot base frame, s, mm and quaternion.
+    """
+
+    before: Array
+    after: Array
+    force: Array
+    tool: Array
 
 
 def read_cmu(path: Path) -> list[CmuPush]:
@@ -67,13 +78,14 @@ def read_cmu(path: Path) -> list[CmuPush]:
 
 
 def _read_push(lines: "_Lines", i: int) -> CmuPush:
+    """Takes the lines of push number i, from 0."""
     before = lines.table(1, POSE_SIZE, f"push {i + 1}: the object's pose before, {POSE_FORM}")[0]
     after = lines.table(1, POSE_SIZE, f"push {i + 1}: its pose after, {POSE_FORM}")[0]
     force_rows = lines.count(f"push {i + 1}: the number of force rows")
     force = lines.table(force_rows, FORCE_SIZE, f"push {i + 1}: a force row, {FORCE_FORM}")
     tool_rows = lines.count(f"push {i + 1}: the number of tool rows")
     tool = lines.table(tool_rows, TOOL_SIZE, f"push {i + 1}: a tool row, {TOOL_FORM}")
-    return CmuPush(before, after, force, tool)
+    return CmuPush(before=before, after=after, force=force, tool=tool)
 
 
 class _Lines:
@@ -95,7 +107,17 @@ class _Lines:
         return int(words[0])
 
     def table(self, rows: int, size: int, what: str) -> Array:
-        """Takes `rows` lines of `size` finite numbers; a size of at least 7 ends in a unit quaternion."""
+        """Takes lines of finite numbers.
+
+        Args:
+            rows: how many lines.
+            size: how many numbers a line; one of at least 7 ends in a unit quaternion.
+            what: what is expected, for messages.
+
+        Returns:
+            (rows, size) the numbers.
+        """
+        # No more room is made than there are lines: the count may be wrong.
         table = np.empty((min(rows, len(self._lines) - self._next), size))
         for row in range(rows):
             number, words = self._take(what)
@@ -117,6 +139,7 @@ class _Lines:
             self._fail(*self._lines[self._next], "the file's end after its last push")
 
     def _take(self, what: str) -> tuple[int, list[str]]:
+        """Takes the next line: its number and its words."""
         if self._next == len(self._lines):
             last = self._lines[-1][0] if self._lines else 0
             raise PushLogError(
@@ -126,6 +149,7 @@ class _Lines:
         return self._lines[self._next - 1]
 
     def _fail(self, number: int, words: list[str], what: str) -> None:
+        """Raises a PushLogError that shows a line and says what was expected."""
         shown = " ".join(words)
         raise PushLogError(
             f"{self._path}, line {number}: is {shown[:MAX_SHOWN]!r}; expected {what}"
@@ -138,44 +162,44 @@ MM = 1e-3
 CENTROID = (0.050, 0.050)
 """The block's centroid, from the logged origin (the right-angle corner) in body axes, m."""
 
-OUTLINE = (
-    (-0.05, -0.05),
-    (0.10, -0.05),
-    (-0.05, 0.10),
-)  # the block's corners about its centroid, m
+OUTLINE = ((-0.05, -0.05), (0.10, -0.05), (-0.05, 0.10))
+"""Corners of the block, about its centroid, m."""
 
 TIP_OFFSET = (-0.0012, -0.00085)
-"""From the logged tool point to the tip's center, tool's axes, m; from contact geometry over all
-logs."""
+"""Place of the tip's center from the logged tool point, tool's axes, m; found from contact geometry
+over all logs."""
 
 TIP_EXTENSION = 0.00065
-"""What the tool travels along its straight path after its logging stops, m."""
+"""Length that the tool travels along its straight path after its logging stops, m."""
 
 TIP_RADIUS = 0.0005
-"""M."""
+"""Radius of the tip, m."""
 
 STANDSTILL = 0.00005
-"""A tool within this of where it starts (or ends) stands still, m: half a step of its log."""
+"""Distance from where the tool starts (or ends) within which it stands still, m. It is half a step
+of the log."""
 
 STRAIGHT = 0.0002
-"""A tool's path within this of a straight line is one, m: it is logged in steps of 0.1 mm."""
+"""Distance from a straight line within which the tool's path is one, m. It is logged in steps of
+0.1 mm."""
 
-SENSOR_AXES = (
-    (2**-0.5, 2**-0.5),
-    (2**-0.5, -(2**-0.5)),
-)  # R_tool: from the force sensor's axes to the tool's
+SENSOR_AXES = ((2**-0.5, 2**-0.5), (2**-0.5, -(2**-0.5)))
+"""Matrix R_tool that turns forces from the force sensor's axes into the tool's."""
+
 BLOCK_MASS = 1.518
-"""Kg."""
+"""Mass of the block, kg."""
 
-CONTACT_FRICTION, CONTACT_FRICTION_STD = 0.5, 0.15
-"""What is held of the tip's friction coefficient on the block's side, and its standard
-deviation."""
+CONTACT_FRICTION = 0.5
+"""Prior of the tip's friction coefficient on the block's side."""
+
+CONTACT_FRICTION_STD = 0.15
+"""Standard deviation of that prior."""
 
 BLOCK_CELLS = 55
-"""Most cells of the block's grid."""
+"""Largest number of cells of the block's grid."""
 
 UNIFORM_PLATE_STD = 0.002
-"""How well the center of mass of a uniform plate is known to be at its centroid, m."""
+"""Standard deviation with which the center of mass of a uniform plate is at its centroid, m."""
 
 
 def triangle_block(uniform_plate: bool = False) -> GridObject:
@@ -237,14 +261,20 @@ class CmuImporter:
             raise PushLogError(f"seed is {self.seed}; expected 0 or more")
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a file of CMU pushes, named by their place in the log, each observed at its end only; and the block.
+        """Reads a file of CMU pushes.
 
-        Raises PushLogError: the file cannot be read or is not of the format, or a push's tool does
-        not move.
+        Returns:
+            The pushes, named by their place in the log, each observed at its end only; and the
+            block.
+
+        Raises:
+            PushLogError: the file cannot be read or is not of the format, or a push's tool does not
+                move.
         """
         path = Path(path)
         logged = read_cmu(path)
-        count, rng = len(logged), np.random.default_rng(self.seed)
+        count = len(logged)
+        rng = np.random.default_rng(self.seed)
         order = rng.permutation(count) if self.shuffle else np.arange(count)
         digits = len(str(count))
         pushes = []
@@ -264,38 +294,56 @@ class CmuImporter:
 
 def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush | None:
     """Makes the log's entry of a push; None where the tool does not move."""
-    q_before, q_after = _centroid_pose(logged.before), _centroid_pose(logged.after)
+    q_before = _centroid_pose(logged.before)
+    q_after = _centroid_pose(logged.after)
     tool = _without_standstill(_in_time_order(logged.tool))
     if tool is None:
         return None
     yaw = _calc_yaw(tool[:, 4:])
-    t, p = tool[:, 0] - tool[0, 0], tool[:, 1:3] * MM
+    t = tool[:, 0] - tool[0, 0]
+    p = tool[:, 1:3] * MM
     force = _force_on_object(logged.force, tool[:, 0], yaw)
     force_t = t
     if calibrate:
         t, p = _travel_on(t, _straightened(p + rotate(yaw, TIP_OFFSET)))
+    # Everything is told in the object's frame at the push's beginning.
     push = Push.along(t, transform_back(q_before, p), TIP_RADIUS)
     end = compose(invert(q_before), q_after)
     end[2] = nearest_turn(float(end[2]), 0.0)
     return ObservedPush(
-        name,
-        push,
-        np.zeros(3),
-        np.array([push.duration]),
-        end[None],
-        force_t,
-        rotate(-q_before[2], force),
+        name=name,
+        push=push,
+        pose=np.zeros(3),
+        t_observed=np.array([push.duration]),
+        poses_observed=end[None],
+        force_t=force_t,
+        force=rotate(-q_before[2], force),
     )
 
 
 def _centroid_pose(pose: Array) -> Array:
-    """Pose of B at the centroid, m and rad, from the logged pose (7,) of the corner, mm and quaternion."""
+    """Calculates the pose (3,) of B at the centroid, m and rad.
+
+    Args:
+        pose: (7,) logged pose of the block's corner, mm and quaternion w x y z.
+    """
     yaw = float(_calc_yaw(pose[3:]))
     return compose([*pose[:2] * MM, yaw], [*CENTROID, 0.0])
 
 
 def _force_on_object(rows: Array, times: Array, yaw: Array) -> Array:
-    """(K, 2) force on the object, robot's frame, N, at the tool's `times`: -R(yaw) R_tool (f - f_first)."""
+    """Calculates the force on the object, -R(yaw) R_tool (f - f_first).
+
+    The sensor measures the force on the tool, and the first reading shows its offset.
+
+    Args:
+        rows: (F, 3) logged rows t fx fy, sensor frame, s and N.
+        times: (K,) times at which the force is wanted, s.
+        yaw: (K,) the tool's angle then, rad.
+
+    Returns:
+        (K, 2) the force, robot's frame, N.
+    """
     rows = _in_time_order(rows)
     f = np.column_stack(
         [np.interp(times, rows[:, 0], rows[:, axis] - rows[0, axis]) for axis in (1, 2)]
@@ -304,18 +352,34 @@ def _force_on_object(rows: Array, times: Array, yaw: Array) -> Array:
 
 
 def _straightened(p: Array) -> Array:
-    """Projects p (K, 2), m, on its best line, never going back; unchanged where it is not STRAIGHT."""
+    """Projects a path on its best line, along which it never goes back.
+
+    Args:
+        p: (K, 2) the path, m.
+
+    Returns:
+        (K, 2) the projected path, m; the path itself where it is not straight.
+    """
     center = p.mean(axis=0)
     along, across = np.linalg.svd(p - center, full_matrices=False)[2]
     if np.abs((p - center) @ across).max() > STRAIGHT:
         return p
     if (p[-1] - p[0]) @ along < 0:
         along = -along
-    return center + np.maximum.accumulate((p - center) @ along)[:, None] * along
+    farthest_so_far = np.maximum.accumulate((p - center) @ along)
+    return center + farthest_so_far[:, None] * along
 
 
 def _travel_on(t: Array, p: Array) -> tuple[Array, Array]:
-    """Adds a sample TIP_EXTENSION further on the line from the first to the last, at the mean speed."""
+    """Adds a sample `TIP_EXTENSION` further on the line from the first to the last sample.
+
+    Args:
+        t: (K,) times, s.
+        p: (K, 2) places, m.
+
+    Returns:
+        Times and places with the sample, which is reached at the mean speed.
+    """
     travel = p[-1] - p[0]
     length = np.linalg.norm(travel)
     share = TIP_EXTENSION / length
@@ -323,15 +387,21 @@ def _travel_on(t: Array, p: Array) -> tuple[Array, Array]:
 
 
 def _in_time_order(rows: Array) -> Array:
-    """The rows whose time (first column) is later than that of all before them."""
+    """Keeps the rows whose time (first column) is later than that of all before them."""
     t = rows[:, 0]
     return rows[np.append(True, t[1:] > np.maximum.accumulate(t)[:-1])]
 
 
 def _without_standstill(tool: Array) -> Array | None:
-    """The tool's rows from the last at the place where it starts to the first at the place where it ends.
+    """Cuts off the rows in which the tool stands where it starts or where it ends.
 
-    None where it ends where it starts, or never leaves.
+    One such row is left at each end.
+
+    Args:
+        tool: (T, 8) the tool's rows.
+
+    Returns:
+        (K, 8) rows; None where the tool ends where it starts, or never leaves.
     """
     p = tool[:, 1:3] * MM
     left = np.flatnonzero(np.linalg.norm(p - p[0], axis=1) > STANDSTILL)
@@ -342,5 +412,5 @@ def _without_standstill(tool: Array) -> Array | None:
 
 
 def _calc_yaw(q: Array) -> Array:
-    """Angle (...) about z, rad, of quaternions (..., 4), w x y z."""
+    """Calculates the angles (...,) about z, rad, of quaternions (..., 4), w x y z."""
     return np.asarray(Rotation.from_quat(q, scalar_first=True).as_euler("ZYX")[..., 0])

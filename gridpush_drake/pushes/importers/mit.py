@@ -89,35 +89,35 @@ MIT_SHAPES: dict[str, Callable[[], Array]] = {
 
 
 TIP_RADIUS = 0.00475
-"""M."""
+"""Radius of the pusher, m."""
 
 SPEED = 0.010
-"""Of the pusher where the file does not say (`vel`, mm/s), m/s."""
+"""Speed of the pusher where the file does not tell it (`vel`, mm/s), m/s."""
 
 
 MIT_CELLS = 60
-"""Most cells of an object's grid."""
+"""Largest number of cells of an object's grid."""
 
 WHAT = "a MATLAB v5 file"
 
-MAX_SIZE = (
-    16 * MEGABYTE
-)  # of a file, packed or unpacked, bytes; the data set's have a tenth of one megabyte
+MAX_SIZE = 16 * MEGABYTE
+"""Largest size of a file, packed or unpacked, bytes. Those of the data set have a tenth of one
+megabyte."""
 
-HEAD, TAG = (
-    128,
-    8,
-)  # bytes before a file's first element; before an element's content: its kind and size
+HEAD = 128
+"""Number of bytes before a file's first element."""
+
+TAG = 8
+"""Number of bytes before an element's content, which tell its kind and its size."""
+
 PACKED = 15
 """Kind of an element that is compressed."""
 
 RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_tip_pt": 2}
-"""What is read of a record, and how many numbers each has (m, rad)."""
+"""Fields of a record that are read, and how many numbers each has (m, rad)."""
 
-MODEL_ERRORS = (
-    "avg_diff_disp",
-    "avg_diff_angle",
-)  # the other model's mean errors in the file, m and rad
+MODEL_ERRORS = ("avg_diff_disp", "avg_diff_angle")
+"""Fields with the mean errors of the data set's own model, m and rad."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,8 @@ class MitImporter:
 def read_model_errors(path: Path | str) -> tuple[float, float]:
     """Reads the file's own model's mean error of the end position, m, and of the end angle, rad.
 
-    Raises PushLogError: the file cannot be read or does not say.
+    Raises:
+        PushLogError: the file cannot be read or does not say.
     """
     path = Path(path)
     data = _read_mat(path)
@@ -187,6 +188,7 @@ def read_model_errors(path: Path | str) -> tuple[float, float]:
 
 
 def _observe(path: Path, record: Any, name: str, speed: float) -> ObservedPush:
+    """Makes the log's entry of a record; the pusher's speed is in m/s."""
     fields = {}
     for key, size in RECORD_SIZES.items():
         if not hasattr(record, key):
@@ -194,12 +196,14 @@ def _observe(path: Path, record: Any, name: str, speed: float) -> ObservedPush:
                 f"{path}: {name} of record_all has no {key}; expected {', '.join(RECORD_SIZES)}"
             )
         fields[key] = _numbers(path, f"{key} of {name}", getattr(record, key), size)
-    start, travel = fields["init_tip_pt"], fields["final_tip_pt"] - fields["init_tip_pt"]
+    start = fields["init_tip_pt"]
+    travel = fields["final_tip_pt"] - start
     length = float(np.linalg.norm(travel))
     if length == 0:
         raise PushLogError(f"{path}: {name}: the pusher ends where it starts; expected a path")
     push = Push(start, travel * (speed / length), length / speed, TIP_RADIUS)
-    pose, end = fields["init_pose_gt"], fields["final_pose_gt"]
+    pose = fields["init_pose_gt"]
+    end = fields["final_pose_gt"]
     end[2] = nearest_turn(float(end[2]), float(pose[2]))
     return ObservedPush(name, push, pose, np.array([push.duration]), end[None])
 
@@ -261,18 +265,19 @@ def _read_mat(path: Path) -> dict[str, Any]:
 
 
 def _calc_unpacked_size(content: bytes) -> int:
-    """How many bytes a file's compressed elements have, unpacked; not counted on beyond MAX_SIZE."""
+    """Counts the bytes of a file's compressed elements, unpacked; no further than MAX_SIZE."""
+    # The file's header says in which order the bytes of a number stand.
     order: Literal["little", "big"] = "little" if content[HEAD - 2 : HEAD] == b"IM" else "big"
     at = HEAD
     size = 0
     while at + TAG <= len(content) and size <= MAX_SIZE:
-        kind, length = (int.from_bytes(content[i : i + 4], order) for i in (at, at + 4))
+        kind = int.from_bytes(content[at : at + 4], order)
+        length = int.from_bytes(content[at + 4 : at + TAG], order)
         at += TAG
         if kind == PACKED:
             with suppress(zlib.error):  # SciPy says what is wrong
-                size += len(
-                    zlib.decompressobj().decompress(content[at : at + length], MAX_SIZE + 1)
-                )
+                unpacked = zlib.decompressobj().decompress(content[at : at + length], MAX_SIZE + 1)
+                size += len(unpacked)
         at += length
     return size
 
