@@ -87,12 +87,12 @@ cli                 6.8         9      0     0.0      0     6
 display            10.0         0     10     0.3      3    44
 dynamics           10.3        25      2     1.8      0     2
 dynamics/kernels   11.1        25      2     0.5      0     1
-geometry           14.5         0     40     0.3      5    51
+geometry           11.1        60      0     0.0      0     0
 gym                11.8         0     50     5.7      9    38
 interop            10.4        25      0     0.0      0     0
 identification     10.1        35     11     1.0      1    13
 multibody           9.1         0     11     1.4     10    51
-objects            10.8         0     16     0.3      6    36
+objects            10.0        19      0     0.0      0     0
 perception         11.1        60      0     0.0      0     0
 pushes             10.9         0     16     2.0      3    37
 report              9.7         0     30     1.3      6    35

@@ -19,9 +19,19 @@ from gridpush_drake.report.draw import CELL_MAP
 Shown = Literal["mass", "friction", "relative_friction"]
 
 SHOWN = ("mass", "friction", "relative_friction")
+"""Values of cells that can be shown."""
 
-MIN_SHARE, MAX_SHARE = 0.25, 4.0  # ends of the color scale of shares, in even shares
-MIN_FRICTION, MAX_FRICTION = 0.1, 1.0  # ends of the color scale of friction coefficients
+MIN_SHARE = 0.25
+"""Lower end of the color scale of shares, in even shares."""
+
+MAX_SHARE = 4.0
+"""Upper end of the color scale of shares, in even shares."""
+
+MIN_FRICTION = 0.1
+"""Lower end of the color scale of friction coefficients."""
+
+MAX_FRICTION = 1.0
+"""Upper end of the color scale of friction coefficients."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +64,18 @@ class CellColors:
             raise StationError(f"limits are {self.limits!r}; expected 0 < least < greatest")
 
     def resolve_limits(self) -> tuple[float, float]:
-        """The ends of the color map."""
+        """Finds the ends of the color map."""
         if self.limits is not None:
             return self.limits
         return (MIN_FRICTION, MAX_FRICTION) if self.shows == "friction" else (MIN_SHARE, MAX_SHARE)
 
     def calc_values(self, mass: ArrayLike, friction: ArrayLike) -> Array:
-        """What is shown of cells with masses (n,), kg, and friction coefficients (n,): (n,) numbers."""
+        """Calculates the values (n,) that are shown of cells.
+
+        Args:
+            mass: (n,) masses, kg.
+            friction: (n,) friction coefficients.
+        """
         friction = np.asarray(friction, dtype=np.float64)
         if self.shows == "friction":
             return friction
@@ -77,4 +92,7 @@ class CellColors:
         """(..., 3) sRGB, 0 to 1, of values (...)."""
         low, high = self.resolve_limits()
         cut = np.clip(np.asarray(values, dtype=np.float64), low, high)
-        return np.asarray(colormaps[self.colormap](np.log(cut / low) / np.log(high / low)))[..., :3]
+        # u = log(value / low) / log(high / low)
+        u = np.log(cut / low) / np.log(high / low)
+        red_green_blue_opacity = np.asarray(colormaps[self.colormap](u))
+        return red_green_blue_opacity[..., :3]

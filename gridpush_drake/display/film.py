@@ -25,6 +25,7 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.files import check_writable, read_text, write_whole
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+"""Names of the programs that can draw a film, the first one preferred."""
 
 FLAGS = (
     "--headless=new",
@@ -39,13 +40,13 @@ FLAGS = (
     "--disable-sync",
     "--no-first-run",
 )
-"""Of a browser without window, display or graphics card."""
+"""Options with which a browser draws without window, display or graphics card."""
 
 PAGE_TIME = 10_000
-"""What the page may take by its own clock, ms."""
+"""Longest time that the page may take by its own clock, ms."""
 
 PATIENCE = 600.0
-"""What the browser may take by ours, s."""
+"""Longest time that the browser may take by our clock, s."""
 
 SIZE = (720, 440)
 """Width and height of the scene, pixels; caption and legend are below it."""
@@ -54,7 +55,7 @@ SECONDS = 12.0
 """Length of a film, s; it plays as much faster than the recording as it is shorter."""
 
 FRAMES_PER_SECOND = 8
-"""Of a film."""
+"""Number of pictures of a film in a second."""
 
 REST = 1.5
 """Time that the last picture stays, s."""
@@ -63,7 +64,7 @@ GROUND = (0.925, 0.933, 0.945)
 """Color behind the scene, sRGB: one color, as a gradient would show in bands."""
 
 ZOOM = 1.25
-"""By which the recording's view is drawn nearer."""
+"""Factor by which the recording's view is drawn nearer."""
 
 PAPER = (255, 255, 255)
 """Color below the scene, RGB."""
@@ -87,7 +88,7 @@ LEGEND_FONT = 13
 """Height of the legend's letters, pixels."""
 
 LINE = 18
-"""From one line of the legend to the next, pixels."""
+"""Distance from one line of the legend to the next, pixels."""
 
 SCALE_WIDTH = 250
 """Width of the color scale, pixels."""
@@ -96,19 +97,20 @@ BAR_HEIGHT = 12
 """Height of the color scale's bar, pixels."""
 
 SYMBOL = (16, 10)
-"""Width and height of what stands before a line of the legend, pixels."""
+"""Width and height of the symbol before a line of the legend, pixels."""
 
 PALETTE_BITS = 6
-"""Bits of red, green and blue by which colors are told apart when a GIF's palette is chosen."""
+"""Number of bits of red, green and blue by which colors are told apart when a GIF's palette is
+chosen."""
 
 PALETTE_SOURCES = 12
-"""Pictures that a GIF's palette is chosen from."""
+"""Number of pictures that a GIF's palette is chosen from."""
 
 PALETTE_ROUNDS = 3
-"""Rounds by which the palette's colors move to the middle of what they stand for."""
+"""Number of rounds in which the palette's colors move to the middle of the colors they replace."""
 
 MOST_OF_ONE = 24
-"""How often at most a color counts when the palette is chosen, however much of the film it fills."""
+"""Largest weight of a color when the palette is chosen, however much of the film it fills."""
 
 DITHER = 5.0
 """Greatest change of a GIF's pixel, of 255, that lets two colors of the palette blend into one
@@ -118,22 +120,25 @@ FLAT_SHARE = 0.05
 """Share of a picture that a color must fill for nothing to be blended into it, as the ground."""
 
 BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 15 / 32
-"""The pattern: B. E. Bayer's, 4 by 4, about zero."""
+"""Pattern of the dither: B. E. Bayer's, 4 by 4, about zero."""
 
 WEBP_QUALITY = 70
+"""Quality of a WebP's pictures, 0 to 100."""
 
 MAX_PAGE = 64_000_000
-"""Greatest size of a recording, bytes."""
+"""Largest size of a recording, bytes."""
 
 ENDINGS = (".gif", ".webp")
+"""Endings of a film's name."""
 
 PHASES = re.compile(r"const phases = (\[.*\]);")
-"""In the page, see `display.overlay`: what is done from when on."""
+"""Finds the list of phases in a page that `display.overlay` made."""
 
 LEGEND = re.compile(r"const legend_data = (\{.*\});")
-"""In the page: the color scale and what is drawn."""
+"""Finds the color scale and the marks in a page that `display.overlay` made."""
 
 FILM = re.compile(r'<pre id="film">(.*?)</pre>', re.DOTALL)
+"""Finds the pictures in what the browser drew."""
 
 SCRIPT = Template("""<script>
 (() => {
@@ -192,7 +197,13 @@ def find_browser() -> str:
 def write_film(
     recording: Path | str, path: Path | str, force: bool = False, *, seconds: float = SECONDS
 ) -> None:
-    """Makes a film of a recording, GIF or WebP by its ending, that takes `seconds` without the last picture's rest.
+    """Makes a film of a recording.
+
+    Args:
+        recording: an HTML file that Meshcat wrote.
+        path: the film, GIF or WebP by its ending.
+        force: whether an existing file may be replaced.
+        seconds: length of the film without the last picture's rest, s.
 
     Raises:
         OutputError, StationError: as `check_film`; or the browser drew nothing.
@@ -212,9 +223,17 @@ def write_film(
 
 
 def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
-    """Draws a recording at `count` moments, evenly from its beginning to its end; and how long it takes, s.
+    """Draws a recording at moments that are evenly spread from its beginning to its end.
 
-    Raises StationError: there is no browser, or it drew nothing.
+    Args:
+        page: the recording's HTML.
+        count: how many moments.
+
+    Returns:
+        How long the recording takes, s, and the pictures.
+
+    Raises:
+        StationError: there is no browser, or it drew nothing.
     """
     head, body, tail = page.rpartition("</body>")
     script = SCRIPT.substitute(
@@ -224,9 +243,14 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
         held = Path(folder) / "page.html"
         held.write_text(f"{head}{script}{body}{tail}", encoding="utf-8")
         command = [
-            find_browser(), *FLAGS, f"--user-data-dir={folder}/profile", f"--window-size={SIZE[0]},{SIZE[1]}",
-            f"--virtual-time-budget={PAGE_TIME}", "--dump-dom", held.as_uri(),
-        ]  # fmt: skip
+            find_browser(),
+            *FLAGS,
+            f"--user-data-dir={folder}/profile",
+            f"--window-size={SIZE[0]},{SIZE[1]}",
+            f"--virtual-time-budget={PAGE_TIME}",
+            "--dump-dom",
+            held.as_uri(),
+        ]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, timeout=PATIENCE, check=False
@@ -260,7 +284,11 @@ def find_phase(phases: Sequence[tuple[float, str]], time: float) -> str:
 
 
 def read_legend(page: str) -> dict[str, Any]:
-    """What the legend says: "scale" (title, colors and ticks, or None) and "marks"; empty where the page has none."""
+    """Reads the legend of a page.
+
+    Returns:
+        "scale" (title, colors and ticks, or None) and "marks"; both empty where there is no legend.
+    """
     found = LEGEND.search(page)
     return dict(json.loads(found[1])) if found else {"scale": None, "marks": []}
 
@@ -279,7 +307,15 @@ def add_strip(picture: Image.Image, words: str, legend: Image.Image | None = Non
 
 
 def draw_legend(legend: dict[str, Any], width: int) -> Image.Image | None:
-    """Draws a legend, `width` pixels wide, the color scale at the left; None where it says nothing."""
+    """Draws a legend with the color scale at the left.
+
+    Args:
+        legend: what `read_legend` returns.
+        width: width of the picture, pixels.
+
+    Returns:
+        The picture; None of a legend that says nothing.
+    """
     scale = legend["scale"]
     marks = legend["marks"]
     if scale is None and not marks:
@@ -378,7 +414,7 @@ def _find_palette(frames: Sequence[Image.Image]) -> Image.Image:
 
 
 def _blend(frame: Image.Image) -> Image.Image:
-    """Adds the dither's pattern to a picture, but not to what one color fills, as ground and paper."""
+    """Adds the dither's pattern to a picture, but not to where one color fills much of it."""
     pixels = np.asarray(frame).astype(np.float64)
     height, width, _ = pixels.shape
     tiles = (height // len(BAYER) + 1, width // len(BAYER) + 1)

@@ -1,4 +1,4 @@
-"""A live page of Meshcat with the same caption, legend and close-up beside the scene as a recording has.
+"""A live page of Meshcat, with caption, legend and close-up beside the scene as in a recording.
 
 Drake's server gives out its own page only. So a small server in front of it, on a port of its own,
 gives out that page with an overlay, and passes everything else on: the page's other files, and the
@@ -77,7 +77,10 @@ class LivePage:
         Thread(target=self._server.serve_forever, name="live page", daemon=True).start()
 
     def show_phases(self, phases: Sequence[Phase]) -> None:
-        """Shows what is being done, the last of `phases` now; to be called by the thread that made the page."""
+        """Shows what is being done: the last of the phases now.
+
+        Only the thread that made the page may call it.
+        """
         self.meshcat.SetProperty(f"/drake/{CAPTION_PATH}", "userData", encode_phases(phases))
 
     def read_page(self) -> str:
@@ -86,7 +89,14 @@ class LivePage:
         return add_overlay(page, self.overlay)
 
     def fetch(self, path: str) -> tuple[str, bytes]:
-        """Asks Meshcat's own server for a file: its kind, and what is in it. Raises OSError where it has none."""
+        """Asks Meshcat's own server for a file.
+
+        Returns:
+            Its kind, and what is in it.
+
+        Raises:
+            OSError: the server has no such file.
+        """
         with urlopen(f"http://localhost:{self.meshcat_port}{path}", timeout=TIMEOUT) as answer:
             return answer.headers.get("Content-Type", "text/html"), answer.read()
 
@@ -125,7 +135,8 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             if urlsplit(self.path).path in PAGES:
-                kind, content = "text/html; charset=utf-8", self.page.read_page().encode()
+                kind = "text/html; charset=utf-8"
+                content = self.page.read_page().encode()
             else:
                 kind, content = self.page.fetch(self.path)
         except (URLError, OSError):

@@ -1,12 +1,13 @@
-"""What stands beside Meshcat's scene: what is being done, what the colors mean, a player, and a close-up.
+"""The overlay beside Meshcat's scene: caption, legend, a player, and a close-up.
 
 The overlay is HTML above a page of Meshcat, a recording or a live one (`display.live_page`). Its
 caption says what is being done at the moment that is shown; where something was recorded, a player
 at the bottom plays it, stops it, and winds it to any moment. The close-up is a second view that
 follows the object, in a corner of the same canvas; a click swaps the two views.
 
-Fonts and colors are the page's own; nothing is loaded. The legend's colors are those of `CellColors`
-and `display.shapes`. The script and the style are in `overlay.html`, with `$` fields to be filled in.
+Fonts and colors are the page's own; nothing is loaded. The legend's colors are those of
+`CellColors` and `display.shapes`. The script and the style are in `overlay.html`, with `$` fields
+to be filled in.
 """
 
 import json
@@ -26,61 +27,79 @@ from gridpush_drake.display.shapes import CENTER_COLOR, PLAN_COLOR, SIGMAS
 from gridpush_drake.objects.grid_object import GridObject
 
 PAGE_END = "</body>"
-"""Before the last one of a page the overlay is inserted."""
+"""Tag before which the overlay is inserted, where it stands last in a page."""
 
 PERCENT = 100.0
+"""Percent in the whole."""
 
 SCALE_COLORS = 17
-"""Of a scale; the page blends between them."""
+"""Number of colors of a scale; the page blends between them."""
 
 TICKS = 5
-"""Of a scale."""
+"""Number of values beside a scale."""
 
 GRAM = 1e-3
-"""In kg."""
+"""Kilograms in a gram."""
 
 DIGITS = 2
-"""Of a tick's value."""
+"""Number of digits of a value beside a scale."""
 
 CAPTION_PATH = "caption"
-"""In Meshcat: its `userData` is the list of phases of a live page, as `encode_phases` writes it."""
+"""Path in Meshcat whose `userData` is the list of phases of a live page (`encode_phases`)."""
 
 CLOSE_UP_SHARE = 1.5
 """Distance of a close-up's camera, in diagonals of the object's outline."""
 
 ROOT = "drake"
-"""Below which Meshcat puts every path that does not begin with a slash."""
+"""Path below which Meshcat puts every path that does not begin with a slash."""
 
 TEMPLATE = "overlay.html"
+"""File with the overlay's script and style."""
 
 
 @dataclass(frozen=True)
 class ColorScale:
-    """A bar of colors with values beside it."""
+    """A bar of colors with values beside it.
 
-    title: str  # what the colors stand for, with its unit
-    colors: tuple[str, ...]  # CSS colors from the smallest value to the greatest, evenly spaced
-    ticks: tuple[
-        tuple[float, str], ...
-    ]  # (place, text) of some values, place from 0, the smallest, to 1
+    Attributes:
+        title: what the colors stand for, with its unit.
+        colors: CSS colors from the smallest value to the greatest, evenly spaced.
+        ticks: (place, text) of some values, place from 0, the smallest, to 1.
+    """
+
+    title: str
+    colors: tuple[str, ...]
+    ticks: tuple[tuple[float, str], ...]
 
 
 @dataclass(frozen=True)
 class Mark:
-    """Something that is drawn, for the legend."""
+    """Something that is drawn, for the legend.
 
-    color: str  # CSS color
-    text: str  # what it stands for
-    kind: str = "area"  # "dot", "line" or "area"
+    Attributes:
+        color: CSS color.
+        text: what it stands for.
+        kind: "dot", "line" or "area".
+    """
+
+    color: str
+    text: str
+    kind: str = "area"
 
 
 @dataclass(frozen=True)
 class Phase:
-    """What is being done from some time on."""
+    """What is being done from some time on.
 
-    time: float  # in the recording, s
-    title: str  # in a few words
-    detail: str = ""  # in a sentence; may be empty
+    Attributes:
+        time: when it begins, in the recording, s.
+        title: what is being done, in a few words.
+        detail: the same in a sentence; may be empty.
+    """
+
+    time: float
+    title: str
+    detail: str = ""
 
     def says_the_same(self, other: "Phase") -> bool:
         """Whether another phase has the same words, whenever it begins."""
@@ -89,27 +108,43 @@ class Phase:
 
 @dataclass(frozen=True)
 class CloseUp:
-    """A second view that follows something in the scene."""
+    """A second view that follows something in the scene.
 
-    path: str  # of what it follows, in Meshcat, such as "estimate/object"
-    distance: float  # of its camera from there, m
+    Attributes:
+        path: path in Meshcat of what it follows, such as "estimate/object".
+        distance: distance of its camera from there, m.
+    """
+
+    path: str
+    distance: float
 
 
 @dataclass(frozen=True)
 class Overlay:
-    """What stands beside a scene."""
+    """What stands beside a scene.
 
-    scale: ColorScale | None = None  # of the cells' colors; None for none
-    marks: tuple[Mark, ...] = ()  # of the legend
-    phases: tuple[Phase, ...] = ()  # in order; none where nothing is recorded
-    close_up: CloseUp | None = None  # a second view; None for none
+    Attributes:
+        scale: scale of the cells' colors; None for none.
+        marks: marks of the legend.
+        phases: what is done from when on, in order; empty where nothing is recorded.
+        close_up: a second view; None for none.
+    """
+
+    scale: ColorScale | None = None
+    marks: tuple[Mark, ...] = ()
+    phases: tuple[Phase, ...] = ()
+    close_up: CloseUp | None = None
 
 
 def make_color_scale(obj: GridObject, colors: CellColors) -> ColorScale:
-    """The scale of cells' colors: the mass in g where the object was weighed, else shares of the even one."""
+    """Makes the scale of cells' colors.
+
+    It is by mass in g where the object was weighed, else in shares of the even mass.
+    """
     low, high = colors.resolve_limits()
     values = np.geomspace(low, high, SCALE_COLORS)
-    places, shown = np.linspace(0.0, 1.0, TICKS), np.geomspace(low, high, TICKS)
+    places = np.linspace(0.0, 1.0, TICKS)
+    shown = np.geomspace(low, high, TICKS)
     weighed = colors.shows == "mass" and obj.prior.total_mass is not None
     if colors.shows == "friction":
         title = "friction coefficient of a cell"
@@ -126,13 +161,18 @@ def make_color_scale(obj: GridObject, colors: CellColors) -> ColorScale:
 
 
 def make_close_up(obj: GridObject, path: str) -> CloseUp:
-    """Makes a second view that follows an object, drawn at a path in Meshcat, and has all of it in sight."""
+    """Makes a second view that follows an object and has all of it in sight.
+
+    Args:
+        obj: the object.
+        path: where it is drawn, in Meshcat.
+    """
     x0, y0, x1, y1 = obj.outline.bounds
     return CloseUp(path, CLOSE_UP_SHARE * float(np.hypot(x1 - x0, y1 - y0)))
 
 
 def list_center_marks() -> tuple[Mark, ...]:
-    """What stands for the estimated center of mass."""
+    """Lists the marks of the estimated center of mass."""
     return (
         Mark(to_css(CENTER_COLOR), "estimated center of mass", "dot"),
         Mark(to_css(CENTER_COLOR), f"where it may be, {SIGMAS:g} standard deviations"),
@@ -140,7 +180,7 @@ def list_center_marks() -> tuple[Mark, ...]:
 
 
 def list_estimate_marks() -> tuple[Mark, ...]:
-    """What an `EstimateVisualizer` draws."""
+    """Lists the marks of what an `EstimateVisualizer` draws."""
     return (
         *list_center_marks(),
         Mark(to_css(PLAN_COLOR), "the push that is commanded", "line"),
@@ -202,16 +242,19 @@ def _to_script(value: Any) -> str:
 
 
 def _describe_legend(scale: ColorScale | None, marks: Sequence[Mark]) -> str:
+    """Writes the legend as HTML; empty where it says nothing."""
     if scale is None and not marks:
         return ""
-    items = "".join(
-        f'<li><i class="{escape(mark.kind)}" style="--c:{escape(mark.color)}"></i>{escape(mark.text)}</li>'
-        for mark in marks
-    )
-    return f'<div id="legend" class="gridpush">{_describe_scale(scale) if scale else ""}<ul>{items}</ul></div>'
+    items = ""
+    for mark in marks:
+        symbol = f'<i class="{escape(mark.kind)}" style="--c:{escape(mark.color)}"></i>'
+        items += f"<li>{symbol}{escape(mark.text)}</li>"
+    bar = _describe_scale(scale) if scale else ""
+    return f'<div id="legend" class="gridpush">{bar}<ul>{items}</ul></div>'
 
 
 def _describe_scale(scale: ColorScale) -> str:
+    """Writes a color scale as HTML: its title, its bar, and the values below it."""
     ticks = "".join(
         f'<span style="left:{PERCENT * place:.1f}%">{escape(text)}</span>'
         for place, text in scale.ticks

@@ -17,34 +17,43 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.files import check_writable, read_head, write_whole
 from gridpush_drake.geometry.se2 import make_direction
 
-MIN_PORT, MAX_PORT = 1024, 65535  # ports below belong to the system
+MIN_PORT = 1024
+"""Smallest port that a user may listen on; those below belong to the system."""
+
+MAX_PORT = 65535
+"""Largest port."""
 
 LAYERS_TO_LEAVE_OUT = ("/drake/proximity", "/drake/contact_forces", "/drake/inertia")
-"""What a recording is not for: collision geometry, contact forces, inertia ellipsoids."""
+"""Layers that a recording does not show: collision geometry, contact forces, inertia ellipsoids."""
 
-CAMERA_AZIMUTH, CAMERA_ELEVATION = -1.75, 0.85
-"""Where the camera stands as seen from its target, rad: before the table, a little to the left."""
+CAMERA_AZIMUTH = -1.75
+"""Angle about the vertical at which the camera stands as seen from its target, rad: before the
+table, a little to the left."""
+
+CAMERA_ELEVATION = 0.85
+"""Angle above the table at which the camera stands as seen from its target, rad."""
 
 MARK = b"<title>Drake MeshCat</title>"
-"""What stands in every page of Meshcat."""
+"""Text that stands in every page of Meshcat."""
 
 MARK_ROOM = 4096
-"""Bytes within which it stands."""
+"""Number of bytes at the beginning of a page within which `MARK` stands."""
 
-BACKGROUND_TOP, BACKGROUND_BOTTOM = (
-    (0.97, 0.975, 0.98),
-    (0.80, 0.82, 0.85),
-)  # colors of the background, sRGB
+BACKGROUND_TOP = (0.97, 0.975, 0.98)
+"""Color of the background's upper end, sRGB, 0 to 1."""
+
+BACKGROUND_BOTTOM = (0.80, 0.82, 0.85)
+"""Color of the background's lower end, sRGB, 0 to 1."""
 
 LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX": 14.0}
-"""Intensities that show a horizontal face near the origin in its own color; Meshcat's own make it a
-third brighter."""
+"""Intensities of lights that show a horizontal face near the origin in its own color. Meshcat's own
+make it a third brighter."""
 
 _STARTED: list[tuple["ref[Meshcat]", int]] = []
 """Each server and the thread that started it."""
 
 _HELD: list[Meshcat] = []
-"""What the thread that collects garbage must not destroy."""
+"""Servers that the thread which collects garbage must not destroy."""
 
 
 def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Meshcat:
@@ -74,7 +83,11 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Mesh
 
 
 def check_port(port: int | None) -> None:
-    """Raises StationError where a port is neither None, for any, nor 0, for any free one, nor a user's."""
+    """Refuses a port that is neither None or 0, for any free one, nor one of a user's.
+
+    Raises:
+        StationError: it is none of these.
+    """
     if port is not None and port != 0 and not MIN_PORT <= port <= MAX_PORT:
         raise StationError(
             f"port is {port}; expected one from {MIN_PORT} to {MAX_PORT}, or 0 for any free one"
@@ -96,7 +109,9 @@ def explain_port(port: int | None, host: str) -> str:
 
 
 def KeepToItsThread(meshcat: Meshcat) -> None:
-    """Has a server destroyed by this thread only, if no other was said before; it must be the one that started it.
+    """Has a server destroyed by this thread only, which must be the one that started it.
+
+    A thread that was named for the same server before stays the one.
 
     Drake ends the process where another thread destroys it, as a worker's does that happens to
     collect the garbage in which a dropped Diagram's server lies.
@@ -152,9 +167,10 @@ def PublishOnce(meshcat: Meshcat) -> None:
 def write_recording(
     meshcat: Meshcat, path: Path | str, force: bool = False, overlay: Overlay | None = None
 ) -> None:
-    """Writes the scene, with what was recorded, as one self-contained HTML file that plays when it is opened.
+    """Writes the scene, with what was recorded, as one self-contained HTML file.
 
-    The recording is stopped and published, and LAYERS_TO_LEAVE_OUT are deleted from the scene.
+    It plays when it is opened. The recording is stopped and published, and `LAYERS_TO_LEAVE_OUT`
+    are deleted from the scene.
 
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.

@@ -1,4 +1,4 @@
-"""What is drawn of an object and its estimate in Meshcat, and how it changes in a live scene and in a recording alike.
+"""Shapes of an object and its estimate in Meshcat, and their changes, live and in a recording.
 
 An animation in Meshcat moves things and changes properties, but cannot change a mesh. So each new
 version of what is drawn gets a path of its own, and versions take turns by the property "visible",
@@ -29,19 +29,26 @@ CELL_SHARE = 0.94
 """Side of a drawn cell, in cells; the rest is the gap that lets cells be told apart."""
 
 CIRCLE_SIDES = 48
-"""Straight pieces of a drawn circle."""
+"""Number of straight pieces of a drawn circle."""
 
 MIN_HALF_AXIS = 1e-5
-"""Of a drawn ellipse, m; one that is narrower has no area to speak of."""
+"""Smallest half axis of a drawn ellipse, m. A narrower one has no area to speak of."""
 
 MIN_LENGTH = 1e-5
-"""Of a drawn arrow, m."""
+"""Smallest length of a drawn arrow, m."""
 
 
 def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) -> Trimesh:
-    """Makes a prism a cell, standing on the plane z = 0 of the body frame, open below; its side is `share` of a cell's.
+    """Makes a prism for each cell, standing on the plane z = 0 of the body frame, open below.
 
-    The 8 n vertices come by corner, then by cell (the first n are all cells' first corners).
+    Args:
+        obj: the object.
+        height: height of the prisms, m.
+        share: their sides, in sides of a cell.
+
+    Returns:
+        A mesh whose 8 n vertices come by corner, then by cell: the first n are all cells' first
+        corners.
     """
     half = share * obj.cell_size / 2
     low = [-half, -half, 0.0]
@@ -65,28 +72,51 @@ def make_outline_prism(obj: GridObject, height: float) -> Trimesh:
 
 
 def make_outline_edge(obj: GridObject, height: float, width: float) -> Trimesh:
-    """Makes a flat band about an object's outline, half inside and half outside; body frame, at z = `height`, m."""
+    """Makes a flat band about an object's outline, half inside and half outside, body frame.
+
+    Args:
+        obj: the object.
+        height: z of the band, m.
+        width: its width, m.
+    """
     outside = obj.outline.buffer(width / 2)
     inside = obj.outline.buffer(-width / 2)
     return _make_plate(outside.difference(inside), height)
 
 
 def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> Trimesh:
-    """Makes a flat ellipse at z = `height`, m, the points p with (p - c)' S^-1 (p - c) <= 1: S in m², c in m."""
+    """Makes a flat ellipse, the points p with (p - c)' S^-1 (p - c) <= 1.
+
+    Args:
+        covariance: (2, 2) S, m².
+        center: (2,) c, m.
+        height: z of the ellipse, m.
+    """
     return _make_plate(_make_ellipse(covariance, center), height)
 
 
 def make_ring(covariance: ArrayLike, center: ArrayLike, height: float, width: float) -> Trimesh:
-    """Makes the edge of the ellipse of `make_disc`, as a flat band that reaches `width`, m, outwards."""
+    """Makes the edge of the ellipse of `make_disc`, as a flat band that reaches outwards.
+
+    Args:
+        covariance: (2, 2) S, m².
+        center: (2,) c, m.
+        height: z of the band, m.
+        width: its width, m.
+    """
     outer = _make_ellipse(covariance, center, width)
     inner = _make_ellipse(covariance, center)
     return _make_plate(outer.difference(inner), height)
 
 
 def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) -> Trimesh:
-    """Makes a flat arrow from `start` (2,) to `end` (2,) at z = `height`, m, with a shaft of a width, m.
+    """Makes a flat arrow, whose head is three times as wide and as long as its shaft is wide.
 
-    The head is three times as wide and long, at most the whole arrow.
+    Args:
+        start: (2,) where it begins, m.
+        end: (2,) its point, m.
+        height: z of the arrow, m.
+        width: width of its shaft, m.
     """
     tail = np.asarray(start, dtype=np.float64)
     point = np.asarray(end, dtype=np.float64)
@@ -108,19 +138,25 @@ def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) ->
 
 
 def _make_plate(area: Polygon | MultiPolygon, height: float) -> Trimesh:
-    """An area at z = height."""
+    """Makes an area, m, a mesh at z = height, m."""
     corners, faces = triangulate_area(area)
     return Trimesh(np.column_stack([corners, np.full(len(corners), height)]), faces, process=False)
 
 
 def _drop_floor(mesh: Trimesh) -> Trimesh:
-    """What stands on z = 0, open below."""
+    """Takes away the faces of a mesh that lie in the plane z = 0."""
     mesh.update_faces(~(mesh.triangles[:, :, 2] == 0.0).all(axis=1))
     return mesh
 
 
 def _make_ellipse(covariance: ArrayLike, center: ArrayLike, margin: float = 0.0) -> Polygon:
-    """The ellipse whose half axes are the square roots of the covariance's eigenvalues, and longer by `margin`, m."""
+    """Makes an ellipse whose half axes are the roots of a covariance's eigenvalues.
+
+    Args:
+        covariance: (2, 2) the covariance, m².
+        center: (2,) the ellipse's center, m.
+        margin: length by which both half axes are longer, m.
+    """
     values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=np.float64))
     circle = make_direction(2 * np.pi * np.arange(CIRCLE_SIDES) / CIRCLE_SIDES)
     axes = np.sqrt(np.maximum(values, MIN_HALF_AXIS**2)) + margin
@@ -128,36 +164,37 @@ def _make_ellipse(covariance: ArrayLike, center: ArrayLike, margin: float = 0.0)
 
 
 VISIBLE = "visible"
+"""Property of a path in Meshcat."""
 
-CENTER_COLOR = Rgba(
-    0.93, 0.07, 0.42
-)  # of the center of mass and its ellipse; no color of viridis comes near
+CENTER_COLOR = Rgba(0.93, 0.07, 0.42)
+"""Color of the center of mass and its ellipse; no color of viridis comes near it."""
 
 ELLIPSE_OPACITY = 0.3
+"""Opacity of an ellipse, 0 to 1."""
 
 SIGMAS = 2.0
-"""Half axes of the ellipse, in standard deviations."""
+"""Half axes of an ellipse, in standard deviations."""
 
-PLAN_COLOR = Rgba(
-    0.93, 0.38, 0.05
-)  # of what is to come: a push, and the pose it is predicted to end in
+PLAN_COLOR = Rgba(0.93, 0.38, 0.05)
+"""Color of what is to come: a push, and the pose that it is predicted to end in."""
 
 GHOST_OPACITY = 0.3
+"""Opacity of the prism of a predicted pose, 0 to 1."""
 
 CENTER_RADIUS = 0.0025
-"""Of the dot at the center of mass, m."""
+"""Radius of the dot at the center of mass, m."""
 
 RING_WIDTH = 0.0012
-"""Of the ellipse's edge, m."""
+"""Width of an ellipse's edge, m."""
 
 ARROW_WIDTH = 0.005
-"""Of a push's shaft, m."""
+"""Width of the shaft of a push's arrow, m."""
 
 LAYER = 0.001
-"""Between what is drawn one over the other, m."""
+"""Distance between things that are drawn one over the other, m."""
 
 EDGE_WIDTH = 0.0015
-"""Of a ghost's upper edge, m."""
+"""Width of a ghost's upper edge, m."""
 
 GHOST_SHARE = 0.97
 """Height of a ghost, in heights of its object, whose own top then covers it where the two meet."""
@@ -166,7 +203,15 @@ GHOST_SHARE = 0.97
 def AddCells(
     meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, height: float
 ) -> None:
-    """Draws an object's cells as one mesh, standing on z = 0 of its body frame, in `colors` (n, 3), sRGB, 0 to 1."""
+    """Draws an object's cells as one mesh, standing on z = 0 of its body frame.
+
+    Args:
+        meshcat: where they are drawn.
+        path: their path in Meshcat.
+        obj: the object.
+        colors: (n, 3) the cells' colors, sRGB, 0 to 1.
+        height: height of the cells, m.
+    """
     mesh = make_cell_prisms(obj, height)
     light = srgb_to_linear(np.asarray(colors, dtype=np.float64))
     vertices, faces = _to_columns(mesh)
@@ -178,11 +223,16 @@ def AddCells(
 def AddCenter(
     meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float
 ) -> None:
-    """Draws an estimated point and its ellipse of SIGMAS standard deviations, flat, from z = `height` up.
+    """Draws an estimated point and its ellipse of `SIGMAS` standard deviations, flat.
 
-    A dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge;
-    nothing where `center` (2,), m, is not finite, and the dot alone where `covariance` (2, 2), m²,
-    is not.
+    A dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge.
+
+    Args:
+        meshcat: where they are drawn.
+        path: their path in Meshcat.
+        center: (2,) the point, m; where it is not finite, nothing is drawn.
+        covariance: (2, 2) its covariance, m²; where it is not finite, only the dot is drawn.
+        height: z of the lowest of them, m.
     """
     if not np.isfinite(center).all():
         return
@@ -203,7 +253,7 @@ def AddCenter(
 def AddGhost(
     meshcat: Meshcat, path: str, obj: GridObject, height: float, color: Rgba = PLAN_COLOR
 ) -> None:
-    """Draws a translucent prism of an object's outline, body frame, with its upper edge as an opaque band.
+    """Draws a translucent prism of an object's outline, with its upper edge as an opaque band.
 
     They are at `path`/body, which ends a little below `height`, m, and at `path`/edge, which lies a
     little above.
@@ -219,9 +269,16 @@ def AddGhost(
 
 
 def AddArrow(meshcat: Meshcat, path: str, start: ArrayLike, end: ArrayLike, height: float) -> None:
-    """Draws a push from `start` (2,) to `end` (2,), world frame, m, as a flat arrow at z = `height`, m.
+    """Draws a push as a flat arrow.
 
-    Nothing is drawn of one that is not finite, or too short to be seen.
+    Args:
+        meshcat: where it is drawn.
+        path: its path in Meshcat.
+        start: (2,) where the push begins, world frame, m.
+        end: (2,) where it ends, world frame, m.
+        height: z of the arrow, m.
+
+    Nothing is drawn of a push that is not finite, or too short to be seen.
     """
     if not np.linalg.norm(np.subtract(end, start)) > MIN_LENGTH:
         return
@@ -231,10 +288,17 @@ def AddArrow(meshcat: Meshcat, path: str, start: ArrayLike, end: ArrayLike, heig
 def SwapVisible(
     meshcat: Meshcat, shown: str | None, hidden: str | None, time: float, period: float
 ) -> None:
-    """Shows one path instead of another, from `time` (s) on, live and in the recording where one is made.
+    """Shows one path instead of another, live and in the recording where one is made.
 
-    In the recording `shown` is hidden before; `hidden` stays as it is until a `period` (s) before,
-    at least: what passed since the scene was drawn last.
+    In the recording the one that is shown is hidden before; the other one stays as it is until the
+    scene was drawn last, at least.
+
+    Args:
+        meshcat: where they are drawn.
+        shown: the path that is shown; None for none.
+        hidden: the path that is hidden; None for none.
+        time: from when on, s.
+        period: time since the scene was drawn last, s.
     """
     recording = meshcat.get_mutable_recording()
     begin = recording.start_time()
@@ -259,17 +323,22 @@ def MakePlanarTransform(pose: ArrayLike, height: float = 0.0) -> RigidTransform:
 
 def srgb_to_linear(srgb: Array) -> Array:
     """Colors (..., 3), 0 to 1, as linear light (IEC 61966-2-1)."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    dark = srgb / 12.92
+    bright = ((srgb + 0.055) / 1.055) ** 2.4
+    return np.where(srgb <= 0.04045, dark, bright)
 
 
 def _AddMesh(meshcat: Meshcat, path: str, mesh: Trimesh, color: Rgba) -> None:
+    """Draws a mesh in one color."""
     vertices, faces = _to_columns(mesh)
     meshcat.SetTriangleMesh(path, vertices, faces, color)
 
 
 def _to_columns(mesh: Trimesh) -> tuple[Any, Any]:
+    """Takes vertices and faces as Meshcat wants them, one a column."""
     return mesh.vertices.T, mesh.faces.T.astype(np.int32)
 
 
 def _fade(color: Rgba, opacity: float) -> Rgba:
+    """Makes a color translucent."""
     return Rgba(color.r(), color.g(), color.b(), opacity)

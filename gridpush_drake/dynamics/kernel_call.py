@@ -64,7 +64,17 @@ def run_kernel(
     prepared = _prepare(obj, params, physics, table, ahead)
     if memory is None:
         memory = make_memory()
-    rollout(*prepared, load, pose, velocity, dts, row_of_step, record, J, memory)
+    rollout(
+        *prepared,
+        load=load,
+        pose=pose,
+        velocity=velocity,
+        dts=dts,
+        row_of_step=row_of_step,
+        record=record,
+        J=J,
+        memory=memory,
+    )
     return record
 
 

@@ -137,7 +137,7 @@ class Physics:
 
     @property
     def ahead(self) -> float:
-        """Share of a step after which it looks at the body: 0.5 if the law uses the midpoint rule."""
+        """Share of a step after which it looks at the body; 0.5 by the midpoint rule."""
         return HALFWAY if self.law.looks_ahead else 0.0
 
     def resolve_for(self, obj: GridObject, params: CellParameters, speed: float) -> "Physics":

@@ -268,8 +268,8 @@ SAME_TIME = 1e-9
 """Two times of a push are one if they differ by less than this share of its duration."""
 
 SHORT_STEP = 0.01
-"""A step shorter than this share of the mean one is avoided: a rounding error of a place, divided by
-it, would be a speed."""
+"""Share of the mean step below which a step is avoided: a rounding error of a place, divided by so
+short a time, would be a speed."""
 
 SLACK = 1e-9
 """Share of a step by which a duration may exceed a whole number of steps."""

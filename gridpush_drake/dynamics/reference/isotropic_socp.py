@@ -25,37 +25,52 @@ CONIC_TOLERANCE = 1e-13
 """Clarabel's relative and absolute tolerance, on problems scaled to one."""
 
 USABLE = ("Solved", "AlmostSolved", "InsufficientProgress")
-"""Statuses whose point is near enough to be refined; the caller verifies what it makes of it."""
+"""Clarabel's statuses whose point is near enough to be refined. The caller verifies the refined
+one."""
 
 
 def solve_conic(P: csc_array, q: Array, A: csc_array, cones: list[object]) -> tuple[Array, Array]:
-    """Solves  min x·P x/2 + q·x  s.t.  -A x in the cones,  for x (k,) and the duals z (r,).
+    """Solves a quadratic cone program.
 
-    P (k, k) is given by its upper triangle, A is (r, k); Clarabel's cones have r rows in all.
-    Raises SimulationError: the solver stopped short.
+        min 1/2 x·P x + q·x    s.t.  -A x in the cones
+
+    Args:
+        P: (k, k) upper triangle.
+        q: (k,) linear cost.
+        A: (r, k) constraints.
+        cones: Clarabel's cones, of r rows in all.
+
+    Returns:
+        x (k,) and the duals z (r,).
+
+    Raises:
+        SimulationError: the solver stopped short.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = (
-        CONIC_TOLERANCE
-    )
-    solution = clarabel.DefaultSolver(P, q, A, np.zeros(A.shape[0]), cones, settings).solve()
+    settings.tol_gap_abs = CONIC_TOLERANCE
+    settings.tol_gap_rel = CONIC_TOLERANCE
+    settings.tol_feas = CONIC_TOLERANCE
+    settings.tol_ktratio = CONIC_TOLERANCE
+    program = (P, q, A, np.zeros(A.shape[0]), cones)
+    solution = clarabel.DefaultSolver(*program, settings).solve()
     if str(solution.status) not in USABLE:
         raise SimulationError(f"Clarabel stopped with {solution.status}")
     return np.array(solution.x), np.array(solution.z)
 
 
 ZERO_NORMS = (1e-9, 1e-7, 1e-5)
-"""Relative sizes of |A_i u| in the cone program's solution that are taken for zero, tried in
+"""Relative sizes below which |A_i u| of the cone program's solution is taken for zero, tried in
 turn."""
 
 SUBSPACE_TOLERANCE = 1e-10
 """Relative singular value below which the subspace of vanishing norms ignores a direction."""
 
 POLISH_DISTANCE = 1e-4
-"""Greatest correction that Newton's method may make to the cone program's solution."""
+"""Largest correction that Newton's method may make to the cone program's solution."""
 
 MAX_NEWTON_STEPS = 30
+"""Largest number of Newton's steps."""
 
 NEWTON_TOLERANCE = 1e-13
 """Relative Newton step that ends the polish."""
@@ -73,18 +88,20 @@ def solve_isotropic_socp(
 ) -> Array:
     """Takes one implicit step with isotropic Coulomb friction, as a second-order cone program.
 
-        min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i |v_i(nu')| + sum_i beta_i |w'|
-        "separate" min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i sqrt(|v_i(nu')|² + (c s w')²)
-                 "coupled"
+        "separate":  min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i |v_i(nu')| + sum_i beta_i |w'|
+        "coupled":   min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i sqrt(|v_i(nu')|² + (c s w')²)
 
-    and the first without its last term, "none". M_B = T^T M T = L L^T; in u = L^T nu' / |L^T
+    and "none" is the first without its last term. M_B = T^T M T = L L^T; in u = L^T nu' / |L^T
     nu_free| the first two terms are |u - u_free|² / 2, with u_free of unit length: three unknowns,
     and one epigraph variable a cone.
 
     Args:
+        obj: the object.
+        params: its cells' masses and frictions.
         q: (3,) pose X_WB, m and rad.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
         wrench: (3,) W = force in W, N, and moment about B's origin, N m.
+        dt: the step, s.
         g: gravity, m/s².
         spin: "separate", "coupled" or "none".
 
@@ -101,6 +118,8 @@ def solve_isotropic_socp(
     n = obj.n
     s = obj.cell_size
     m = params.mass
+
+    # The free motion in u, which has length one once it is divided by `speed`.
     T = twist_to_cells(obj, q)
     M = np.stack([m * s**2 / 6, m, m], axis=1).ravel()
     L = np.linalg.cholesky(T.T @ (M[:, None] * T))
@@ -108,6 +127,8 @@ def solve_isotropic_socp(
     speed = float(np.linalg.norm(u_free))
     if speed == 0:
         return np.zeros(3)
+
+    # A cone b_i |A_i u| a cell; a last one for the spin friction of all cells together.
     b = params.friction * m * g * dt / speed
     rows = (np.linalg.solve(L, T.T).T).reshape(n, 3, 3)
     arm = calc_spin_arm(obj, params)
@@ -124,6 +145,7 @@ def _minimize_norms(u_free: Array, cones: list[Array]) -> Array:
 
     The sum is that of t_i, with (t_i, A_i u) in second-order cones.
     """
+    # Unknowns: u, then a bound t_i for each norm. Rows of a cone: t_i, then A_i u.
     k = len(cones)
     P = diags_array(np.concatenate([np.ones(3), np.zeros(k)]))
     A = np.zeros((sum(1 + len(A_i) for A_i in cones), 3 + k))
@@ -134,6 +156,8 @@ def _minimize_norms(u_free: Array, cones: list[Array]) -> Array:
         row += 1 + len(A_i)
     types = [clarabel.SecondOrderConeT(1 + len(A_i)) for A_i in cones]
     x, _ = solve_conic(csc_array(P), np.concatenate([-u_free, np.ones(k)]), csc_array(A), types)
+    # Which norms vanish cannot be told from a point that is good to 1e-7 only: several guesses are
+    # tried, and the one that ends near that point is right.
     for zero in ZERO_NORMS:
         u = _polish(u_free, cones, x[:3], zero)
         if u is not None and np.abs(u - x[:3]).max() < POLISH_DISTANCE:
@@ -152,13 +176,17 @@ def _polish(
     Returns:
         The minimizer; None if the method fails.
     """
-    vanish = [np.linalg.norm(A_i @ u) <= zero * np.abs(A_i).max() for A_i in cones]
-    held = np.concatenate(
-        [np.zeros((1, 3))]
-        + [A_i / np.abs(A_i).max() for A_i, v in zip(cones, vanish, strict=True) if v]
-    )
-    B = null_space(held, rcond=SUBSPACE_TOLERANCE)
-    moving = [A_i @ B for A_i, v in zip(cones, vanish, strict=True) if not v]
+    held = [np.zeros((1, 3))]
+    sliding = []
+    for A_i in cones:
+        size = np.abs(A_i).max()
+        if np.linalg.norm(A_i @ u) <= zero * size:
+            held.append(A_i / size)
+        else:
+            sliding.append(A_i)
+    B = null_space(np.concatenate(held), rcond=SUBSPACE_TOLERANCE)
+    moving = [A_i @ B for A_i in sliding]
+    # With e = A y / |A y|: gradient A^T e, Hessian (A^T A - A^T e e^T A) / |A y|.
     y = B.T @ u
     for _ in range(MAX_NEWTON_STEPS):
         gradient = y - B.T @ u_free

@@ -35,7 +35,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 STANDARD_GRAVITY = 9.81
-"""M/s²."""
+"""Gravity, m/s²."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class MaximalLcp:
 
     @property
     def mass(self) -> Array:
-        """(n,) m_i, kg."""
+        """Masses m_i (n,) of the cells, kg."""
         return self.M[1::3]
 
     @property
@@ -93,34 +93,31 @@ def make_maximal_lcp(
     """Writes down the LCP of one step.
 
     Args:
+        obj: the object.
+        params: its cells' masses and frictions.
         q: (3,) pose X_WB, m and rad.
         xdot: (3n,) velocities of the cells, rad/s and m/s.
         F: (3n,) torque and force applied to the cells, N m and N.
+        dt: the step, s.
         g: gravity, m/s².
-        spanning_tree: keep one tree of the adjacent pairs, or all pairs (redundant rows, the same
-            velocities).
+        spanning_tree: whether one tree of the adjacent pairs is kept, or all pairs. With all of
+            them rows are redundant, and velocities the same.
 
     Raises:
         SimulationError: a shape disagrees, a number is not finite, or dt is not positive.
     """
-    q, xdot, F = (np.array(value, dtype=np.float64) for value in (q, xdot, F))
-    if (
-        q.shape != (3,)
-        or xdot.shape != (3 * obj.n,)
-        or F.shape != (3 * obj.n,)
-        or params.n != obj.n
-    ):
+    q = np.array(q, dtype=np.float64)
+    xdot = np.array(xdot, dtype=np.float64)
+    F = np.array(F, dtype=np.float64)
+    shapes_agree = q.shape == (3,) and xdot.shape == F.shape == (3 * obj.n,)
+    if not shapes_agree or params.n != obj.n:
         raise SimulationError(
             f"q {q.shape}, xdot {xdot.shape}, F {F.shape}, parameters of {params.n} cells; "
             "expected (3,), "
             f"({3 * obj.n},), ({3 * obj.n},) and {obj.n}, as {obj.name} has"
         )
-    if not (
-        np.isfinite(q).all()
-        and np.isfinite(xdot).all()
-        and np.isfinite(F).all()
-        and 0 < dt < np.inf
-    ):
+    all_finite = all(np.isfinite(value).all() for value in (q, xdot, F))
+    if not (all_finite and 0 < dt < np.inf):
         raise SimulationError(
             f"dt is {dt!r}; expected a positive number (s), and finite q, xdot and F"
         )
@@ -143,9 +140,13 @@ def make_maximal_lcp(
 
 
 def twist_to_cells(obj: GridObject, q: ArrayLike) -> Array:
-    """T (3n, 3) with xdot = T nu, nu = (vx, vy, w) of B's origin in W: v_i = v + w z × r_i.
+    """Makes T (3n, 3) with xdot = T nu, where nu = (vx, vy, w) is of B's origin in W.
 
-    r_i is the arm from B's origin to cell i in world axes, m, at the pose q (3,).
+        v_i = v + w z × r_i
+
+    Args:
+        obj: the object.
+        q: (3,) pose X_WB, m and rad; it turns r_i, the arm from B's origin to cell i, into W.
     """
     q = np.asarray(q, dtype=np.float64)
     rx, ry = (obj.cells_at(q) - q[:2]).T
@@ -159,7 +160,7 @@ def twist_to_cells(obj: GridObject, q: ArrayLike) -> Array:
 
 
 def _spanning_tree(pairs: IntArray, n: int) -> IntArray:
-    """(n-1, 2) of the (m, 2) pairs, enough to connect all n cells."""
+    """Chooses (n-1, 2) of the pairs (m, 2), enough to connect all n cells."""
     i, j = pairs.reshape(-1, 2).T
     tree = minimum_spanning_tree(csr_array((np.ones(len(i)), (i, j)), shape=(n, n))).tocoo()
     return np.stack([tree.row, tree.col], axis=1).astype(np.int64)
@@ -202,7 +203,7 @@ def _friction_directions(
     F: Array,
     dt: float,
 ) -> csr_array:
-    """J_f: minus each cell's direction of motion, and minus its sense of rotation.
+    """Makes J_f: minus each cell's direction of motion, and minus its sense of rotation.
 
     A cell at rest takes the impending motion's, and that is the rigid body's, T dt M_B^-1 T^T F,
     and not the cell's own dt F_i/m_i: the cells cannot part, so the cell that is pushed sets all of
@@ -210,35 +211,43 @@ def _friction_directions(
     all. Where that is zero too (no force, or the cell is the instantaneous center) nothing is known
     of the direction and the row is zero: no friction.
     """
+    # The rigid body's impending motion, T dt M_B^-1 T^T F
     n = len(M) // 3
     M_B = T.T @ (M[:, None] * T)
     impending = (dt * T @ np.linalg.solve(M_B, T.T @ F)).reshape(n, 3)
-    w, v = _split(xdot.reshape(n, 3), SPEED_AT_REST, YAW_RATE_AT_REST)
+
+    # Each cell's own direction, or where it is at rest the impending one.
+    w, v = _find_senses(xdot.reshape(n, 3), SPEED_AT_REST, YAW_RATE_AT_REST)
     fastest = np.linalg.norm(impending[:, 1:], axis=1).max()
     s = sqrt(6 * M[0] / M[1])
     slow = IMPENDING_AT_REST * max(fastest, s * abs(impending[0, 0]))
-    w_impending, v_impending = _split(impending, slow, slow / s)
+    w_impending, v_impending = _find_senses(impending, slow, slow / s)
     w = np.where(w == 0, w_impending, w)
     v = np.where((v == 0).all(axis=1, keepdims=True), v_impending, v)
     cell = np.arange(n)
     rows = np.concatenate([cell, cell, n + cell])
     columns = np.concatenate([3 * cell + 1, 3 * cell + 2, 3 * cell])
-    J_f = csr_array(
-        coo_array((-np.concatenate([v[:, 0], v[:, 1], w]), (rows, columns)), shape=(2 * n, 3 * n))
-    )
+    values = -np.concatenate([v[:, 0], v[:, 1], w])
+    J_f = csr_array(coo_array((values, (rows, columns)), shape=(2 * n, 3 * n)))
     J_f.eliminate_zeros()
     return J_f
 
 
-def _split(xdot: Array, slow: float, slow_yaw: float) -> tuple[Array, Array]:
-    """Calculates the senses of rotation (n,) and unit directions (n, 2) of velocities (n, 3).
+def _find_senses(xdot: Array, slow: float, slow_yaw: float) -> tuple[Array, Array]:
+    """Calculates the senses of rotation and the directions of motion of cells.
 
-    Both are zero where the velocity is below the tolerances.
+    Args:
+        xdot: (n, 3) velocities, rad/s and m/s.
+        slow: speed below which a cell is at rest, m/s.
+        slow_yaw: yaw rate below which a cell does not turn, rad/s.
+
+    Returns:
+        The senses (n,), and unit directions (n, 2); both are zero where there is no motion.
     """
     w = xdot[:, 0]
     v = xdot[:, 1:]
     speed = np.linalg.norm(v, axis=1, keepdims=True)
     moves = speed > slow
-    return np.where(np.abs(w) > slow_yaw, np.sign(w), 0.0), np.where(
-        moves, v / np.where(moves, speed, 1.0), 0.0
-    )
+    senses = np.where(np.abs(w) > slow_yaw, np.sign(w), 0.0)
+    directions = np.where(moves, v / np.where(moves, speed, 1.0), 0.0)
+    return senses, directions

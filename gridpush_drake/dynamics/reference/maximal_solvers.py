@@ -34,29 +34,42 @@ from gridpush_drake.geometry.se2 import Array, IntArray
 clarabel = import_extra("clarabel", "reference")
 
 PROXIMAL_WEIGHT = 1e-12
-"""Delta of `project`: makes redundant rows of C harmless; its effect is iterated away."""
+"""Weight delta in `project`, which makes redundant rows of C harmless. Its effect is iterated
+away."""
 
 MAX_REFINEMENTS = 40
+"""Largest number of refinements of a linear solution."""
 
 ROUND_OFF = 1e-15
 """Relative residual at which refinement stops."""
 
 NEAR_ROUND_OFF = 1e3
-"""Multiple of it below which refinement stops once it halves no more."""
+"""Multiple of `ROUND_OFF` below which refinement stops once the residual halves no more."""
 
 
 @dataclass(frozen=True, eq=False)
 class NormalizedLcp:
-    """The LCP without units (see the module's docstring)."""
+    """The LCP without units (see the module's docstring).
 
-    root_mass: Array  # (3n,) M^(1/2)
-    e: float  # the momentum scale, (N s)/kg^(1/2)
-    rows: IntArray  # indices of the friction rows that are kept, (k,)
-    h: Array  # (3n,) momentum without friction, that of a rigid motion
-    lam_0: Array  # multipliers of rigidity without friction
-    C: csr_array  # (3(n-1) or more, 3n) rigidity
-    norm: Array  # lengths of J_e M^(-1/2)'s rows
-    G: csr_array  # (k, 3n) friction
+    Attributes:
+        root_mass: (3n,) M^(1/2).
+        e: the momentum scale, (N s)/kg^(1/2).
+        rows: indices of the friction rows that are kept, (k,).
+        h: (3n,) momentum without friction, that of a rigid motion.
+        lam_0: multipliers of rigidity without friction.
+        C: (3(n-1) or more, 3n) rigidity.
+        norm: lengths of J_e M^(-1/2)'s rows.
+        G: (k, 3n) friction.
+    """
+
+    root_mass: Array
+    e: float
+    rows: IntArray
+    h: Array
+    lam_0: Array
+    C: csr_array
+    norm: Array
+    G: csr_array
 
 
 @dataclass(frozen=True)
@@ -68,16 +81,26 @@ class KktResiduals:
     Impulses are measured by P, the largest cell's m |v_t| + dt |F| + bound; velocities by V, the
     same of the whole body over its mass; moments and yaw rates by P s and V / s, s the cell size;
     products by P V.
+
+    Attributes:
+        momentum: |M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f|.
+        rigidity: |J_e xdot|.
+        rho: max(0, -rho), rho = J_f xdot + gamma.
+        lam_f: max(0, -lam_f).
+        xi: max(0, -xi), xi = bound - lam_f.
+        gamma: max(0, -gamma).
+        rho_lam_f: |rho lam_f|.
+        xi_gamma: |xi gamma|.
     """
 
-    momentum: float  # |M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f|
-    rigidity: float  # |J_e xdot|
-    rho: float  # max(0, -rho), rho = J_f xdot + gamma
-    lam_f: float  # max(0, -lam_f)
-    xi: float  # max(0, -xi), xi = bound - lam_f
-    gamma: float  # max(0, -gamma)
-    rho_lam_f: float  # |rho lam_f|
-    xi_gamma: float  # |xi gamma|
+    momentum: float
+    rigidity: float
+    rho: float
+    lam_f: float
+    xi: float
+    gamma: float
+    rho_lam_f: float
+    xi_gamma: float
 
     @property
     def worst(self) -> float:
@@ -86,7 +109,7 @@ class KktResiduals:
 
 
 def normalize(lcp: MaximalLcp) -> NormalizedLcp:
-    """Takes the units out of the LCP."""
+    """Takes the units out of the LCP; the equations are at the head of this module."""
     root_mass = np.sqrt(lcp.M)
     per_root_mass = diags_array(1 / root_mass)
     rows = np.flatnonzero((lcp.bound > 0) & (abs(lcp.J_f).sum(axis=1) > 0))
@@ -97,7 +120,14 @@ def normalize(lcp: MaximalLcp) -> NormalizedLcp:
     e = np.abs(h).max() or 1.0
     G = csr_array(diags_array(lcp.bound[rows] / e) @ lcp.J_f[rows] @ per_root_mass)
     return NormalizedLcp(
-        root_mass=root_mass, e=e, rows=rows, h=h / e, lam_0=lam_0 / e, C=C, norm=norm, G=G
+        root_mass=root_mass,
+        e=e,
+        rows=rows,
+        h=h / e,
+        lam_0=lam_0 / e,
+        C=C,
+        norm=norm,
+        G=G,
     )
 
 
@@ -115,7 +145,8 @@ def project(C: csr_array, r: Array, lam: Array | None = None) -> tuple[Array, Ar
     lam = np.zeros((k,) + r.shape[1:]) if lam is None else lam.copy()
     if not k or not r.size:
         return r.copy(), lam
-    factor = splu(block_array([[eye_array(N), C.T], [C, -PROXIMAL_WEIGHT * eye_array(k)]]).tocsc())
+    matrix = block_array([[eye_array(N), C.T], [C, -PROXIMAL_WEIGHT * eye_array(k)]])
+    factor = splu(matrix.tocsc())
     best = np.inf
     goal = ROUND_OFF * np.abs(r).max(initial=0.0)
     for _ in range(MAX_REFINEMENTS):
@@ -138,20 +169,26 @@ def calc_residuals(
     gamma: Array,
 ) -> KktResiduals:
     """Evaluates every line of the LCP for velocities (3n,), impulses, and speeds gamma (2n,)."""
+    # Moments over s are forces, and yaw rates times s are speeds.
     n = lcp.n
     s = lcp.cell_size
     length = np.tile([s, 1.0, 1.0], n)
     length_f = np.repeat([1.0, s], n)
     length_e = np.tile([s, 1.0, 1.0], len(lam_e) // 3)
+
+    # The scales P and V; 1 where nothing moves and nothing acts.
     b = (lcp.bound / length_f).reshape(2, n).sum(axis=0)
-    P = ((np.abs(lcp.M * lcp.xdot) + np.abs(lcp.dt * lcp.F)) / length).reshape(n, 3).sum(axis=1) + b
-    V = P.sum() / lcp.mass.sum() or 1.0
-    P = P.max() or 1.0
+    acting = (np.abs(lcp.M * lcp.xdot) + np.abs(lcp.dt * lcp.F)) / length
+    impulses = acting.reshape(n, 3).sum(axis=1) + b
+    V = impulses.sum() / lcp.mass.sum() or 1.0
+    P = impulses.max() or 1.0
+
     rho = lcp.J_f @ xdot + gamma
     xi = lcp.bound - lam_f
     momentum = lcp.M * (xdot - lcp.xdot) - lcp.dt * lcp.F - lcp.J_e.T @ lam_e - lcp.J_f.T @ lam_f
 
     def largest(value: Array) -> float:
+        """Largest magnitude; zero of nothing."""
         return float(np.abs(value).max(initial=0.0))
 
     return KktResiduals(
@@ -172,11 +209,16 @@ SIGN_TOLERANCE = 1e-11
 """Violation of a sign, in the dimensionless LCP, that counts as a wrong active set."""
 
 MAX_ACTIVE_SETS = 600
-"""Active sets to try before giving up."""
+"""Largest number of active sets that are tried."""
 
 STICK = 0
+"""State of a friction row that does not move."""
+
 SLIDE = 1
+"""State of a friction row that moves against its friction, which is at its bound."""
+
 REVERSE = 2
+"""State of a friction row that is carried backwards, without friction."""
 
 LcpSolver = Callable[[Array, Array], Array]
 """Solves 0 <= z ⟂ M z + q >= 0 for (M, q)."""
@@ -219,9 +261,9 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
     zero = np.zeros((k, k))
     z = np.zeros(0)
     if k:
-        z = lcp_solver(
-            np.block([[G @ P_GT, one], [-one, zero]]), np.concatenate([G @ unit.h, np.ones(k)])
-        )
+        M = np.block([[G @ P_GT, one], [-one, zero]])
+        q = np.concatenate([G @ unit.h, np.ones(k)])
+        z = lcp_solver(M, q)
     y, lam = project(unit.C, unit.h + G.T @ z[:k])
     return _restore(lcp, unit, y, lam, z[:k], z[k:])
 
@@ -240,28 +282,31 @@ def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
     """
     unit = normalize(lcp)
     y, lam, s, slack = _interior_point(unit)
+
+    # Of each complementary pair the interior point has one much smaller than the other.
     fastest = np.abs(unit.G @ unit.h).max(initial=0.0) or 1.0
-    state = np.where(
-        s < (unit.G @ y + slack) / fastest, REVERSE, np.where(1 - s < slack / fastest, SLIDE, STICK)
-    )
+    slides_or_sticks = np.where(1 - s < slack / fastest, SLIDE, STICK)
+    state = np.where(s < (unit.G @ y + slack) / fastest, REVERSE, slides_or_sticks)
     s = np.clip(s, 0, 1)
     for _ in range(MAX_ACTIVE_SETS):
         y, lam, target = _solve_active_set(unit, state, lam, s)
+        # Rows that stick must be within their bounds. The first that leaves them is held there.
         beyond = (state == STICK) & (np.maximum(target - 1, -target) > SIGN_TOLERANCE)
         if beyond.any():
             share = np.full(len(s), np.inf)
-            share[beyond] = (np.where(target > 1, 1.0, 0.0) - s)[beyond] / (target - s)[beyond]
+            reached = np.where(target > 1, 1.0, 0.0)
+            share[beyond] = (reached - s)[beyond] / (target - s)[beyond]
             first = share.argmin()
             state[first] = SLIDE if target[first] > 1 else REVERSE
             s = np.clip(s + share[first] * (target - s), 0, 1)
             continue
+        # Rows that slide must move against their friction, reversed ones with it.
         s = target
         along = unit.G @ y
         wrong = np.choose(state, [np.zeros(len(s)), along, -along])
         if not (wrong > SIGN_TOLERANCE * fastest).any():
-            return _restore(
-                lcp, unit, y, lam, s, np.where(state == SLIDE, np.maximum(0, -along), 0.0)
-            )
+            slack = np.where(state == SLIDE, np.maximum(0, -along), 0.0)
+            return _restore(lcp, unit, y, lam, s, slack)
         state[wrong.argmax()] = STICK
     raise SimulationError(
         f"the friction QP of {lcp.n} cells found no active set with the right signs"
@@ -283,7 +328,13 @@ def _restore(
     gamma = np.maximum(0.0, -(lcp.J_f @ xdot))
     lam_f[unit.rows] = lcp.bound[unit.rows] * s
     gamma[unit.rows] = unit.e**2 * slack / lcp.bound[unit.rows]
-    return LcpSolution(xdot, lam_e, lam_f, gamma, calc_residuals(lcp, xdot, lam_e, lam_f, gamma))
+    return LcpSolution(
+        xdot=xdot,
+        lam_e=lam_e,
+        lam_f=lam_f,
+        gamma=gamma,
+        residuals=calc_residuals(lcp, xdot, lam_e, lam_f, gamma),
+    )
 
 
 def _interior_point(
@@ -297,7 +348,11 @@ def _interior_point(
     E = unit.C.shape[0]
     m = unit.C.shape[0] + k
     A = block_array(
-        [[unit.C, csr_array((E, k))], [csr_array((k, N)), -eye_array(k)], [-unit.G, -eye_array(k)]]
+        [
+            [unit.C, csr_array((E, k))],
+            [csr_array((k, N)), -eye_array(k)],
+            [-unit.G, -eye_array(k)],
+        ]
     )
     P = diags_array(np.concatenate([np.ones(N), np.zeros(k)]))
     x, z = solve_conic(
@@ -319,7 +374,10 @@ def _solve_active_set(
     sticks = state == STICK
     G_s = unit.G[sticks]
     length = np.sqrt((G_s * G_s).sum(axis=1))
-    C = csr_array(vstack([unit.C, -(diags_array(1 / length) @ G_s)])) if sticks.any() else unit.C
+    # The rows that stick are further rows of C.
+    C = unit.C
+    if sticks.any():
+        C = csr_array(vstack([unit.C, -(diags_array(1 / length) @ G_s)]))
     start = np.concatenate([lam, np.clip(s[sticks], 0, 1) * length])
     s = np.where(state == SLIDE, 1.0, 0.0)
     y, lam = project(C, unit.h + unit.G.T @ s, start)

@@ -73,7 +73,7 @@ def calc_x11(lcp: MaximalLcp, solution: LcpSolution, T: Array | None = None) -> 
     if T is not None:
         return T @ _condensed_x11(lcp, solution, T) @ T.T
     C = np.concatenate([lcp.J_e.toarray(), lcp.J_f.toarray()[_sticks(lcp, solution)]])
-    # in M^(-1/2): the projector 1 - A^T (A A^T)^+ A, A = C M^(-1/2), whose rows may be redundant
+    # In M^(-1/2): the projector 1 - A^T (A A^T)^+ A, A = C M^(-1/2), whose rows may be redundant
     root_mass = np.sqrt(lcp.M)
     A = C / root_mass
     A /= np.linalg.norm(A, axis=1, keepdims=True)
@@ -99,9 +99,12 @@ def calc_paper_gradient(
     by_mass, by_friction = _impulse_derivatives(lcp, solution, g)
     if T is None:
         X11 = calc_x11(lcp, solution)
-        return PaperGradient(X11 @ by_mass, X11 @ by_friction)
+        return PaperGradient(mass=X11 @ by_mass, friction=X11 @ by_friction)
     X_B = _condensed_x11(lcp, solution, T)
-    return PaperGradient(T @ (X_B @ (T.T @ by_mass)), T @ (X_B @ (T.T @ by_friction)))
+    return PaperGradient(
+        mass=T @ (X_B @ (T.T @ by_mass)),
+        friction=T @ (X_B @ (T.T @ by_friction)),
+    )
 
 
 def calc_paper_loss_gradient(
@@ -117,9 +120,12 @@ def calc_paper_loss_gradient(
     x_{t+1} = x_t + xdot dt, so dloss/dxdot = 2 dt error.
 
     Args:
+        lcp: the step.
+        solution: its solution.
         error: (3n,) x_{t+1} - x*_{t+1} in the cells' order, rad and m; zero where the loss ignores
             an entry.
         T: as in `calc_paper_gradient`.
+        g: gravity, m/s².
 
     Returns:
         dloss/dm (n,), per kg, and dloss/dmu (n,).
@@ -152,9 +158,12 @@ def calc_paper_step_jacobian(
     to rest stays there, with no derivative.
 
     Args:
+        obj: the object.
+        params: its cells' masses and frictions.
         q: (3,) pose X_WB before the step, m and rad.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s, before the step.
-        nu_next: (3,) after it.
+        nu_next: (3,) the same velocity and rate after the step.
+        dt: the step, s.
         g: gravity, m/s².
 
     Returns:
@@ -169,6 +178,8 @@ def calc_paper_step_jacobian(
     inertia = np.array([s**2 / 6, 1.0, 1.0])
     if abs(nu_next[2]) <= YAW_RATE_AT_REST and np.linalg.norm(nu_next[:2]) <= SPEED_AT_REST:
         return np.zeros((3, n)), np.zeros((3, n))
+
+    # d_i and the sense of spin: by the motion before the step, or after it for what was at rest.
     before = (T @ nu).reshape(n, 3)
     after = (T @ nu_next).reshape(n, 3)
     v = before[:, 1:]
@@ -180,29 +191,35 @@ def calc_paper_step_jacobian(
     spins = (np.abs(w) > YAW_RATE_AT_REST) & (w * after[:, :1] > 0)
     d = np.where(slides, v / np.where(slides, speed, 1.0), 0.0)
     sense = np.where(spins, calc_spin_arm(obj, params) * np.sign(w), 0.0)
+
+    # f_i = T_i^T (c s sgn w, d_i), and T_i^T diag(s²/6, 1, 1) T_i (nu' - nu)
     cells = T.reshape(n, 3, 3)
     f = np.einsum("nij,ni->jn", cells, np.hstack([sense, d]))
     momentum = np.einsum("nij,ni->jn", cells, inertia * (after - before))
     M_B = T.T @ ((m[:, None] * inertia).ravel()[:, None] * T)
-    dnu = np.linalg.solve(
-        M_B, -np.hstack([momentum + params.friction * g * dt * f, m * g * dt * f])
-    )
+    by_mass = momentum + params.friction * g * dt * f
+    by_friction = m * g * dt * f
+    dnu = np.linalg.solve(M_B, -np.hstack([by_mass, by_friction]))
     return dnu[:, :n], dnu[:, n:]
 
 
 def _sticks(lcp: MaximalLcp, solution: LcpSolution) -> NDArray[np.bool_]:
-    """(2n,) rows that stick: 0 < lam_f < bound."""
-    return (solution.lam_f > AT_BOUND * lcp.bound) & (solution.lam_f < (1 - AT_BOUND) * lcp.bound)
+    """Finds the friction rows (2n,) that stick: 0 < lam_f < bound."""
+    above = solution.lam_f > AT_BOUND * lcp.bound
+    below = solution.lam_f < (1 - AT_BOUND) * lcp.bound
+    return above & below
 
 
 def _condensed_x11(lcp: MaximalLcp, solution: LcpSolution, T: Array) -> Array:
-    """X_B (3, 3)."""
+    """Makes X_B (3, 3), from impulses on the rigid body to its twist; see the module's head."""
     X_B = np.asarray(np.linalg.inv(T.T @ (lcp.M[:, None] * T)), dtype=np.float64)
     J = lcp.J_f[_sticks(lcp, solution)] @ T
     if not len(J):
         return X_B
+    # X_B - X_B J^T (J X_B J^T)^+ J X_B
     X_J = X_B @ J.T
-    return np.asarray(X_B - X_J @ np.linalg.pinv(J @ X_J, rcond=REDUNDANT, hermitian=True) @ X_J.T)
+    inverse = np.linalg.pinv(J @ X_J, rcond=REDUNDANT, hermitian=True)
+    return np.asarray(X_B - X_J @ inverse @ X_J.T)
 
 
 def _impulse_derivatives(lcp: MaximalLcp, solution: LcpSolution, g: float) -> tuple[Array, Array]:
@@ -211,9 +228,10 @@ def _impulse_derivatives(lcp: MaximalLcp, solution: LcpSolution, g: float) -> tu
     s = lcp.cell_size
     cell = np.arange(n)
     slides = (lcp.bound > 0) & (solution.lam_f >= (1 - AT_BOUND) * lcp.bound)
-    # a row without friction slides too: more friction would act on it, if it moves along
+    # A row without friction slides, too: more friction would act on it, if it moves along.
     slides |= (lcp.bound == 0) & (solution.gamma > 0)
     J_f = lcp.J_f.toarray() * slides[:, None]
+    # dbound/dm_i = bound/m_i, and dbound/dmu_i = m_i g dt for sliding, c s m_i g dt for spin
     load = lcp.mass * g * lcp.dt
     dbound_dm = (lcp.bound / np.tile(lcp.mass, 2)).reshape(2, n)
     dbound_dmu = np.stack([load, lcp.spin_arm * load])

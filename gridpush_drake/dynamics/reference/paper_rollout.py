@@ -32,8 +32,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 REST = 1e-5
-"""m/s; a step that leaves less has stopped the body: far above the stiction tolerance, far below
-any push."""
+"""Speed, m/s, below which a step has stopped the body. It is far above the stiction tolerance, and
+far below any push."""
 
 
 def calc_paper_jacobian(
@@ -44,39 +44,54 @@ def calc_paper_jacobian(
     rows: IntArray,
     physics: Physics,
 ) -> Jacobian:
-    """Differentiates each recorded pose (rows, (R,)) by the step that led to it.
+    """Differentiates recorded poses, each by the step that led to it.
 
-    The blocks `mass` and `friction` are filled. The others are zero, and so is the row of pose 0,
-    which no step led to. The steps `dts` (T,), s, are inertial.
+    Args:
+        obj: the object.
+        params: its cells' masses and frictions.
+        steps: record of the T simulated steps.
+        dts: (T,) lengths of the steps, which are inertial, s.
+        rows: (R,) the poses that are differentiated, 0 to T.
+        physics: of the simulation.
+
+    Returns:
+        The derivatives, whose blocks `mass` and `friction` are filled. The others are zero, and so
+        is the row of pose 0, which no step led to.
     """
     spin = physics.used_spin
     t = np.maximum(rows - 1, 0)
     dt = dts[t]
     arm = calc_spin_arm(obj, params)
+
+    # A step that stopped the body has no derivative.
     before, turn = _twists_before(obj, params, steps, t, physics.ahead * dt)
     after = steps.twists[t]
     turns = obj.radius_of_gyration * np.abs(after[:, 2]) > REST
     moves = turns | (np.hypot(after[:, 0], after[:, 1]) > REST)
     until = np.where((rows > 0) & moves, dt, 0.0)
+
+    # M_B^-1, or its projection where separate spin friction holds the rotation; times -dt, and
+    # turned into W.
     X_B = np.linalg.inv(_calc_inertia(obj, params))
     held = X_B - np.outer(X_B[:, 2], X_B[2]) / X_B[2, 2]
     sticks = ~turns & (spin == "separate")
-    response = -until[:, None, None] * _rotations(turn) @ np.where(sticks[:, None, None], held, X_B)
+    inverse_inertia = np.where(sticks[:, None, None], held, X_B)
+    response = -until[:, None, None] * _rotations(turn) @ inverse_inertia
     mass = np.empty((len(rows), 3, obj.n))
     friction = np.empty((len(rows), 3, obj.n))
     fill_paper_gradient(
-        np.array(obj.p_BC.T, order="C"),
-        np.array(params.mass),
-        np.array(params.friction),
-        obj.cell_size**2 / 6,
-        arm**2 if spin == "coupled" else 0.0,
-        arm if spin == "separate" else 0.0,
-        before,
-        after,
-        physics.gravity * dt,
-        response,
-        mass,
-        friction,
+        cells=np.array(obj.p_BC.T, order="C"),
+        mass=np.array(params.mass),
+        friction=np.array(params.friction),
+        inertia=obj.cell_size**2 / 6,
+        kappa2=arm**2 if spin == "coupled" else 0.0,
+        spin_arm=arm if spin == "separate" else 0.0,
+        before=before,
+        after=after,
+        impulse=physics.gravity * dt,
+        response=response,
+        dm=mass,
+        dmu=friction,
     )
     zeros = np.zeros((len(rows), 3))
     return Jacobian(
@@ -180,36 +195,47 @@ def fill_paper_gradient(
 def _twists_before(
     obj: GridObject, params: CellParameters, steps: Steps, t: IntArray, until: Array
 ) -> tuple[Array, Array]:
-    """(R, 3) the twists before the steps t, in their frames, and (R,) the frames' angles in W, rad.
+    """Calculates the twists before some steps, in the frames of the steps.
 
-    The frame is the body's, turned about its center of mass for the time `until` (s) at the yaw
-    rate before the step.
+    A step's frame is the body's, turned about its center of mass at the yaw rate before the step.
+
+    Args:
+        obj: the object.
+        params: its cells' masses and frictions.
+        steps: record of the steps.
+        t: (R,) the steps.
+        until: (R,) for how long each frame is turned, s.
+
+    Returns:
+        The twists (R, 3), and the frames' angles in W (R,), rad.
     """
     cx, cy = params.center_of_mass(obj)
     theta = steps.poses[t, 2]
     w = steps.velocities[t, 2]
     turn = theta + until * w
+    # The center of mass goes on straight; its velocity is that of B's origin plus w z × r.
     c = np.cos(theta)
     s = np.sin(theta)
     com_vx = steps.velocities[t, 0] - w * (s * cx + c * cy)
     com_vy = steps.velocities[t, 1] + w * (c * cx - s * cy)
+    # In the turned frame, and back to B's origin.
     c = np.cos(turn)
     s = np.sin(turn)
-    return np.stack(
-        [c * com_vx + s * com_vy + w * cy, -s * com_vx + c * com_vy - w * cx, w], axis=1
-    ), turn
+    ux = c * com_vx + s * com_vy + w * cy
+    uy = -s * com_vx + c * com_vy - w * cx
+    return np.stack([ux, uy, w], axis=1), turn
 
 
 def _calc_inertia(obj: GridObject, params: CellParameters) -> Array:
-    """M_B (3, 3) about B's origin, body frame: kg, kg m, kg m²."""
+    """Calculates M_B (3, 3) about B's origin, body frame: kg, kg m, kg m²."""
     m = params.total_mass
-    (cx, cy) = params.center_of_mass(obj)
+    cx, cy = params.center_of_mass(obj)
     about_origin = params.inertia(obj) + m * (cx**2 + cy**2)
     return np.array([[m, 0.0, -m * cy], [0.0, m, m * cx], [-m * cy, m * cx, about_origin]])
 
 
 def _rotations(angles: Array) -> Array:
-    """(R, 3, 3) from the body's axes to those of W, for twists."""
+    """Makes the matrices (R, 3, 3) that turn twists by angles (R,), rad."""
     R = np.zeros((len(angles), 3, 3))
     R[:, :2, :2] = make_rotation(angles)
     R[:, 2, 2] = 1.0
