@@ -12,7 +12,11 @@ class GridPushError(Exception):
 
 
 class MissingExtraError(GridPushError):
-    """A package is not installed that only some uses need; the message names the extra that installs it."""
+    """A package is not installed that only some uses need; the message names its extra."""
+
+
+class NumbaError(GridPushError):
+    """The installed version of Numba is built differently from those that the kernels know."""
 
 
 class ObjectError(GridPushError):
@@ -20,7 +24,10 @@ class ObjectError(GridPushError):
 
 
 class ObjectWarning(UserWarning):
-    """A mask or an outline may be right, but hardly is: inverted, or of a photograph that its depth contradicts."""
+    """A mask or an outline may be right, but hardly is.
+
+    The mask is inverted, say, or it is of a photograph that its depth image contradicts.
+    """
 
 
 class ParameterError(GridPushError):
@@ -81,7 +88,7 @@ class CameraError(PerceptionError):
 
 
 class ImageError(PerceptionError):
-    """An image, a depth image or a video cannot be read, or has another size or unit than the camera's."""
+    """An image, a depth image or a video cannot be read, or has not the camera's size or unit."""
 
 
 class NoTableError(PerceptionError):
@@ -109,14 +116,24 @@ class OutputError(GridPushError):
 
 
 MAX_NUMBER = 1e12
-"""Magnitude beyond which a number is none that was measured, in SI units; what is larger overflows
-in calculations."""
+"""Magnitude beyond which a number is none that was measured, in SI units. Larger ones overflow in
+calculations."""
 
 
 def require_positive(
     kind: type[GridPushError], where: str = "", unit: str = "", **values: float
 ) -> None:
-    """Raises `kind` for the first of some values, by name, that is not a positive number, at most MAX_NUMBER."""
+    """Refuses values that are not positive numbers, at most `MAX_NUMBER`.
+
+    Args:
+        kind: the error to raise.
+        where: head of the message, such as a file's name.
+        unit: the values' unit, for the message.
+        values: the values by name; the first one that is refused is named.
+
+    Raises:
+        GridPushError: of the given kind.
+    """
     for name, value in values.items():
         if not 0 < value <= MAX_NUMBER:
             form = f"a positive number, at most {MAX_NUMBER:g}{unit and f' ({unit})'}"

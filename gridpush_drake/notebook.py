@@ -24,8 +24,8 @@ MARGIN = 0.04
 """Room around a drawing, as a share of its longer side."""
 
 COLORS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-"""Colors from the least to the greatest value, red, green and blue from 0 to 255; between them it is
-interpolated. Their lightness grows evenly, so that they can be told apart in gray, too."""
+"""Colors from the least to the greatest value, red, green and blue from 0 to 255; between them it
+is interpolated. Their lightness grows evenly, so that they can be told apart in gray, too."""
 
 NO_VALUE = (222, 225, 230)
 """Color of a cell without a value."""

@@ -66,7 +66,8 @@ MIN_PART = 0.08
 """Smallest share of the cells that a part may have."""
 
 ALIKE = 0.8
-"""Two cuts whose h are correlated by more than this are alike, and only the better one is fitted."""
+"""Two cuts whose h are correlated by more than this are alike, and only the better one is
+fitted."""
 
 
 @dataclass(frozen=True, eq=False)

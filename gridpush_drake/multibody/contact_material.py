@@ -37,13 +37,22 @@ PARTNER_FRICTION = 1.0
 """Coefficient of a stiff partner."""
 
 PARTNER_STIFFNESS = 1e12
-"""N/m, of a stiff partner: next to it every sphere's stiffness is its contact's to 1e-6."""
+"""Stiffness of a stiff partner, N/m. Next to it every sphere's stiffness is its contact's, to
+1e-6."""
 
 
 def calc_own_friction(friction: float, name: str = "friction") -> float:
-    """The coefficient that gives a contact with a stiff partner the wanted friction: mu / (2 - mu), 0 <= mu < 2.
+    """Calculates the coefficient that gives a contact with a stiff partner the wanted friction.
 
-    Raises ParameterError: no coefficient gives that much; the message calls it `name`.
+    Args:
+        friction: the contact's friction mu, at least 0 and less than 2.
+        name: what the friction is called in a message.
+
+    Returns:
+        mu / (2 - mu).
+
+    Raises:
+        ParameterError: no coefficient gives that much friction.
     """
     limit = 2 * PARTNER_FRICTION
     if not 0 <= friction < limit:
@@ -56,7 +65,13 @@ def calc_own_friction(friction: float, name: str = "friction") -> float:
 def MakeContactProperties(
     friction: float, stiffness: float, dissipation: float = 0.0
 ) -> ProximityProperties:
-    """Makes the properties of a surface: friction, static and dynamic, stiffness, N/m, and dissipation, s/m."""
+    """Makes the properties of a surface.
+
+    Args:
+        friction: coefficient of static and of dynamic friction.
+        stiffness: stiffness of a point contact, N/m.
+        dissipation: dissipation by Hunt and Crossley, s/m.
+    """
     properties = ProximityProperties()
     properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
     properties.AddProperty("material", "point_contact_stiffness", float(stiffness))
@@ -72,10 +87,13 @@ def MakePartnerProperties() -> ProximityProperties:
 def SetPartner(
     plant: MultibodyPlant, scene_graph: SceneGraph, geometries: Iterable[GeometryId]
 ) -> None:
-    """Makes stiff partners of a plant's collision geometries, before a Context is made: the table's, the tip's."""
+    """Makes stiff partners of collision geometries: those of the table, and of the tip.
+
+    It is to be called before a Context is made.
+    """
     source = plant.get_source_id()
     for geometry in geometries:
-        # keep what else is known of the surface, such as its hydroelastic properties
+        # What else is known of the surface is kept, such as its hydroelastic properties.
         properties = ProximityProperties(
             scene_graph.model_inspector().GetProximityProperties(geometry)
         )
@@ -89,14 +107,14 @@ TABLE = "table"
 """Name of the table's model instance."""
 
 TOP_TOLERANCE = 1e-6
-"""M, about the plane z = 0; and of the table's normal, as a sine."""
+"""Largest distance of a table's top from the plane z = 0, m, and largest sine of its tilt."""
 
 QUADRANT_SEGMENTS = 256
-"""Of the polygon within a round table's edge, a quarter turn; it lies within 2 um of a edge of 0.5
-m."""
+"""Number of corners, in a quarter turn, of the polygon within a round table's edge. It lies within
+2 um of an edge of 0.5 m radius."""
 
 SEAM = 1e-9
-"""M: outlines are rounded to it, so that pieces of a table that meet leave no gap."""
+"""Grid to which outlines are rounded, m, so that pieces of a table that meet leave no gap."""
 
 
 def FindTableTops(
@@ -132,13 +150,14 @@ def FindTableTops(
 
 
 def FindTableOutline(plant: MultibodyPlant, inspector: SceneGraphInspector) -> BaseGeometry:
-    """Finds where on the table's top things may lie: the union of `FindTableTops`, a polygon in W, m."""
+    """Finds where on the table's top things may lie: the union of `FindTableTops`, in W, m."""
     return shapely.union_all(list(FindTableTops(plant, inspector).values()), grid_size=SEAM)
 
 
 def _outline_of(shape: Box | Cylinder | object, X_WG: RigidTransform) -> BaseGeometry | None:
-    """In W; None where the shape does not end level at z = 0."""
-    R, p = X_WG.rotation().matrix(), X_WG.translation()
+    """Finds a shape's outline in W, m; None where the shape does not end level at z = 0."""
+    R = X_WG.rotation().matrix()
+    p = X_WG.translation()
     if np.hypot(R[0, 2], R[1, 2]) > TOP_TOLERANCE or not isinstance(shape, Box | Cylinder):
         return None
     half = (shape.height() if isinstance(shape, Box) else shape.length()) / 2
@@ -146,8 +165,6 @@ def _outline_of(shape: Box | Cylinder | object, X_WG: RigidTransform) -> BaseGeo
         return None
     if isinstance(shape, Cylinder):
         return shapely.Point(p[:2]).buffer(shape.radius(), quad_segs=QUADRANT_SEGMENTS)
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (
-        shape.width() / 2,
-        shape.depth() / 2,
-    )
+    half_sides = (shape.width() / 2, shape.depth() / 2)
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half_sides
     return shapely.Polygon(corners @ R[:2, :2].T + p[:2])

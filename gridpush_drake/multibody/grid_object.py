@@ -73,46 +73,62 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 SPHERE_RADIUS = 0.002
-"""M; more than the spheres are ever pressed in."""
+"""Radius of a contact sphere, m; more than the spheres are ever pressed in."""
 
 SpheresPerCell = Literal[1, 4]
 
 
 @dataclass(frozen=True, eq=False)
 class ContactSphereLayout:
-    """Where the spheres are."""
+    """Where an object's contact spheres are.
 
-    p_BS: Array  # (f, 2) where they touch the table, body frame, m
-    cell: IntArray  # (f,) the cell that each belongs to
-    spheres_per_cell: SpheresPerCell  # 1: at the cells' centers; 4: at their corners
+    Attributes:
+        p_BS: (f, 2) where the spheres touch the table, body frame, m.
+        cell: (f,) the cell that each of them belongs to.
+        spheres_per_cell: 1 for spheres at the cells' centers, 4 for spheres at their corners.
+    """
+
+    p_BS: Array
+    cell: IntArray
+    spheres_per_cell: SpheresPerCell
 
     @classmethod
     def for_object(
         cls, obj: GridObject, spheres_per_cell: SpheresPerCell = 1
     ) -> "ContactSphereLayout":
-        """Lays out the spheres of an object, cell by cell: 1 a cell, or 4 to support it out to its edge.
+        """Lays out the spheres of an object, cell by cell.
 
-        Raises ParameterError: `spheres_per_cell` is neither.
+        Args:
+            obj: the object.
+            spheres_per_cell: 1, or 4 to support the object out to its edge.
+
+        Raises:
+            ParameterError: `spheres_per_cell` is neither.
         """
         if spheres_per_cell == 1:
             return cls(obj.p_BC, np.arange(obj.n), 1)
         if spheres_per_cell != 4:
             raise ParameterError(f"spheres_per_cell is {spheres_per_cell!r}; expected 1 or 4")
         corners = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        return cls((obj.p_BC[:, None] + corners).reshape(-1, 2), np.repeat(np.arange(obj.n), 4), 4)
+        p_BS = (obj.p_BC[:, None] + corners).reshape(-1, 2)
+        return cls(p_BS=p_BS, cell=np.repeat(np.arange(obj.n), 4), spheres_per_cell=4)
 
     def make_properties(
         self, params: CellParameters, delta: float, gravity: float, support: Array | None = None
     ) -> list[ProximityProperties]:
-        """Makes the spheres' contact properties, pressed in by `delta`, m.
+        """Makes the spheres' contact properties.
 
         Args:
+            params: the cells' masses and frictions.
+            delta: how far the spheres are pressed in at rest, m.
+            gravity: m/s².
             support: (n,) what each cell's spheres bear where they are pressed in so far, kg; its
                 own mass by default.
 
         Raises:
             ParameterError: a friction is 2 or more, which Drake's combination cannot give.
         """
+        # k_i = m_i g / delta, shared by the spheres of a cell
         borne = params.mass if support is None else support
         stiffness = borne * gravity / (delta * self.spheres_per_cell)
         friction = [
@@ -123,32 +139,42 @@ class ContactSphereLayout:
 
 
 MAX_DEPTH = 0.01
-"""M, of the boxes behind the edges."""
+"""Largest depth of a box behind an edge of the outline, m."""
 
 HALVINGS = 12
-"""How often a box behind an edge is made half as deep for want of room."""
+"""Largest number of times that a box behind an edge is made half as deep for want of room."""
 
 PROTRUSION = 1e-6
-"""M by which boxes may stand out of the outline, next to a sharp corner."""
+"""Distance by which boxes may stand out of the outline next to a sharp corner, m."""
 
 STRIPS = 24
-"""Rows of boxes that fill the inside."""
+"""Number of rows of boxes that fill the inside."""
 
 CLEARANCE = 5e-4
-"""M from the outline to the boxes that fill the inside; deeper than a finger ever presses in."""
+"""Distance from the outline to the boxes that fill the inside, m; deeper than a finger presses
+in."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlanarBox:
-    """A rectangle in the body frame."""
+    """A rectangle in the body frame.
 
-    center: Array  # (2,) m
-    angle: float  # of its length from the x axis, rad
-    size: tuple[float, float]  # (length, width), m
+    Attributes:
+        center: (2,) its center, m.
+        angle: angle of its length from the x axis, rad.
+        size: length and width, m.
+    """
+
+    center: Array
+    angle: float
+    size: tuple[float, float]
 
 
 def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:
-    """Makes a box behind every edge of the outline, exterior first, its outer face being the edge."""
+    """Makes a box behind every edge of the outline, those of the exterior first.
+
+    The box's outer face is the edge, and it is as deep as the object lets it be.
+    """
     room = obj.outline.buffer(PROTRUSION)
     prepare(room)
     boxes = []
@@ -162,7 +188,8 @@ def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:
                 break
             depth /= 2
         center = (start + end) / 2 + depth / 2 * inward
-        boxes.append(PlanarBox(center, float(np.arctan2(along[1], along[0])), (length, depth)))
+        angle = float(np.arctan2(along[1], along[0]))
+        boxes.append(PlanarBox(center=center, angle=angle, size=(length, depth)))
     return boxes
 
 
@@ -175,22 +202,16 @@ def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
     boxes = []
     for low, high in pairwise(np.linspace(bottom, top, STRIPS + 1)):
         outside = box(left, low, right, high).difference(room)
-        # the row is free where nothing outside is seen along y
-        seen = sorted(
-            (part.bounds[0], part.bounds[2])
-            for part in getattr(outside, "geoms", [outside])
-            if part.area
-        )
+        # The row is free where nothing outside is seen along y: between the ranges of x that the
+        # pieces outside cover.
+        pieces = [piece for piece in getattr(outside, "geoms", [outside]) if piece.area]
+        seen = sorted((piece.bounds[0], piece.bounds[2]) for piece in pieces)
         reached = left
         for start, end in [*seen, (right, right)]:
             if start - reached > CLEARANCE:
-                boxes.append(
-                    PlanarBox(
-                        np.array([reached + start, low + high]) / 2,
-                        0.0,
-                        (start - reached, high - low),
-                    )
-                )
+                center = np.array([reached + start, low + high]) / 2
+                size = (start - reached, high - low)
+                boxes.append(PlanarBox(center=center, angle=0.0, size=size))
             reached = max(reached, end)
     return boxes
 
@@ -198,21 +219,22 @@ def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
 Base = Literal["planar", "free"]
 
 DEFAULT_HEIGHT = 0.03
-"""M."""
+"""Height of an object whose file does not tell it, m."""
 
 DEFAULT_DELTA = {"planar": 1e-3, "free": 1e-6}
-"""m the spheres are pressed in; a free body on softer spheres tips falsely."""
+"""How far the spheres are pressed in at rest, m. A free body on softer spheres tips falsely."""
 
 SIDE_STIFFNESS = 3e5
-"""N/m, of the outline: a push of 3 N presses the finger in by 0.01 mm. Friction of Drake's lagged
-contact follows the normal force of the step before: on a stiffer outline that force jumps from step
-to step, and the finger slips."""
+"""Stiffness of the outline, N/m: a push of 3 N presses the finger in by 0.01 mm. Friction of
+Drake's lagged contact follows the normal force of the step before. On a stiffer outline that force
+jumps from step to step, and the finger slips."""
 
 SIDE_DISSIPATION = 100.0
-"""S/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing."""
+"""Dissipation of the outline's contacts by Hunt and Crossley, s/m. It keeps the finger from
+bouncing."""
 
 DEFAULT_COLOR = (0.55, 0.62, 0.7, 1.0)
-"""Red, green, blue and opacity."""
+"""Color of an object: red, green, blue and opacity, 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,17 +244,17 @@ class GridObjectInPlant:
     Attributes:
         obj: the object.
         base: "planar" or "free".
-        model_instance: its own.
+        model_instance: the object's own model instance.
         plant: the plant.
-        body_index: of the rigid body, with frame B.
-        joint_index: of the planar joint; None for a free base.
-        contact_spheres: geometries, in the order of `layout`.
+        body_index: index of the rigid body, with frame B.
+        joint_index: index of the planar joint; None for a free base.
+        contact_spheres: geometries of the spheres, in the order of `layout`.
         sides: geometries along and within the outline.
         visuals: illustration geometries.
         layout: where the spheres are.
-        height: m.
-        delta: m the spheres are pressed in at rest.
-        side_stiffness: N/m.
+        height: height of the object, m.
+        delta: how far the spheres are pressed in at rest, m.
+        side_stiffness: stiffness of the outline's contacts, N/m.
     """
 
     obj: GridObject
@@ -251,7 +273,10 @@ class GridObjectInPlant:
 
     @property
     def body(self) -> RigidBody:
-        """The rigid body. It is not kept: it holds its plant where the garbage collector does not see it."""
+        """The rigid body.
+
+        It is not kept, for it holds its plant where the garbage collector does not see it.
+        """
         return self.plant.get_body(self.body_index)
 
     @property
@@ -285,22 +310,29 @@ def AddGridObject(
     afterwards, call `ApplyGridObjectFilters` again.
 
     Args:
-        plant: discrete; its gravity field is the one that the spheres are made for.
-        base: how it is held, see above.
+        plant: a discrete plant; its gravity field is the one that the spheres are made for.
+        scene_graph: the plant's.
+        obj: the object.
+        params: its cells' masses and frictions.
+        base: how it is held, "planar" or "free"; see the head of this module.
         table: collision geometries that the spheres stand on; top at z = 0.
-        height: of the object, m.
-        name: of model instance and body, no other model's; the object's by default.
-        delta: m the spheres are pressed in; by default 1e-3 for "planar", 1e-6 for "free".
+        height: height of the object, m.
+        name: name of model instance and body, which no other model has; the object's by default.
+        delta: how far the spheres are pressed in at rest, m; by default 1e-3 for "planar", 1e-6 for
+            "free".
         spheres_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its
             edge. Over a table's edge it tips up to one cell early, either way.
         support: (n,) how stiff the cells' spheres are: what they bear where they are pressed in by
             delta, kg (see `ground_truth.calc_support`). By default each cell's mass, and so each
             bears its own weight.
-        side_stiffness: of the outline's contacts, N/m.
+        side_stiffness: stiffness of the outline's contacts, N/m.
         visual: whether it has illustration geometry.
-        color: red, green, blue and opacity of that.
+        color: red, green, blue and opacity of that geometry.
         touches: whether it touches anything. One that is only looked at needs no contact geometry,
             and no table.
+
+    Returns:
+        The object's parts in the plant.
 
     Raises:
         ObjectError: `base` is neither, a size is not positive, there is no table, or a model of
@@ -325,13 +357,29 @@ def AddGridObject(
     model_instance = plant.AddModelInstance(name)
     body = plant.AddRigidBody(name, model_instance, MakeSpatialInertia(obj, params, height))
     joint = _hold(plant, body, base, delta)
+    spheres: tuple[GeometryId, ...] = ()
+    sides: tuple[GeometryId, ...] = ()
+    visuals: tuple[GeometryId, ...] = ()
+    if touches:
+        spheres = _add_spheres(plant, body, layout, params, delta, support)
+        sides = _add_sides(plant, body, obj, params, height, side_stiffness)
+    if visual:
+        visuals = _add_visual(plant, scene_graph, body, obj, height, color)
     handle = GridObjectInPlant(
-        obj, base, model_instance, plant, body.index(), joint and joint.index(),
-        _add_spheres(plant, body, layout, params, delta, support) if touches else (),
-        _add_sides(plant, body, obj, params, height, side_stiffness) if touches else (),
-        _add_visual(plant, scene_graph, body, obj, height, color) if visual else (),
-        layout, height, delta, side_stiffness,
-    )  # fmt: skip
+        obj=obj,
+        base=base,
+        model_instance=model_instance,
+        plant=plant,
+        body_index=body.index(),
+        joint_index=joint and joint.index(),
+        contact_spheres=spheres,
+        sides=sides,
+        visuals=visuals,
+        layout=layout,
+        height=height,
+        delta=delta,
+        side_stiffness=side_stiffness,
+    )
     if touches:
         ApplyGridObjectFilters(plant, scene_graph, handle, table)
     return handle
@@ -340,10 +388,19 @@ def AddGridObject(
 def MakeSpatialInertia(
     obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT
 ) -> SpatialInertia:
-    """Sums up the cells' inertia, each a homogeneous square prism: M_BBo_B, about B's origin, at the object's bottom.
+    """Sums up the cells' inertia, each cell a homogeneous square prism.
 
-    Raises ParameterError: the parameters are of another number of cells, or Drake finds the masses
-    unphysical.
+    Args:
+        obj: the object.
+        params: its cells' masses.
+        height: its height, m.
+
+    Returns:
+        M_BBo_B, about B's origin at the object's bottom.
+
+    Raises:
+        ParameterError: the parameters are of another number of cells, or Drake finds the masses
+            unphysical.
     """
     params.center_of_mass(obj)  # says so where the numbers of cells differ
     total = SpatialInertia.Zero()
@@ -362,20 +419,19 @@ def refuse_unphysical(obj: GridObject, params: CellParameters) -> Iterator[None]
     except RuntimeError as error:
         raise ParameterError(
             f"{obj.name}: mass or height: cells of {params.mass.min():g} to {params.mass.max():g} "
-            "kg, "
-            f"{obj.cell_size:g} m wide, make no inertia that Drake takes for physical; expected "
-            "other sizes"
+            f"kg, {obj.cell_size:g} m wide, make no inertia that Drake takes for physical; "
+            "expected other sizes"
         ) from error
 
 
 def MakeSideProperties(params: CellParameters, stiffness: float) -> ProximityProperties:
-    """Makes the contact properties of an object's sides; as `contact_material.MakeContactProperties`."""
+    """Makes the contact properties of an object's sides, of a stiffness, N/m."""
     friction = calc_own_friction(params.contact_friction, "contact_friction")
     return MakeContactProperties(friction, stiffness, SIDE_DISSIPATION)
 
 
 def calc_gravity(plant: MultibodyPlant) -> float:
-    """The magnitude of a plant's gravity, m/s²; it points down."""
+    """Calculates the magnitude of a plant's gravity, m/s²; it points down."""
     return float(np.linalg.norm(plant.gravity_field().gravity_vector()))
 
 
@@ -385,13 +441,16 @@ def ApplyGridObjectFilters(
     handle: GridObjectInPlant,
     table: Iterable[GeometryId],
 ) -> None:
-    """Lets the spheres touch the table alone, the sides everything but the table, of what is in the plant by now."""
+    """Lets an object's spheres touch the table alone, and its sides everything but the table.
+
+    That is of what is in the plant by now; see `AddGridObject`.
+    """
     table = list(table)
     inspector = scene_graph.model_inspector()
-    others = set(
-        inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kProximity)
-    ) - set(table)
-    spheres, sides = GeometrySet(list(handle.contact_spheres)), GeometrySet(list(handle.sides))
+    everything = GeometrySet(inspector.GetAllGeometryIds())
+    others = set(inspector.GetGeometryIds(everything, Role.kProximity)) - set(table)
+    spheres = GeometrySet(list(handle.contact_spheres))
+    sides = GeometrySet(list(handle.sides))
     declaration = CollisionFilterDeclaration(CollisionFilterScope.kAll)
     declaration.ExcludeBetween(spheres, GeometrySet(list(others)))
     declaration.ExcludeBetween(sides, GeometrySet(table))
@@ -399,6 +458,7 @@ def ApplyGridObjectFilters(
 
 
 def _hold(plant: MultibodyPlant, body: RigidBody, base: Base, delta: float) -> PlanarJoint | None:
+    """Holds the body so that its spheres are pressed in: by a joint, or by its initial pose."""
     X_WB = RigidTransform([0.0, 0.0, -delta])
     if base == "free":
         plant.SetDefaultFloatingBaseBodyPose(body, X_WB)
@@ -412,9 +472,14 @@ def _hold(plant: MultibodyPlant, body: RigidBody, base: Base, delta: float) -> P
 
 
 def _add_spheres(
-    plant: MultibodyPlant, body: RigidBody, layout: ContactSphereLayout, params: CellParameters, delta: float,
+    plant: MultibodyPlant,
+    body: RigidBody,
+    layout: ContactSphereLayout,
+    params: CellParameters,
+    delta: float,
     support: ArrayLike | None,
-) -> tuple[GeometryId, ...]:  # fmt: skip
+) -> tuple[GeometryId, ...]:
+    """Adds the contact spheres below the cells."""
     borne = None if support is None else np.asarray(support, dtype=np.float64)
     properties = layout.make_properties(params, delta, calc_gravity(plant), borne)
     shape = Sphere(SPHERE_RADIUS)
@@ -434,6 +499,7 @@ def _add_sides(
     height: float,
     stiffness: float,
 ) -> tuple[GeometryId, ...]:
+    """Adds the boxes along and within the outline."""
     properties = MakeSideProperties(params, stiffness)
 
     def add(name: str, flat: PlanarBox) -> GeometryId:
@@ -443,13 +509,19 @@ def _add_sides(
         )
 
     edges = [add(f"edge_{i}", flat) for i, flat in enumerate(make_edge_boxes(obj))]
-    return (*edges, *(add(f"inside_{i}", flat) for i, flat in enumerate(make_inner_boxes(obj))))
+    inside = [add(f"inside_{i}", flat) for i, flat in enumerate(make_inner_boxes(obj))]
+    return (*edges, *inside)
 
 
 def _add_visual(
-    plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody, obj: GridObject, height: float,
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    body: RigidBody,
+    obj: GridObject,
+    height: float,
     color: Sequence[float],
-) -> tuple[GeometryId, ...]:  # fmt: skip
+) -> tuple[GeometryId, ...]:
+    """Adds the prism of the outline that is seen; cameras do not see it."""
     file = MemoryFile(make_outline_mesh(obj.outline, height), ".obj", f"{obj.name}.obj")
     geometry = plant.RegisterVisualGeometry(
         body,

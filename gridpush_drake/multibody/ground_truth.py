@@ -29,15 +29,17 @@ from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 Range = tuple[float, float]
 
 CELL_MASS_RANGE = (0.1, 1.0)
-"""Smallest and greatest mass of a cell before all are scaled to the object's total mass; one draw a
-part."""
+"""Smallest and largest mass of a cell, kg, before all are scaled to the object's total mass. One
+draw is made for each part."""
 
 FRICTION_RANGE = (0.2, 0.6)
-CONTACT_FRICTION_RANGE = (0.35, 0.65)
+"""Smallest and largest friction coefficient of the cells against the support."""
 
+CONTACT_FRICTION_RANGE = (0.35, 0.65)
+"""Smallest and largest friction coefficient of the pusher against the object."""
 
 MIN_TILT = 0.05
-"""Least factor of a mass that is tilted, see `resample_parameters`."""
+"""Smallest factor of a mass that is tilted, see `resample_parameters`."""
 
 
 def sample_ground_truth(
@@ -49,16 +51,23 @@ def sample_ground_truth(
     contact_friction_range: Range = CONTACT_FRICTION_RANGE,
     friction_by_part: bool = False,
 ) -> CellParameters:
-    """Draws what the parts weigh and how they rub; the total mass is the object's, or DEFAULT_TOTAL_MASS.
+    """Draws what the parts weigh and how they rub.
+
+    The total mass is the object's, or `DEFAULT_TOTAL_MASS`.
 
     Args:
-        cell_mass_range: of a cell's mass before all are scaled to the total, kg; log-uniform, one
-            draw a part.
-        friction_range: of the coefficient against the support.
-        contact_friction_range: of the coefficient against the pusher.
+        obj: the object.
+        seed: seed of the draws.
+        cell_mass_range: smallest and largest mass of a cell before all are scaled to the total, kg;
+            one draw for each part, uniform in the logarithm.
+        friction_range: smallest and largest coefficient against the support.
+        contact_friction_range: smallest and largest coefficient against the pusher.
         friction_by_part: whether every part has a friction of its own. Slow pushes cannot tell mass
             and friction apart, and the center of mass can only be learned where they do not vary
             both.
+
+    Returns:
+        Masses and frictions of all cells.
     """
     drawn = CellParameters.random(
         obj, seed, cell_mass_range, friction_range if friction_by_part else None
@@ -73,20 +82,30 @@ def sample_ground_truth(
 def resample_parameters(
     obj: GridObject, params: CellParameters, other: GridObject
 ) -> CellParameters:
-    """The parameters of an object's cells on another grid of it, in the same frame, such as one that a camera saw.
+    """Carries parameters over to another grid of the same object, such as one that a camera saw.
 
-    Each cell takes mass by area and friction from the nearest one; then masses are tilted, linearly
-    over the object, so that total mass and center of mass are kept. `params` themselves where it is
-    the same object.
+    Each cell takes mass by area and friction from the nearest one. Then masses are tilted, linearly
+    over the object, so that total mass and center of mass are kept.
+
+    Args:
+        obj: the object.
+        params: its cells' masses and frictions.
+        other: the same object on another grid, in the same frame.
+
+    Returns:
+        Parameters of the other grid's cells; `params` themselves where it is the same object.
     """
     if other is obj:
         return params
     nearest = cKDTree(obj.p_BC).query(other.p_BC)[1]
-    mass, center = params.mass[nearest], params.center_of_mass(obj)
+    center = params.center_of_mass(obj)
+    mass = params.mass[nearest]
     mass = mass * (params.mass.sum() / mass.sum())
+    # The factor a + b . (p - c) that keeps the sums of m and of m (p - c)
     off = other.p_BC - center
     moments = np.column_stack([np.ones(other.n), off])
-    tilt = np.linalg.solve(moments.T @ (mass[:, None] * moments), [params.mass.sum(), 0.0, 0.0])
+    wanted = [params.mass.sum(), 0.0, 0.0]
+    tilt = np.linalg.solve(moments.T @ (mass[:, None] * moments), wanted)
     tilted = mass * np.maximum(moments @ tilt, MIN_TILT)
     return CellParameters(tilted, params.friction[nearest], params.contact_friction)
 
@@ -96,25 +115,32 @@ Support = Literal["own_weight", "foundation", "three_feet"]
 three feet."""
 
 FEET_SLACK = 0.002
-"""M that the center of mass lies within three feet's triangle, beside what a push takes away."""
+"""Distance of the center of mass from the sides of three feet's triangle, m, beside that by which a
+push moves the load."""
 
 SOFT = 1e-3
 """Stiffness of the bottom beside three feet, relative to an even one: it bears where a foot is over
 the edge."""
 
 TRIES = 20_000
+"""Largest number of draws of three feet."""
 
 
 def calc_support(
     obj: GridObject, params: CellParameters, support: Support, seed: int, push_height: float
 ) -> Array | None:
-    """Says how stiff a body's feet are, one below each cell; None for own weight.
+    """Says how stiff a body's feet are, one below each cell.
 
-    Three feet, drawn by a seed, stand so far apart that a pusher at `push_height`, m, does not tip
-    the body.
+    Args:
+        obj: the object.
+        params: its cells' masses and frictions.
+        support: how it stands.
+        seed: seed by which three feet are drawn.
+        push_height: height of a pusher that must not tip the body from three feet, m.
 
     Returns:
-        (n,) what each foot bears where all are pressed in as far as by the body's weight, kg.
+        (n,) what each foot bears where all are pressed in as far as by the body's weight, kg; None
+        where each cell bears its own weight.
 
     Raises:
         ObjectError: no three feet are found.
@@ -126,16 +152,28 @@ def calc_support(
         return np.full(obj.n, even)
     stiffness = np.full(obj.n, SOFT * even)
     margin = float(params.friction.max()) * push_height + FEET_SLACK
-    stiffness[draw_feet(obj, params, margin, np.random.default_rng((seed, 2)))] = (
-        params.total_mass / 3
-    )
+    feet = draw_feet(obj, params, margin, np.random.default_rng((seed, 2)))
+    stiffness[feet] = params.total_mass / 3
     return stiffness
 
 
 def draw_feet(
     obj: GridObject, params: CellParameters, margin: float, rng: np.random.Generator
 ) -> IntArray:
-    """Draws (3,) cells whose triangle holds the center of mass, `margin`, m, within its sides; else ObjectError."""
+    """Draws three cells whose triangle holds the center of mass.
+
+    Args:
+        obj: the object.
+        params: its cells' masses.
+        margin: least distance of the center of mass from the triangle's sides, m.
+        rng: the generator that draws.
+
+    Returns:
+        (3,) the cells.
+
+    Raises:
+        ObjectError: none are found.
+    """
     center = shapely.Point(params.center_of_mass(obj))
     for _ in range(TRIES):
         cells = rng.choice(obj.n, 3, replace=False)
@@ -148,7 +186,7 @@ def draw_feet(
 
 
 def describe_truth(obj: GridObject, truth: CellParameters) -> dict[str, Any]:
-    """The truth by part, for a file that people read."""
+    """Lists the truth by part, for a file that people read."""
     parts = []
     for label in np.unique(obj.labels).tolist():
         first = int(np.argmax(obj.labels == label))
@@ -174,7 +212,17 @@ def describe_truth(obj: GridObject, truth: CellParameters) -> dict[str, Any]:
 def SetGridObjectPose(
     plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant, pose: ArrayLike
 ) -> None:
-    """Puts an object down on the table, at rest, at q (3,) of B in W. Raises ObjectError: q is not three numbers."""
+    """Puts an object down on the table, at rest.
+
+    Args:
+        plant: the plant.
+        plant_context: its Context, which is changed.
+        handle: the object.
+        pose: (3,) q of B in W, m and rad.
+
+    Raises:
+        ObjectError: the pose is not three numbers.
+    """
     q = check_vector(ObjectError, "pose", pose, 3, "x, y, m, theta, rad")
     if handle.joint is not None:
         handle.joint.set_pose(plant_context, q[:2], q[2])
@@ -201,11 +249,10 @@ def SetGridObjectVelocity(
 def CalcPlanarPose(
     plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant
 ) -> Array:
-    """Calculates q = (x, y, theta) (3,) of B in W, m and rad; theta in (-pi, pi] for a free base."""
+    """Calculates q (3,) of B in W, m and rad; theta is in (-pi, pi] for a free base."""
     if handle.joint is not None:
-        return np.array(
-            [*handle.joint.get_translation(plant_context), handle.joint.get_rotation(plant_context)]
-        )
+        place = handle.joint.get_translation(plant_context)
+        return np.array([*place, handle.joint.get_rotation(plant_context)])
     X_WB = plant.EvalBodyPoseInWorld(plant_context, handle.body)
     R = X_WB.rotation().matrix()
     return np.array([*X_WB.translation()[:2], np.arctan2(R[1, 0], R[0, 0])])
@@ -219,12 +266,16 @@ def SetGridObjectParameters(
     params: CellParameters,
     support: ArrayLike | None = None,
 ) -> None:
-    """Changes the truth: inertia, what each sphere bears and how it rubs, the friction of the sides.
+    """Changes the truth: inertia, loads and friction of the spheres, friction of the sides.
 
     Args:
-        context: of the Diagram that holds both; `Simulator.reset_context` and
+        plant: the plant.
+        scene_graph: its SceneGraph.
+        context: Context of the Diagram that holds both; `Simulator.reset_context` and
             `Diagram.CreateDefaultContext` bring back the parameters that the object was added with.
-        support: (n,) as `AddGridObject`.
+        handle: the object.
+        params: the new truth.
+        support: (n,) how stiff the spheres are, kg, as in `AddGridObject`.
 
     Raises:
         ParameterError: the parameters are of another number of cells, or a friction is 2 or more.

@@ -1,4 +1,4 @@
-"""A grid object as a MuJoCo model (MJCF), in one file: a free rigid body on a table, a foot under every cell.
+"""A grid object as a MuJoCo model (MJCF), in one file: a free body with a foot under every cell.
 
 The body's feet are as stiff as their cells are heavy, so that it sinks evenly and each cell bears
 its own weight, the model's assumption. A finger touches a thin ring along the outline at the height
@@ -32,60 +32,81 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 TIME_STEP = 1e-3
-"""S."""
+"""Time step of the model, s."""
 
 FOOT_RADIUS = 0.002
-"""M, of the spheres that stand on the table."""
+"""Radius of the spheres that stand on the table, m."""
 
 WALL_RADIUS = 1e-4
-"""m, of the capsules along the outline, which the pusher touches; its own radius should be less by
-as much."""
+"""Radius of the capsules along the outline, which the pusher touches, m. The pusher's own radius
+should be less by as much."""
 
 SINKAGE = 2e-4
-"""M that a compliant bottom sinks under its weight."""
+"""How far a compliant bottom sinks under its weight, m."""
 
 DAMPING_RATIO = 0.3
-"""Of the body's motion up and down on its feet; explicit in time, so that rocking, which is faster,
-stays stable."""
+"""Damping ratio of the body's motion up and down on its feet. It is small, for it acts explicitly
+in time, and rocking, which is faster, must stay stable."""
 
 REGULARIZATION = 1e3
-"""R f of a foot, m/s²."""
+"""Term R f of a foot, m/s²; see the head of this module."""
 
 SLIP_DAMPING = 200.0
-"""B, 1/s."""
+"""Damping b of slip, 1/s; see the head of this module."""
 
-IMPRATIO, TOLERANCE = 1e5, 1e-12  # of the cone, and of MuJoCo's solver
+IMPRATIO = 1e5
+"""Ratio by which friction is stiffer than the normal force, MuJoCo's `impratio`."""
+
+TOLERANCE = 1e-12
+"""Tolerance of MuJoCo's solver."""
+
 MIN_IMPEDANCE = 1e-4
-"""MuJoCo's least."""
+"""Smallest impedance that MuJoCo takes."""
 
 TABLE_HALF = 5.0
-"""M, half a side of the table."""
+"""Half a side of the table, m."""
 
-WALL_IMPEDANCE, WALL_TIME = 0.99, 0.002
-"""Of the ring where a finger touches it: its impedance, and in how many seconds it gives back what
-it gave way."""
+WALL_IMPEDANCE = 0.99
+"""Impedance of the ring where a finger touches it."""
 
-NOTICE = """
-  A grid object on a table. Units: m, kg, rad. The object's frame has its origin at the bottom, z = 0.
+WALL_TIME = 0.002
+"""Time in which the ring comes back where it gave way, s."""
 
-  What is said: each cell's mass (cell_0, ...), each cell's friction against the table (the pairs), the pusher's
-  friction (wall_0, ..., whose priority puts it before the finger's own).
-  What MJCF cannot say: that a cell spins on its patch (a foot is a point). That a finger pushes at a given height: here
-  it touches the ring of walls at z = {height:g} alone, however long it is. How stiff feet are relative to each other is
-  made for this table's gravity and for feet that all stand on it: beyond an edge loads would shift otherwise.
-  The options belong to the model: elliptic cones and a large impratio keep feet from creeping.
-  Use: a finger is a vertical capsule or cylinder of a body of yours that reaches below z = {height:g}, its radius less
-  by {wall:g} m, kept from the table by an exclude of world and that body; move it slowly.
-"""
+NOTICE = (
+    "\n"
+    "  A grid object on a table. Units: m, kg, rad. The object's frame has its origin at "
+    "the bottom, z = 0.\n"
+    "\n"
+    "  What is said: each cell's mass (cell_0, ...), each cell's friction against the "
+    "table (the pairs), the pusher's\n"
+    "  friction (wall_0, ..., whose priority puts it before the finger's own).\n"
+    "  What MJCF cannot say: that a cell spins on its patch (a foot is a point). That a "
+    "finger pushes at a given height: here\n"
+    "  it touches the ring of walls at z = {height:g} alone, however long it is. How stiff "
+    "feet are relative to each other is\n"
+    "  made for this table's gravity and for feet that all stand on it: beyond an edge "
+    "loads would shift otherwise.\n"
+    "  The options belong to the model: elliptic cones and a large impratio keep feet from "
+    "creeping.\n"
+    "  Use: a finger is a vertical capsule or cylinder of a body of yours that reaches "
+    "below z = {height:g}, its radius less\n"
+    "  by {wall:g} m, kept from the table by an exclude of world and that body; move it "
+    "slowly.\n"
+)
+"""What the file says of itself: what it is, what it cannot say, and how it is used."""
 
 Element = ElementTree.Element
 
 
 def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Array, Array]:
-    """Calculates MuJoCo's numbers for contacts that give way by `sinkage` (m) under loads (K,), N.
+    """Calculates MuJoCo's numbers for contacts that give way under loads.
 
     The force is stiffness times depth, at any depth, as the impedance does not vary with it.
-    `inverse` is of the mass that MuJoCo takes for granted (`body_invweight0`), 1/kg.
+
+    Args:
+        load: (K,) loads of the contacts, N.
+        sinkage: how far they give way, m.
+        inverse: inverse of the mass that MuJoCo takes for granted (`body_invweight0`), 1/kg.
 
     Returns:
         `solref` (K, 2), `solreffriction` (K, 2), and the impedance (K,), the first two entries of
@@ -95,14 +116,22 @@ def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Ar
     stiffness = load / sinkage
     damping = 2 * DAMPING_RATIO * load / np.sqrt(sinkage * GRAVITY)
     scale = inverse * (1 - impedance)
+    # Negative numbers are stiffness and damping themselves, and no time and ratio.
     springs = np.column_stack([-stiffness * scale, -damping * scale])
-    return springs, np.column_stack([-np.ones_like(load), -SLIP_DAMPING * impedance]), impedance
+    slip = np.column_stack([-np.ones_like(load), -SLIP_DAMPING * impedance])
+    return springs, slip, impedance
 
 
 def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
-    """Makes the model's text: a table at z = 0 and the object on it, whose name body and joint have.
+    """Makes the model's text: a table at z = 0 and the object on it.
 
-    Raises ObjectError: the object's name is empty, or the height is not more than the feet's.
+    Args:
+        obj: the object, whose name body and joint have.
+        params: its cells' masses and frictions.
+        height: its height, m.
+
+    Raises:
+        ObjectError: the object's name is empty, or the height is not more than the feet's.
     """
     if not obj.name:
         raise ObjectError("name is empty; expected one for the body")
@@ -111,9 +140,14 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
     mujoco = Element("mujoco", model=obj.name)
     mujoco.append(ElementTree.Comment(NOTICE.format(height=params.push_height, wall=WALL_RADIUS)))
     _add(
-        mujoco, "option", timestep=TIME_STEP, cone="elliptic", impratio=IMPRATIO, tolerance=TOLERANCE,
+        mujoco,
+        "option",
+        timestep=TIME_STEP,
+        cone="elliptic",
+        impratio=IMPRATIO,
+        tolerance=TOLERANCE,
         gravity=(0, 0, -GRAVITY),
-    )  # fmt: skip
+    )
     world = ElementTree.SubElement(mujoco, "worldbody")
     _add(
         world,
@@ -128,18 +162,33 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
     _add_cells(body, obj, params, height)
     for i, p in enumerate(obj.p_BC):
         _add(
-            body, "geom", name=f"foot_{i}", type="sphere", size=FOOT_RADIUS, pos=(*p, FOOT_RADIUS), mass=0, contype=0,
-            conaffinity=0, group=3,
-        )  # fmt: skip
+            body,
+            "geom",
+            name=f"foot_{i}",
+            type="sphere",
+            size=FOOT_RADIUS,
+            pos=(*p, FOOT_RADIUS),
+            mass=0,
+            contype=0,
+            conaffinity=0,
+            group=3,
+        )
     _add_walls(body, obj, params)
     contact = ElementTree.SubElement(mujoco, "contact")
     _add(contact, "exclude", body1="world", body2=obj.name)  # but for the pairs
     springs, slip, impedance = calc_springs(params.mass * GRAVITY, SINKAGE, 1 / params.total_mass)
     for i, mu in enumerate(params.friction):
         _add(
-            contact, "pair", geom1="table", geom2=f"foot_{i}", condim=3, friction=(mu, mu, 0, 0, 0), solref=springs[i],
-            solreffriction=slip[i], solimp=(impedance[i], impedance[i], 0.001, 0.5, 2),
-        )  # fmt: skip
+            contact,
+            "pair",
+            geom1="table",
+            geom2=f"foot_{i}",
+            condim=3,
+            friction=(mu, mu, 0, 0, 0),
+            solref=springs[i],
+            solreffriction=slip[i],
+            solimp=(impedance[i], impedance[i], 0.001, 0.5, 2),
+        )
     ElementTree.indent(mujoco)
     return ElementTree.tostring(mujoco, encoding="unicode") + "\n"
 
@@ -147,44 +196,70 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
 def WriteMjcf(
     obj: GridObject, params: CellParameters, path: Path | str, force: bool, *, height: float
 ) -> None:
-    """Writes the model to a file. Raises OutputError where it cannot be written, and ObjectError as `make_mjcf`."""
+    """Writes the model to a file.
+
+    Args:
+        obj: the object.
+        params: its cells' masses and frictions.
+        path: the file.
+        force: whether an existing file may be replaced.
+        height: the object's height, m.
+
+    Raises:
+        OutputError: the file cannot be written.
+        ObjectError: as `make_mjcf`.
+    """
     write_whole(path, make_mjcf(obj, params, height), force)
 
 
 def _add_cells(body: Element, obj: GridObject, params: CellParameters, height: float) -> None:
-    """What is seen and weighs, but touches nothing."""
+    """Adds the cells, which are seen and weigh, but touch nothing."""
     half = obj.cell_size / 2
     for i, (p, mass) in enumerate(zip(obj.p_BC, params.mass, strict=True)):
         _add(
-            body, "geom", name=f"cell_{i}", type="box", size=(half, half, height / 2), pos=(*p, height / 2), mass=mass,
-            contype=0, conaffinity=0,
-        )  # fmt: skip
+            body,
+            "geom",
+            name=f"cell_{i}",
+            type="box",
+            size=(half, half, height / 2),
+            pos=(*p, height / 2),
+            mass=mass,
+            contype=0,
+            conaffinity=0,
+        )
 
 
 def _add_walls(body: Element, obj: GridObject, params: CellParameters) -> None:
-    """The ring that a finger touches."""
-    z, edges = params.push_height, obj.edges
-    for i, (a, b) in enumerate(zip(edges.start, edges.end, strict=True)):
+    """Adds the ring along the outline that a finger touches."""
+    z = params.push_height
+    for i, (a, b) in enumerate(zip(obj.edges.start, obj.edges.end, strict=True)):
         _add(
-            body, "geom", name=f"wall_{i}", type="capsule", size=WALL_RADIUS, fromto=(*a, z, *b, z), mass=0, group=3,
-            friction=(params.contact_friction, 0, 0), priority=1, condim=3, solref=(WALL_TIME, 1),
+            body,
+            "geom",
+            name=f"wall_{i}",
+            type="capsule",
+            size=WALL_RADIUS,
+            fromto=(*a, z, *b, z),
+            mass=0,
+            group=3,
+            friction=(params.contact_friction, 0, 0),
+            priority=1,
+            condim=3,
+            solref=(WALL_TIME, 1),
             solimp=(WALL_IMPEDANCE, WALL_IMPEDANCE, 0.001, 0.5, 2),
-        )  # fmt: skip
+        )
 
 
 def _add(parent: Element, tag: str, **values: ArrayLike) -> Element:
     """Adds an element, its numbers so written that they are read back exactly."""
-    return ElementTree.SubElement(
-        parent,
-        tag,
-        {
-            name: value if isinstance(value, str) else _write(value)
-            for name, value in values.items()
-        },
-    )
+    texts = {
+        name: value if isinstance(value, str) else _write(value) for name, value in values.items()
+    }
+    return ElementTree.SubElement(parent, tag, texts)
 
 
 def _write(values: ArrayLike) -> str:
+    """Writes numbers with blanks between them, so that they are read back exactly."""
     return " ".join(
         repr(int(value)) if float(value).is_integer() else repr(float(value))
         for value in np.ravel(np.asarray(values))

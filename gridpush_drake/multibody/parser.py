@@ -1,4 +1,6 @@
-"""A Drake parser that knows this package's models as `package://gridpush_drake/...`; and Drake's own meshes for them.
+"""A Drake parser that knows this package's models, and Drake's own meshes for them.
+
+The models are `package://gridpush_drake/...`.
 
 This package's models are made of primitives and need nothing else. `package://drake_models` is what
 Drake downloads on demand; where someone has, its meshes of the iiwa and the WSG-50 are shown
@@ -28,7 +30,7 @@ PACKAGE = "gridpush_drake"
 
 
 def find_models() -> Path:
-    """The folder of the package's models."""
+    """Finds the folder of the package's models."""
     return Path(str(files("gridpush_drake"))) / "models"
 
 
@@ -39,7 +41,7 @@ def AddModelsPackage(package_map: PackageMap) -> None:
 
 
 def MakeParser(plant: MultibodyPlant) -> Parser:
-    """Makes a parser for `plant` that finds this package's models; it downloads nothing by itself."""
+    """Makes a parser for a plant that finds this package's models, and downloads nothing itself."""
     parser = Parser(plant)
     AddModelsPackage(parser.package_map())
     return parser
@@ -73,10 +75,13 @@ def AddPlantAndSceneGraph(
 
 
 MAX_DIRECTIVES = 10_000
-"""Directives of a scene, those of all included files counted each time that a file is included."""
+"""Largest number of directives of a scene, those of a file counted each time it is included."""
 
 DIRECTIVES = "a file of Drake's model directives"
+"""The expected form of a file of directives, for messages."""
+
 MODEL_FILE = "a model: an SDFormat, URDF or MuJoCo file"
+"""The expected form of a model's file, for messages."""
 
 
 def check_directives(directives: Sequence[ModelDirective], package_map: PackageMap) -> None:
@@ -118,7 +123,11 @@ class _DirectivesCheck:
         self.counts: dict[Path, int] = {}
 
     def check(self, named: Sequence[tuple[str | None, str | None]]) -> int:
-        """Checks what each directive names, a file of directives or a model; returns how many there are in all."""
+        """Checks what directives name: a file of directives, or a model.
+
+        Returns:
+            How many directives there are in all.
+        """
         total = 0
         for included, model in named:
             total += 1
@@ -157,7 +166,7 @@ class _DirectivesCheck:
 
 
 def _list_named(data: Any) -> list[tuple[str | None, str | None]]:
-    """The files of directives and the models that a document of directives names."""
+    """Lists the files of directives and the models that a document of directives names."""
     directives = data.get("directives") if isinstance(data, dict) else None
     if not isinstance(directives, list):
         return []
@@ -171,10 +180,13 @@ def _list_named(data: Any) -> list[tuple[str | None, str | None]]:
 
 
 NETWORK_VARIABLE = "DRAKE_ALLOW_NETWORK"
-"""Environment variable by which Drake's package map is kept from downloading; set to `none` while
-it is asked."""
+"""Environment variable that keeps Drake's package map from downloading, set to `none` meanwhile."""
 
-_IIWA, _WSG = "iiwa_description/meshes/iiwa14/visual", "wsg_50_description/meshes"
+_IIWA = "iiwa_description/meshes/iiwa14/visual"
+"""Folder of the iiwa's meshes within drake_models."""
+
+_WSG = "wsg_50_description/meshes"
+"""Folder of the WSG-50's meshes within drake_models."""
 
 MESHES: Mapping[str, Sequence[str]] = MappingProxyType(
     {
@@ -191,7 +203,7 @@ MESHES: Mapping[str, Sequence[str]] = MappingProxyType(
         "right_finger": [f"{_WSG}/finger_with_tip.gltf"],
     }
 )
-"""Of each body, its meshes within drake_models. Their frames are the bodies' own."""
+"""Meshes of each body within drake_models. Their frames are the bodies' own."""
 
 MODELS = ("iiwa", "gripper")
 """Names of the model instances that take meshes."""
@@ -218,10 +230,17 @@ def AddVisualMeshes(
     scene_graph: SceneGraph,
     folder: Path | None,
 ) -> list[str]:
-    """Shows meshes instead of primitives, body by body; a body of which a mesh is missing keeps its primitives.
+    """Shows meshes instead of primitives, body by body.
 
-    The plant has its models and is not finalised; without a folder (`find_drake_models`) nothing is
-    added. Returns the names of the bodies that wear meshes now.
+    A body of which a mesh is missing keeps its primitives.
+
+    Args:
+        plant: a plant that has its models and is not finalised.
+        scene_graph: its SceneGraph.
+        folder: the folder of drake_models (`find_drake_models`); None to add nothing.
+
+    Returns:
+        The names of the bodies that wear meshes now.
     """
     changed: list[str] = []
     if folder is None:
@@ -241,7 +260,8 @@ def AddVisualMeshes(
 def _replace_visuals(
     plant: MultibodyPlant, scene_graph: SceneGraph, body: BodyIndex, files: Sequence[Path]
 ) -> None:
-    source, frame = plant.get_source_id(), plant.GetBodyFrameIdOrThrow(body)
+    source = plant.get_source_id()
+    frame = plant.GetBodyFrameIdOrThrow(body)
     scene_graph.RemoveRole(source, frame, Role.kIllustration)
     for file in files:
         # no color of its own, so that the mesh keeps the file's

@@ -45,19 +45,19 @@ DRAKE = "http://drake.mit.edu"
 """XML namespace of Drake's elements."""
 
 VERSION = "1.9"
-"""Of SDFormat."""
+"""Version of SDFormat."""
 
 GRAVITY = 9.81
-"""M/s², that the spheres are made for; Drake's own."""
+"""Gravity that the spheres are made for, m/s²; Drake's own."""
 
 SIDE_LIFT = 0.003
-"""M from the object's bottom to that of its sides; more than the spheres are pressed in."""
+"""Height of the sides' lower edge over the object's bottom, m; more than the spheres are pressed
+in."""
 
 NOTICE = (
     " A grid object: a sphere under every cell, boxes along the outline for a finger to push. "
-    "Table and finger are to "
-    "have friction 1 and drake:point_contact_stiffness 1e12. The object's bottom is z = 0 of its "
-    "frame. Units: m, kg. "
+    "Table and finger are to have friction 1 and drake:point_contact_stiffness 1e12. The object's "
+    "bottom is z = 0 of its frame. Units: m, kg. "
 )
 
 Element = ElementTree.Element
@@ -77,12 +77,15 @@ def make_sdf(
     """Makes the model's text; the model and its link have the object's name.
 
     Args:
+        obj: the object.
+        params: its cells' masses and frictions.
         base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z =
             0.
-        height: of the object, m; more than SIDE_LIFT.
-        delta: m the spheres are pressed in; by default as `AddGridObject`.
-        side_stiffness: of the outline's contacts, N/m.
-        gravity: m/s², that the spheres are made for.
+        height: height of the object, m; more than `SIDE_LIFT`.
+        delta: how far the spheres are pressed in at rest, m; by default as in `AddGridObject`.
+        spheres_per_cell: 1 or 4, see `AddGridObject`.
+        side_stiffness: stiffness of the outline's contacts, N/m.
+        gravity: gravity that the spheres are made for, m/s².
 
     Raises:
         ObjectError: `base` is neither, a size is out of range, or SDFormat has no such names.
@@ -91,12 +94,8 @@ def make_sdf(
     """
     if base not in DEFAULT_DELTA:
         raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
-    if (
-        not obj.name
-        or "::" in obj.name
-        or obj.name == "world"
-        or (obj.name[:2] == obj.name[-2:] == "__")
-    ):
+    is_reserved = obj.name == "world" or (obj.name[:2] == obj.name[-2:] == "__")
+    if not obj.name or "::" in obj.name or is_reserved:
         raise ObjectError(
             f"name is {obj.name!r}; expected one that SDFormat has not reserved, without '::'"
         )
@@ -132,13 +131,18 @@ def WriteSdf(
     height: float = DEFAULT_HEIGHT,
     spheres_per_cell: SpheresPerCell = 1,
 ) -> None:
-    """Writes what `make_sdf` makes to a file. Raises OutputError where it cannot be written."""
+    """Writes what `make_sdf` makes to a file.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
     write_whole(
         path, make_sdf(obj, params, base, height=height, spheres_per_cell=spheres_per_cell), force
     )
 
 
 def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height: float) -> None:
+    """Adds mass, center of mass and the inertia about it."""
     M_BBo_B = MakeSpatialInertia(obj, params, height)
     with refuse_unphysical(obj, params):
         I_BBcm_B = M_BBo_B.Shift(M_BBo_B.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
@@ -158,6 +162,7 @@ def _add_spheres(
     delta: float,
     gravity: float,
 ) -> None:
+    """Adds the contact spheres below the cells."""
     properties = layout.make_properties(params, delta, gravity)
     for i, (x, y) in enumerate(layout.p_BS):
         geometry = _add_collision(
@@ -169,6 +174,7 @@ def _add_spheres(
 def _add_sides(
     link: Element, obj: GridObject, params: CellParameters, height: float, stiffness: float
 ) -> None:
+    """Adds the boxes along and within the outline."""
     properties = MakeSideProperties(params, stiffness)
     for kind, boxes in (("edge", make_edge_boxes(obj)), ("inside", make_inner_boxes(obj))):
         for i, flat in enumerate(boxes):
@@ -178,6 +184,7 @@ def _add_sides(
 
 
 def _add_cells(link: Element, obj: GridObject, height: float) -> None:
+    """Adds the cells, which are seen and touch nothing."""
     for i, (x, y) in enumerate(obj.p_BC):
         visual = ElementTree.SubElement(link, "visual", name=f"cell_{i}")
         _add(visual, "pose", [x, y, height / 2, 0, 0, 0])
@@ -189,7 +196,10 @@ def _add_cells(link: Element, obj: GridObject, height: float) -> None:
 
 
 def _add_joint(model: Element, link: str, delta: float) -> None:
-    """Holds the object to a link, fixed to the world `delta` below its plane z = 0: joints of Drake's know no world."""
+    """Holds the object to a link that is fixed to the world, `delta`, m, below its plane z = 0.
+
+    The link is needed, for Drake's joints in SDFormat know no world.
+    """
     support = f"{link}_support"
     parent = ElementTree.SubElement(model, "link", name=support)
     _add(parent, "pose", [0, 0, -delta, 0, 0, 0])
@@ -220,16 +230,29 @@ def _add_collision(
 
 def _add(parent: Element, tag: str, values: ArrayLike) -> None:
     """Adds numbers, so written that they are read back exactly."""
-    ElementTree.SubElement(parent, tag).text = " ".join(
-        repr(float(value)) for value in np.asarray(values)
-    )
+    texts = [repr(float(value)) for value in np.asarray(values)]
+    ElementTree.SubElement(parent, tag).text = " ".join(texts)
 
 
-LIMIT = " Friction and stiffness are in Drake's elements alone: other simulators see shapes and inertia only. "
+LIMIT = (
+    " Friction and stiffness are in Drake's elements alone: other simulators see shapes and "
+    "inertia only. "
+)
+"""Notice in a URDF file, besides `NOTICE`."""
 
 
 def make_urdf(obj: GridObject, params: CellParameters, *, height: float = DEFAULT_HEIGHT) -> str:
-    """Makes the text of a URDF model, whose robot and link have the object's name; errors are those of `make_sdf`."""
+    """Makes the text of a URDF model, whose robot and link have the object's name.
+
+    Args:
+        obj: the object.
+        params: its cells' masses and frictions.
+        height: its height, m.
+
+    Raises:
+        ObjectError, ParameterError: as `make_sdf`.
+    """
+    # It is the SDFormat model, said in URDF's words.
     source = ElementTree.fromstring(make_sdf(obj, params, height=height)).find("model/link")
     assert source is not None
     robot = Element("robot", name=obj.name)
@@ -265,17 +288,23 @@ def WriteUrdf(
     *,
     height: float = DEFAULT_HEIGHT,
 ) -> None:
-    """Writes what `make_urdf` makes to a file. Raises OutputError where it cannot be written."""
+    """Writes what `make_urdf` makes to a file.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
     write_whole(path, make_urdf(obj, params, height=height), force)
 
 
 def _add_shape(made: Element, part: Element) -> None:
+    """Says a part's shape in URDF's words."""
     (shape,) = part.iterfind("geometry/*")
     geometry = ElementTree.SubElement(made, "geometry")
     ElementTree.SubElement(geometry, shape.tag, {size.tag: _read(size) for size in shape})
 
 
 def _read(element: Element, path: str = ".") -> str:
+    """Reads the text of an element, or of one within it that must be there."""
     found = element.find(path)
     assert found is not None
     return found.text or ""

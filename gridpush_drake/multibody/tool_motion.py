@@ -33,19 +33,19 @@ from pydrake.trajectories import PathParameterizedTrajectory, PiecewisePolynomia
 from gridpush_drake.geometry.se2 import Array
 
 R_WP_DOWN = RollPitchYaw(0.0, np.pi, 0.0).ToRotationMatrix()
-"""Of a tool that points down. Not (pi, 0, 0), from which the arm's elbow hangs."""
+"""Rotation of a tool that points down. It is not (pi, 0, 0), from which the arm's elbow hangs."""
 
 Point = tuple[float, float, float]
-"""p_WP of the tip's center, m."""
+"""Place p_WP of the tip's center, m."""
 
 ToolPose = tuple[float, float, float, float]
-"""p_WP of the tip's center, m, and the tool's yaw, rad: 0 is `R_WP_DOWN`."""
+"""Place p_WP of the tip's center, m, and the tool's yaw, rad: 0 is `R_WP_DOWN`."""
 
 TURNING_RADIUS = 0.3
-"""M of path that a turn by a radian counts."""
+"""Length of path for which a turn by a radian counts, m."""
 
 RAMP_PEAK = 1.5
-"""Greatest slope of 3 u^2 - 2 u^3: a ramp's greatest acceleration over its mean one."""
+"""Largest slope of 3 u^2 - 2 u^3: a ramp's largest acceleration over its mean one."""
 
 ROUND_OFF = 1e-9
 """Share of a segment by which it is not worth cutting it short, and of a ramp by which it is not
@@ -54,46 +54,57 @@ worth cruising."""
 
 @dataclass(frozen=True)
 class TrajectorySegment:
-    """One straight motion of the tool, or a wait."""
+    """One straight motion of the tool, or a wait.
 
-    phase: StrEnum  # what it is part of
-    start: tuple[float, ...]  # `Point` or `ToolPose` at the beginning
-    end: tuple[float, ...]  # likewise at the end
-    speed: float = 1.0  # greatest, m/s along the path
-    acceleration: float = 1.0  # greatest, m/s²
-    wait: float = 0.0  # to stay at the end, s
+    Attributes:
+        phase: what it is part of.
+        start: `Point` or `ToolPose` at the beginning.
+        end: `Point` or `ToolPose` at the end.
+        speed: largest speed along the path, m/s.
+        acceleration: largest acceleration along the path, m/s².
+        wait: how long the tool stays at the end, s.
+    """
+
+    phase: StrEnum
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    speed: float = 1.0
+    acceleration: float = 1.0
+    wait: float = 0.0
 
     @cached_property
     def length(self) -> float:
-        """Of the path, m."""
+        """Length l of the path, m."""
         change = np.subtract(self.end, self.start)
         change[3:] *= TURNING_RADIUS
         return float(np.linalg.norm(change))
 
     @property
     def top_speed(self) -> float:
-        """Reached on the path: `speed`, or less where the segment is too short for it; 0 for a wait; m/s."""
+        """Speed v that is reached, m/s: `speed`, less on a path too short for it, 0 in a wait."""
         return min(self.speed, sqrt(self.acceleration * self.length / RAMP_PEAK))
 
     @property
     def ramp(self) -> float:
-        """Time from rest to top speed, s."""
+        """Time T from rest to top speed, s."""
         return RAMP_PEAK * self.top_speed / self.acceleration
 
     @property
     def moving_time(self) -> float:
-        """Without the wait, s."""
+        """Time that the motion takes without the wait, s."""
         return self.length / self.top_speed + self.ramp if self.length > 0.0 else 0.0
 
     @property
     def duration(self) -> float:
-        """With the wait, s."""
+        """Time that the motion takes with the wait, s."""
         return self.moving_time + self.wait
 
     @cached_property
     def time_scaling(self) -> PiecewisePolynomial:
-        """The length s, m, made by time t, s; of a segment that moves."""
-        v, T, cruise = self.top_speed, self.ramp, self.moving_time - 2.0 * self.ramp
+        """Length s, m, made by time t, s, of a segment that moves."""
+        v = self.top_speed
+        T = self.ramp
+        cruise = self.moving_time - 2.0 * T
         up = Polynomial(np.array([0.0, 0.0, 0.0, v / T**2, -v / (2.0 * T**3)]))
         level = Polynomial(np.array([v * T / 2.0, v]))
         down = Polynomial(
@@ -105,41 +116,47 @@ class TrajectorySegment:
 
     @cached_property
     def trajectory(self) -> PathParameterizedTrajectory:
-        """(3,) or (4,) as `start`, over the time since the beginning, s, without the wait; of a segment that moves."""
+        """Place and yaw, as in `start`, over the time since the beginning, s, without the wait.
+
+        Only a segment that moves has one.
+        """
         path = PiecewisePolynomial.FirstOrderHold(
             [0.0, self.length], np.column_stack([self.start, self.end])
         )
         return PathParameterizedTrajectory(path, self.time_scaling)
 
     def position(self, t: float) -> Array:
-        """As `start`, at time t after the beginning; rests before and after."""
+        """Place and yaw at time t, s, after the beginning; at rest before and after."""
         if self.length == 0.0:
             return np.array(self.start)
         return np.asarray(self.trajectory.value(t))[:, 0]
 
     def velocity(self, t: float) -> Array:
-        """Of `position`, m/s and rad/s."""
+        """Velocity of `position`, m/s and rad/s, at time t, s, after the beginning."""
         if self.length == 0.0:
             return np.zeros(len(self.start))
         return np.asarray(self.trajectory.EvalDerivative(t, 1))[:, 0]
 
     def stop_from(self, t: float) -> "TrajectorySegment":
-        """The same motion up to time t, and from there the soonest stop; itself where it ends as soon anyway.
+        """Ends the motion by the soonest stop after time t, s.
 
         A motion that has begun is cut short to what it has traveled and one ramp more, or to two
         ramps: up to t it is then the same, and all is as continuous as before. One that has not
         begun becomes none.
+
+        Returns:
+            The motion, up to t the same; itself where it ends as soon anyway.
         """
         if t <= 0.0 or self.length == 0.0:
             return replace(self, end=self.start)
+        # A ramp covers v T / 2.
         braking = self.top_speed * self.ramp / 2.0
-        share = (max(float(self.time_scaling.value(t)[0, 0]), braking) + braking) / self.length
+        made = max(float(self.time_scaling.value(t)[0, 0]), braking)
+        share = (made + braking) / self.length
         if share >= 1.0 - ROUND_OFF:
             return self
-        return replace(
-            self,
-            end=tuple((np.array(self.start) + share * np.subtract(self.end, self.start)).tolist()),
-        )
+        end = np.array(self.start) + share * np.subtract(self.end, self.start)
+        return replace(self, end=tuple(end.tolist()))
 
 
 @dataclass(frozen=True)
@@ -147,10 +164,10 @@ class ToolTrajectorySegment(TrajectorySegment):
     """One straight motion of the tool, or a wait, with the gripper's opening.
 
     Attributes:
-        start: of tip and yaw.
-        end: likewise.
-        opening: that the gripper is asked for at the beginning and at the end, m; linear in
-            between.
+        start: tip and yaw at the beginning.
+        end: tip and yaw at the end.
+        opening: the openings that the gripper is asked for at the beginning and at the end, m;
+            linear in between.
     """
 
     start: ToolPose
@@ -158,16 +175,14 @@ class ToolTrajectorySegment(TrajectorySegment):
     opening: tuple[float, float] = (0.1, 0.1)
 
     def calc_opening(self, t: float) -> float:
-        """That the gripper is asked for at time t after the beginning, m."""
-        return (
-            float(np.interp(t, [0.0, self.duration], self.opening))
-            if self.duration > 0.0
-            else self.opening[1]
-        )
+        """Calculates the opening, m, that is asked for at time t, s, after the beginning."""
+        if self.duration <= 0.0:
+            return self.opening[1]
+        return float(np.interp(t, [0.0, self.duration], self.opening))
 
 
 def calc_tool_rotation(yaw: float) -> RotationMatrix:
-    """R_WP of a tool that points down and is turned by `yaw` (rad) about W's z axis."""
+    """Makes R_WP of a tool that points down and is turned by a yaw, rad, about W's z axis."""
     return RotationMatrix.MakeZRotation(yaw) @ R_WP_DOWN if yaw else R_WP_DOWN
 
 
@@ -179,6 +194,6 @@ def calc_tool_pose(X_WP: RigidTransform) -> ToolPose:
 
 
 def make_transform(pose: ArrayLike) -> RigidTransform:
-    """X_WP of a tool's pose (4,): x, y, z, m, and yaw, rad."""
+    """Makes X_WP of a tool's pose (4,): x, y, z, m, and yaw, rad."""
     *p_WP, yaw = np.asarray(pose, float).tolist()
     return RigidTransform(calc_tool_rotation(yaw), p_WP)

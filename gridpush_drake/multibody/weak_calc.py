@@ -17,7 +17,9 @@ it twice, and takes it for used. Attributes are set as ever."""
 
 
 def weakly(method: Callable[..., Any], *more: Any) -> Callable[..., Any]:
-    """Wraps a bound method so that it does not keep its object alive; `more` arguments come after the caller's.
+    """Wraps a bound method so that it does not keep its object alive.
+
+    Further arguments come after the caller's.
 
     It is only called while its object lives, as Drake does with a system's.
     """

@@ -11,6 +11,8 @@ or, where that cannot be written, beside the bytecode. A folder that is already 
 it cannot be written. Whoever makes a new one removes those that nobody has used for a month. Where
 there is no such folder, what was compiled lasts as long as the process.
 
+What this takes from inside Numba stands in `numba_internals`.
+
 Reading a compiled function means unpickling it, which can run any code. So a folder is used only
 where nobody but this user and root can change it or any folder above it, and a file only where it
 belongs to one of the two. A file holds one compiled function behind a hash of its content; one
@@ -35,8 +37,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core.caching import CompileResultCacheImpl, NullCache, _CacheLocator
-from numba.core.serialize import dumps
+
+from gridpush_drake.dynamics.kernels import numba_internals
+from gridpush_drake.dynamics.kernels.numba_internals import NumbaCache, dump
+from gridpush_drake.errors import NumbaError
 
 FAST_SUMS = frozenset({"reassoc", "contract", "nsz", "arcp"})
 """What lets a sum over cells be vectorized; infinities and NaN keep their meaning."""
@@ -86,32 +90,28 @@ def kernel(
     """
 
     def compile_function(function: Callable[..., Any]) -> Callable[..., Any]:
-        options: dict[str, Any] = {
-            "nogil": True,
-            "error_model": "numpy",
-            "fastmath": set(FAST_SUMS) if fast_sums else False,
-            "_nrt": allocates,
-            "no_cfunc_wrapper": True,
-            "no_cpython_wrapper": function.__name__.startswith("_"),
-        }
-        dispatcher: Any = numba.njit(**options)(function)
-        dispatcher._cache = KernelCache(function)
-        return dispatcher
+        return numba_internals.make_dispatcher(
+            function,
+            KernelCache(function),
+            counts_references=allocates,
+            called_from_python=not function.__name__.startswith("_"),
+            nogil=True,
+            error_model="numpy",
+            fastmath=set(FAST_SUMS) if fast_sums else False,
+        )
 
     return compile_function
 
 
 def get_cache(function: Callable[..., Any]) -> "KernelCache":
-    """The cache of a kernel."""
-    dispatcher: Any = function
-    found: KernelCache = dispatcher._cache
+    """Takes the cache of a kernel."""
+    found: KernelCache = numba_internals.get_cache(function)
     return found
 
 
 def compile_for(function: Callable[..., Any], types: Sequence[Any]) -> None:
     """Compiles a kernel for some types of arguments, or finds it in the cache."""
-    dispatcher: Any = function
-    dispatcher.compile(tuple(types))
+    numba_internals.compile_for(function, types)
 
 
 @cache
@@ -249,32 +249,7 @@ def _say_once(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
-class _Locator(_CacheLocator):
-    """Says what Numba asks of the place of a cache, which `KernelCache` reads and writes itself."""
-
-    def __init__(self, function: Callable[..., Any], source: str) -> None:
-        self._source = Path(source)
-        self._line = function.__code__.co_firstlineno
-
-    @classmethod
-    def from_function(cls, function: Callable[..., Any], source: str) -> "_Locator":
-        return cls(function, source)
-
-    def get_cache_path(self) -> str:
-        return ""
-
-    def get_source_stamp(self) -> str:
-        return calc_digest(self._source)
-
-    def get_disambiguator(self) -> str:
-        return str(self._line)
-
-
-class _KernelCacheImpl(CompileResultCacheImpl):
-    _locator_classes = [_Locator]  # noqa: RUF012
-
-
-class KernelCache(NullCache):
+class KernelCache(NumbaCache):
     """The compiled forms of one function.
 
     Each is in a file of its own, which is named by the types of the arguments.
@@ -288,7 +263,10 @@ class KernelCache(NullCache):
         self._function = function
         self._source = Path(function.__code__.co_filename)
         calc_digest(self._source)
-        self._parts = _KernelCacheImpl(function)
+        # <locals>, of a function within another one, is no part of a file's name.
+        name = function.__qualname__.replace("<", "").replace(">", "")
+        line = function.__code__.co_firstlineno
+        self._stem = f"{self._source.stem}.{name}-{line}"
 
     @property
     def cache_path(self) -> str:
@@ -298,7 +276,7 @@ class KernelCache(NullCache):
     def list_files(self) -> list[Path]:
         """The files of this function that are there, whatever their arguments' types."""
         folder = find_cache_folder(self._source)
-        return [] if folder is None else sorted(folder.glob(f"{self._parts.filename_base}.*.nbc"))
+        return [] if folder is None else sorted(folder.glob(f"{self._stem}.*.nbc"))
 
     def find_file(self, signature: Any, codegen: Any) -> Path | None:
         """Names the function's file for some types of arguments; None if there is no folder."""
@@ -306,12 +284,11 @@ class KernelCache(NullCache):
         if folder is None:
             return None
         key = hashlib.sha256(repr(self._make_key(signature, codegen)).encode())
-        return folder / f"{self._parts.filename_base}.{key.hexdigest()[:KEY_LENGTH]}.nbc"
+        return folder / f"{self._stem}.{key.hexdigest()[:KEY_LENGTH]}.nbc"
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """What was compiled for some types of arguments; None where it has to be compiled."""
-        target_context.refresh()
-        codegen = target_context.codegen()
+        codegen = numba_internals.get_codegen(target_context)
         file = self.find_file(signature, codegen)
         compiled = None
         if file is not None:
@@ -320,7 +297,9 @@ class KernelCache(NullCache):
                 if data is not None:
                     key, types, reduced = pickle.loads(data)
                     if key == self._make_key(signature, codegen) and types == signature:
-                        compiled = self._parts.rebuild(target_context, reduced)
+                        compiled = numba_internals.rebuild_result(target_context, reduced)
+            except NumbaError:
+                raise
             except Exception:
                 # whatever was written there, it is not what this program would have written
                 _say_once(f"gridpush: a damaged file in {file.parent} is compiled anew")
@@ -332,21 +311,23 @@ class KernelCache(NullCache):
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Keeps what was compiled, where that can be."""
-        file = self.find_file(signature, data.codegen)
-        if file is None or not self._parts.check_cachable(data):
+        codegen = numba_internals.get_result_codegen(data)
+        file = self.find_file(signature, codegen)
+        if file is None or not numba_internals.can_be_kept(data):
             return
-        key = self._make_key(signature, data.codegen)
+        key = self._make_key(signature, codegen)
+        content = dump((key, signature, numba_internals.reduce_result(data)))
         with suppress(OSError):
-            _write(file, dumps((key, signature, self._parts.reduce(data))))
+            _write(file, content)
 
     def _make_key(self, signature: Any, codegen: Any) -> tuple[str, ...]:
         """What else the machine code depends on, besides the sources."""
-        machine = codegen.magic_tuple()
+        machine = numba_internals.describe_machine(codegen)
         # a function that is made within another one may hold values of that
-        held = dumps([cell.cell_contents for cell in self._function.__closure__ or ()])
+        held = dump([cell.cell_contents for cell in self._function.__closure__ or ()])
         code = hashlib.sha256(self._function.__code__.co_code + held).hexdigest()
         laws = hash_own_records(signature)
-        return (numba.__version__, sys.version, code, str(signature), laws, *map(str, machine))
+        return (numba.__version__, sys.version, code, str(signature), laws, *machine)
 
 
 def hash_own_records(signature: Any) -> str:
@@ -364,7 +345,7 @@ def hash_own_records(signature: Any) -> str:
     """
     found = set()
     for argument in getattr(signature, "args", signature):
-        record = getattr(argument, "instance_class", None)
+        record = numba_internals.get_record_class(argument)
         if record is None or record.__module__.startswith(f"{__package__}."):
             continue
         file = getattr(sys.modules.get(record.__module__), "__file__", None)

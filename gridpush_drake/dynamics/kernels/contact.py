@@ -166,7 +166,7 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
 
 @kernel(allocates=False)
 def _is_on_straight(ax, ay, previous, i, ex, ey, tx, ty):
-    """Whether edge i goes straight on from the one before, with the disc beside both by round-off."""
+    """Whether edge i goes straight on from the one before, with the disc beside both."""
     j = previous[i]
     qx = ax[i] - ax[j]
     qy = ay[i] - ay[j]

@@ -4,14 +4,13 @@ A kernel gets a law as a named tuple; its class decides, when the kernel is comp
 functions are called. Every law so has a solver of its own, and pays for no other.
 """
 
-from typing import Any
-
 from numba import types
 from numba.extending import overload
 
 from gridpush_drake.dynamics.kernels.friction_law import FrictionLaw
 from gridpush_drake.dynamics.kernels.isotropic_friction import ISOTROPIC
 from gridpush_drake.dynamics.kernels.lagged_friction import LAGGED
+from gridpush_drake.dynamics.kernels.numba_internals import BORROWED, get_record_class
 from gridpush_drake.errors import SimulationError
 
 LAWS: dict[str, FrictionLaw] = {}
@@ -55,9 +54,6 @@ def register_friction_law(law: FrictionLaw) -> FrictionLaw:
 register_friction_law(ISOTROPIC)
 register_friction_law(LAGGED)
 
-_BORROWED: Any = {"_nrt": False}
-"""Options of the calls: they pass on what the caller holds."""
-
 
 def renew(law):
     """Lets the law take notice that its k changed, see `FrictionLaw`; compiled code only."""
@@ -90,16 +86,19 @@ def fill_load_derivatives(law, cells, eps, xi, f):
 
 
 def _find_law(data: types.NamedTuple) -> FrictionLaw:
-    return _LAW_OF_DATA[data.instance_class]
+    """Finds a law by the type of its data."""
+    record = get_record_class(data)
+    assert record is not None, "a law's data are a named tuple"
+    return _LAW_OF_DATA[record]
 
 
-@overload(renew, jit_options=_BORROWED)
+@overload(renew, jit_options=BORROWED)
 def _renew(law):
     call = _find_law(law).renew
     return lambda law: call(law)
 
 
-@overload(begin_step, jit_options=_BORROWED)
+@overload(begin_step, jit_options=BORROWED)
 def _begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known):
     call = _find_law(law).begin_step
     return (
@@ -109,25 +108,25 @@ def _begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_ac
     )
 
 
-@overload(calc_dissipation, jit_options=_BORROWED)
+@overload(calc_dissipation, jit_options=BORROWED)
 def _calc_dissipation(law, cells, eps, xi):
     call = _find_law(law).calc_dissipation
     return lambda law, cells, eps, xi: call(law, cells, eps, xi)
 
 
-@overload(add_derivatives, jit_options=_BORROWED)
+@overload(add_derivatives, jit_options=BORROWED)
 def _add_derivatives(law, cells, eps, xi, majorize, g, H):
     call = _find_law(law).add_derivatives
     return lambda law, cells, eps, xi, majorize, g, H: call(law, cells, eps, xi, majorize, g, H)
 
 
-@overload(can_majorize, jit_options=_BORROWED)
+@overload(can_majorize, jit_options=BORROWED)
 def _can_majorize(law):
     call = _find_law(law).can_majorize
     return lambda law: call(law)
 
 
-@overload(fill_load_derivatives, jit_options=_BORROWED)
+@overload(fill_load_derivatives, jit_options=BORROWED)
 def _fill_load_derivatives(law, cells, eps, xi, f):
     call = _find_law(law).fill_load_derivatives
     return lambda law, cells, eps, xi, f: call(law, cells, eps, xi, f)
