@@ -1,4 +1,7 @@
-"""The home of files a user names: read within bounds, written whole or not at all, never overwritten unasked."""
+"""Files that a user names: read within bounds, and written whole or not at all.
+
+No file is overwritten that nobody asked to be.
+"""
 
 import os
 import stat
@@ -11,16 +14,17 @@ from typing import BinaryIO
 from gridpush_drake.errors import GridPushError, OutputError
 
 MEGABYTE = 2**20
-"""Bytes."""
+"""Bytes in a megabyte."""
 
 GZIP = b"\x1f\x8b"
-"""How a compressed file begins."""
+"""First bytes of a file that gzip compressed."""
 
 MAX_TEXT_SIZE = 64 * MEGABYTE
-"""Of a text file, bytes: about a million rows of a push log."""
+"""Largest size of a text file, bytes: about a million rows of a push log."""
 
 TEMPORARY_PREFIX = ".gridpush-"
-"""Of a file that is being written; short, so that any name the file system takes can be written."""
+"""Beginning of the name of a file that is being written. It is short, so that a file can have any
+name that the file system takes."""
 
 MAX_BESIDE = 1000
 """How many folders beside a missing one are tried."""
@@ -94,7 +98,10 @@ def read_bytes(
 def read_text(
     path: Path | str, what: str, error: type[GridPushError], max_size: int = MAX_TEXT_SIZE
 ) -> str:
-    """Reads a regular file of UTF-8 text, with or without a byte order mark; otherwise as `read_bytes`."""
+    """Reads a regular file of UTF-8 text, with or without a byte order mark.
+
+    The arguments and errors are those of `open_file`.
+    """
     content = read_bytes(path, what, error, max_size)
     if content.startswith(GZIP):
         raise error(f"{path}: is compressed by gzip; expected {what}, unpacked")
@@ -105,7 +112,7 @@ def read_text(
 
 
 def read_head(path: Path | str, size: int) -> bytes:
-    """The first bytes of a regular file, at most `size`; none where it cannot be read."""
+    """Reads the first bytes of a regular file, at most `size`; none where it cannot be read."""
     try:
         with open_file(path, "a file", GridPushError, max_size=2**63) as file:
             return file.read(size)
@@ -168,7 +175,7 @@ def check_writable(path: Path | str, force: bool = False) -> Path:
 
 
 def write_whole(path: Path | str, content: str | bytes, force: bool = False) -> None:
-    """Writes `content` to `path` by way of a temporary file beside it, so that no half file is ever seen.
+    """Writes a file by way of a temporary one beside it, so that no half file is ever seen.
 
     Args:
         path: the file to be written.
@@ -187,9 +194,10 @@ def write_whole(path: Path | str, content: str | bytes, force: bool = False) -> 
         ) as file:
             temporary = Path(file.name)
             file.write(data)
+        # The mask can be read only by setting it.
         umask = os.umask(0)
         os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
+        temporary.chmod(NEW_MODE & ~umask)
         temporary.replace(path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
@@ -250,12 +258,13 @@ def make_folder_beside(path: Path | str) -> Path:
 
 
 def shorten_path(path: Path | str) -> str:
-    """A path for a message: its end where it is longer than any file's, and printable."""
+    """Makes a path fit for a message: printable, and of one longer than any file's both ends."""
     text = str(path).replace("\0", "\\0")
     return text if len(text) <= MAX_SHOWN else f"{text[:SHOWN_END]}...{text[-SHOWN_END:]}"
 
 
 def _holds(question: Callable[[], bool]) -> bool:
+    """Whether something holds of a path; False where no file can be named by it."""
     try:
         return question()
     except (OSError, ValueError):
@@ -263,6 +272,7 @@ def _holds(question: Callable[[], bool]) -> bool:
 
 
 def _describe(error: OSError | ValueError) -> str:
+    """Says in words why a path cannot be opened."""
     if isinstance(error, OSError):
         return error.strerror or str(error)
     return "its name holds a character that no file's name has (NUL)"

@@ -7,7 +7,10 @@ import numpy as np
 
 
 class Frozen:
-    """Base of frozen dataclasses with read-only arrays: copies and unpickled ones have read-only arrays, too."""
+    """Base of frozen dataclasses with read-only arrays.
+
+    Copies and unpickled ones have read-only arrays, too.
+    """
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Takes what copying or unpickling made, and makes the fields' arrays read-only again."""

@@ -1,4 +1,4 @@
-"""What `repr` and a notebook show of the package's records: plain sentences, small tables and drawings.
+"""What `repr` and a notebook show of records: plain sentences, small tables and drawings.
 
 Drawings are SVG text, made without any plotting library, so that an object is shown at once. They
 are no figures for a report: those are `gridpush_drake.report`'s.
@@ -10,6 +10,9 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
+
+Array = NDArray[np.float64]
+"""An array of floating-point numbers. Docstrings give its shape and its units."""
 
 MM = 1e3
 """Millimeters in a meter."""
@@ -24,17 +27,21 @@ MARGIN = 0.04
 """Room around a drawing, as a share of its longer side."""
 
 COLORS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-"""Colors from the least to the greatest value, red, green and blue from 0 to 255; between them it
+"""Colors from the smallest to the largest value, red, green and blue from 0 to 255. Between them it
 is interpolated. Their lightness grows evenly, so that they can be told apart in gray, too."""
+
+MIN_ROOM = 1e-6
+"""Size of a drawing of a single point, m."""
 
 NO_VALUE = (222, 225, 230)
 """Color of a cell without a value."""
 
 
 def describe_range(values: ArrayLike, unit: str = "") -> str:
-    """Says which numbers there are: "0.2" where all are the same, else "0.2 to 0.4", with their unit."""
+    """Says which numbers there are, with their unit: "0.2 to 0.4", or "0.2" of equal ones."""
     numbers = np.asarray(values, dtype=np.float64)
-    least, greatest = f"{numbers.min():.3g}", f"{numbers.max():.3g}"
+    least = f"{numbers.min():.3g}"
+    greatest = f"{numbers.max():.3g}"
     text = least if least == greatest else f"{least} to {greatest}"
     return f"{text} {unit}".rstrip()
 
@@ -65,17 +72,18 @@ def make_page(text: str, *parts: str) -> str:
 def make_table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Makes a table, as HTML, of a row of heads and rows of values; all are escaped."""
     head = "".join(f"<th>{escape(each)}</th>" for each in heads)
-    body = "".join(
-        f"<tr>{''.join(f'<td>{escape(str(value))}</td>' for value in row)}</tr>" for row in rows
-    )
+    body = ""
+    for row in rows:
+        cells = "".join(f"<td>{escape(str(value))}</td>" for value in row)
+        body += f"<tr>{cells}</tr>"
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def draw_cells(
     outline: Polygon,
-    p_BC: NDArray[np.float64],
+    p_BC: Array,
     cell_size: float,
-    values: NDArray[np.float64] | None = None,
+    values: Array | None = None,
     legend: str = "",
 ) -> str:
     """Draws an object's outline and its cells, as SVG.
@@ -94,8 +102,8 @@ def draw_cells(
     points = np.vstack([np.asarray(outline.exterior.coords)[:, :2], p_BC - half, p_BC + half])
     scale, low, high = _fit(points)
 
-    def place(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        # In SVG y points down.
+    def place(points: Array) -> Array:
+        """Brings points (k, 2), m, into the drawing, pixels, where y points down."""
         return np.column_stack([points[:, 0] - low[0], high[1] - points[:, 1]]) * scale
 
     side = cell_size * scale
@@ -106,19 +114,21 @@ def draw_cells(
         f'fill="rgb({red},{green},{blue})"/>'
         for (x, y), (red, green, blue) in zip(corners, colors, strict=True)
     )
-    rings = " ".join(
-        "M" + " L".join(f"{x:.1f},{y:.1f}" for x, y in place(np.asarray(ring.coords)[:, :2]))
-        for ring in (outline.exterior, *outline.interiors)
-    )
+    paths = []
+    for ring in (outline.exterior, *outline.interiors):
+        vertices = place(np.asarray(ring.coords)[:, :2])
+        paths.append("M" + " L".join(f"{x:.1f},{y:.1f}" for x, y in vertices))
+    rings = " ".join(paths)
     edge = f'<path d="{rings}" fill="none" stroke="#202428" stroke-width="1.5"/>'
     text = ""
     if values is not None:
-        dark, light = f"{values.min():.3g}", f"{values.max():.3g}"
+        dark = f"{values.min():.3g}"
+        light = f"{values.max():.3g}"
         text = f"<p>{escape(legend)}: dark {dark}, light {light}</p>"
     return _wrap(cells + edge, (high - low) * scale) + text
 
 
-def draw_paths(paths: Sequence[tuple[NDArray[np.float64], str, str]]) -> str:
+def draw_paths(paths: Sequence[tuple[Array, str, str]]) -> str:
     """Draws paths in the plane, as SVG.
 
     Args:
@@ -144,10 +154,10 @@ def draw_paths(paths: Sequence[tuple[NDArray[np.float64], str, str]]) -> str:
     return _wrap(lines, (high - low) * scale) + f"<p>{escape(legend)}</p>"
 
 
-def choose_colors(values: NDArray[np.float64]) -> list[tuple[int, int, int]]:
-    """Colors of values (n,), red, green and blue from 0 to 255, from the darkest for the least."""
-    least, greatest = float(values.min()), float(values.max())
-    spread = greatest - least
+def choose_colors(values: Array) -> list[tuple[int, int, int]]:
+    """Chooses colors for values (n,): red, green, blue from 0 to 255, darkest for the smallest."""
+    least = float(values.min())
+    spread = float(values.max()) - least
     share = (values - least) / spread if spread > 0 else np.full(len(values), 0.5)
     places = np.linspace(0.0, 1.0, len(COLORS))
     channels = [np.interp(share, places, channel) for channel in zip(*COLORS, strict=True)]
@@ -156,16 +166,19 @@ def choose_colors(values: NDArray[np.float64]) -> list[tuple[int, int, int]]:
 
 
 def _fit(
-    points: NDArray[np.float64],
-) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Pixels a meter, and the lower and upper corner (2,), m, of what is drawn."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    room = MARGIN * max(float((high - low).max()), 1e-6)
-    low, high = low - room, high + room
+    points: Array,
+) -> tuple[float, Array, Array]:
+    """Finds the scale, pixels a meter, and the lower and the upper corner (2,) of a drawing, m."""
+    lowest = points.min(axis=0)
+    highest = points.max(axis=0)
+    room = MARGIN * max(float((highest - lowest).max()), MIN_ROOM)
+    low = lowest - room
+    high = highest + room
     return WIDTH / float((high - low).max()), low, high
 
 
-def _wrap(content: str, size: NDArray[np.float64]) -> str:
+def _wrap(content: str, size: Array) -> str:
+    """Makes an SVG of its content and its size (2,), pixels."""
     width, height = size.tolist()
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" '

@@ -1,8 +1,8 @@
-"""YAML read strictly and within bounds, and checked against a schema, with errors that name the line or the field.
+"""YAML read strictly and within bounds, and checked against a schema.
 
-No key stands twice. What is a number is decided as in YAML 1.2: 1e-3 is one, 010 is ten, and 1:30 and
-1_000 are texts, as are yes, no, on and off. libyaml reads the text where PyYAML has it, which is
-many times as fast.
+Errors name the line or the field. No key stands twice. What is a number is decided as in YAML 1.2:
+1e-3 is one, 010 is ten, and 1:30 and 1_000 are texts, as are yes, no, on and off. libyaml reads the
+text where PyYAML has it, which is many times as fast.
 
 An alias or a merge key of a few bytes can stand for billions of values. So a document is composed
 first, which costs no more than its text, and measured with its aliases written out, before anything
@@ -24,42 +24,42 @@ from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.files import MEGABYTE, read_text
 
 MAX_YAML_SIZE = 64 * MEGABYTE
-"""Of a YAML file, bytes."""
+"""Largest size of a YAML file, bytes."""
 
 MAX_NODES = 500_000
-"""Keys and values in a document, its aliases written out: thrice what a mask's longest outline
-needs."""
+"""Largest number of keys and values in a document, its aliases written out. It is three times what
+a mask's longest outline needs."""
 
 MAX_LINES = 2_000_000
-"""Lines of a document, blank ones, too."""
+"""Largest number of lines of a document, blank ones included."""
 
 MAX_DEPTH = 200
-"""Lists and mappings within each other."""
+"""Largest number of lists and mappings within each other."""
 
 MAX_NUMBER_LENGTH = 400
-"""Characters of a number."""
+"""Largest number of characters of a number."""
 
 MAX_PROBLEM = 160
-"""Characters of PyYAML's complaint that a message repeats."""
+"""Largest number of characters of PyYAML's complaint that a message repeats."""
 
 MAX_SHOWN = 60
-"""Characters of a refused value that a message repeats."""
+"""Largest number of characters of a refused value that a message repeats."""
 
 KEYS_AND_VALUES = "`key: value` lines"
-"""Form of a mapping of which a schema says nothing else."""
+"""The expected form of a mapping of which a schema says nothing else."""
 
 UNKNOWN_KEY = ("extra_forbidden", "invalid_key")
-"""Pydantic's names for a key that the schema does not have; said first, as a misspelt key explains
-a missing one."""
+"""Pydantic's names for a key that the schema does not have. It is said first, for a misspelled key
+explains a missing one."""
 
 NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+"""Tags of numbers."""
 
 NOT_YAML = (ValueError, LookupError, TypeError, AttributeError, OverflowError)
-"""What PyYAML raises, besides its own errors, on values that are not of the tag they have."""
-
+"""Errors that PyYAML raises, besides its own, on values that are not of the tag they have."""
 
 _TOO_DEEP = "maximum nesting depth"
-"""Libyaml's word for it."""
+"""Part of libyaml's message about a document that is nested too deeply."""
 
 _TOO_MANY = f"the document holds more than {MAX_NODES} keys and values"
 
@@ -92,16 +92,20 @@ _FORMS = (
         "-+.0123456789",
     ),
 )
-"""The end of each tag's name, what a plain scalar of it looks like, and how that begins."""
+"""Each tag's name, the pattern of a plain scalar of it, and the letters with which one begins."""
 
 _BASES = {"0o": 8, "0x": 16}
-"""Of whole numbers, by how they begin."""
+"""Bases of whole numbers, by the characters with which they begin."""
 
 
 def add_core_forms(resolver: type[yaml.resolver.BaseResolver]) -> None:
-    """Lets a resolver know the core schema; a dumper then puts texts in quotes that look like its numbers."""
+    """Lets a resolver know the core schema.
+
+    A dumper then puts texts in quotes that look like one of its numbers.
+    """
     for tag, form, beginnings in _FORMS:
-        pattern, first = re.compile(f"(?:{form})$"), list(beginnings)
+        pattern = re.compile(f"(?:{form})$")
+        first = list(beginnings)
         if tag == "null":
             first.append("")
         resolver.add_implicit_resolver(f"tag:yaml.org,2002:{tag}", pattern, first)
@@ -111,7 +115,7 @@ add_core_forms(_CoreResolver)
 
 
 def _find_parser() -> Any:
-    """The class that makes nodes of a text: libyaml's, else PyYAML's own."""
+    """Finds the class that makes nodes of a text: libyaml's, else PyYAML's own."""
     if yaml.__with_libyaml__:
         return yaml.cyaml.CParser
 
@@ -131,13 +135,14 @@ _Parser: Any = _find_parser()
 
 
 class _StrictLoader(_Parser, yaml.constructor.SafeConstructor, _CoreResolver):
-    """Safe; stops at a document of too many keys and values, or of too deep a one."""
+    """Makes plain values only, and stops at a document that is too large or too deep."""
 
     def __init__(self, text: str) -> None:
         _Parser.__init__(self, text)
         yaml.constructor.SafeConstructor.__init__(self)
         _CoreResolver.__init__(self)
-        self.nodes = self.depth = 0
+        self.nodes = 0
+        self.depth = 0
 
     def descend_resolver(self, parent: yaml.Node | None, index: Any) -> None:
         """Counts a node that begins; both parsers call it for each."""
@@ -253,6 +258,7 @@ class _TaggedLoader(_StrictLoader):
 
 
 def _construct_tagged(loader: _TaggedLoader, tag: str, node: yaml.Node) -> Any:
+    """Makes a mapping with its tag beside its keys; refuses a tag on anything else."""
     if not isinstance(node, yaml.MappingNode):
         raise yaml.constructor.ConstructorError(
             None, None, f"tag {tag} on what is no mapping", node.start_mark
@@ -270,8 +276,8 @@ def parse_yaml(
     """Makes plain values of a YAML document; no code is ever run, whatever its tags say.
 
     Args:
-        path: of the file, for messages.
-        text: of the document.
+        path: the file, for messages.
+        text: the document.
         what: what it should hold, for messages.
         error: raised where it does not.
         tagged: whether mappings may have tags, Drake's or OpenCV's; a tag's name is then kept under
@@ -294,7 +300,10 @@ def parse_yaml(
 
 
 def check_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> None:
-    """Checks a document that somebody else will make values of; the arguments and errors are those of `parse_yaml`."""
+    """Checks a document that somebody else will make values of.
+
+    The arguments and errors are those of `parse_yaml`.
+    """
     with _explained(path, what, error), _collecting_later():
         loader = _open(text, _StrictLoader)
         try:
@@ -313,7 +322,7 @@ def check_mapping(
     """Checks a mapping against a schema.
 
     Args:
-        path: of the file, for messages.
+        path: the file, for messages.
         data: as `read_mapping` gives it.
         schema: what it should hold.
         error: raised where it does not.
@@ -333,9 +342,15 @@ def check_mapping(
 
 
 def list_expected(schema: type[BaseModel], place: str = "") -> dict[str, str]:
-    """Lists what each field of a schema should hold, as its `description` says, by its place without indices.
+    """Lists what each field of a schema should hold, as its `description` says.
 
-    A field without one has "" there, but where it holds a mapping.
+    Args:
+        schema: the schema.
+        place: where it stands within a larger one.
+
+    Returns:
+        The descriptions by the fields' places, without indices; "" of a field that has none, unless
+        it holds a mapping.
     """
     expected = {}
     for name, field in schema.model_fields.items():
@@ -356,49 +371,50 @@ def explain(
     Args:
         error: pydantic's.
         expected: what each field should hold, by its place without indices, see `list_expected`.
-        renamed: what to say of keys that were once known, likewise by place.
+        renamed: what to say of keys that were once known, by their places without indices.
 
     Returns:
         A sentence such as "camera.rate is -1; expected a positive number, in Hz".
     """
     first = min(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
     place = first["loc"]
-    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(
-        "."
-    )
+    steps = [f"[{step}]" if isinstance(step, int) else f".{step}" for step in place]
+    field = "".join(steps).lstrip(".")
     names = [step for step in place if isinstance(step, str)]
     message = str(first["msg"]).removeprefix("Value error, ")
     if first["type"] in UNKNOWN_KEY:
-        above, key = names[: -1 if isinstance(place[-1], str) else None], str(place[-1])
         known_once = (renamed or {}).get(".".join(names))
-        return (
-            f"{field}: {known_once}"
-            if known_once
-            else f"{field}: unknown key{_suggest(above, key, expected)}"
-        )
+        if known_once:
+            return f"{field}: {known_once}"
+        # A key may also be a number, which is no name.
+        above = names[:-1] if isinstance(place[-1], str) else names
+        return f"{field}: unknown key{_suggest(above, str(place[-1]), expected)}"
     form = expected.get(".".join(names))
     if first["type"] == "value_error" and (not form or isinstance(first["input"], dict)):
         return f"{field}: {message}" if field else message
     if first["type"] == "missing":
         return f"{field} is missing" + (f"; expected {form}" if form else "")
-    return f"{field} is {shorten(first['input'])}; expected {form or message[:1].lower() + message[1:]}"
+    wanted = form or message[:1].lower() + message[1:]
+    return f"{field} is {shorten(first['input'])}; expected {wanted}"
 
 
 def suggest(word: str, known: list[str]) -> str:
-    """The end of a message about an unknown word: the nearest known one, and all."""
+    """Makes the end of a message about an unknown word: the nearest known one, and all."""
     near = get_close_matches(word, known, n=1)
     guess = f"; did you mean {near[0]}?" if near else ";"
     return f"{guess} expected one of {', '.join(known)}"
 
 
 def shorten(value: Any) -> str:
-    """A refused value for a message."""
+    """Writes a refused value for a message."""
     text = "empty" if value is None else repr(value)
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
 
 
 def _suggest(above: list[str], key: str, expected: Mapping[str, str]) -> str:
-    return suggest(key, [path.split(".")[-1] for path in expected if path.split(".")[:-1] == above])
+    """Makes the end of a message about an unknown key below others."""
+    paths = [path.split(".") for path in expected]
+    return suggest(key, [path[-1] for path in paths if path[:-1] == above])
 
 
 @contextmanager
@@ -422,7 +438,10 @@ def _explained(path: Path, what: str, error: type[GridPushError]) -> Iterator[No
 
 @contextmanager
 def _collecting_later() -> Iterator[None]:
-    """Keeps Python from looking for garbage meanwhile, over and over as nodes pile up; there is none."""
+    """Keeps Python from looking for garbage meanwhile.
+
+    It would look over and over as nodes pile up, though there is none.
+    """
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -440,6 +459,7 @@ def _open(text: str, kind: type[_StrictLoader]) -> _StrictLoader:
 
 
 def _compose(loader: _StrictLoader) -> yaml.Node | None:
+    """Makes a document's nodes, and checks them before anything is made of them."""
     root = loader.get_single_node()
     if root is not None:
         _check_keys(root)
@@ -448,11 +468,17 @@ def _compose(loader: _StrictLoader) -> yaml.Node | None:
 
 
 def _check_keys(root: yaml.Node) -> None:
-    """Refuses a key that occurs twice, which YAML's loader would settle in silence, and numbers without end."""
+    """Refuses a key that occurs twice, and a number that is too long.
+
+    YAML's loader would take the last of two keys in silence.
+    """
     for node in _walk(root):
         if isinstance(node, yaml.ScalarNode):
             if node.tag in NUMBER_TAGS and len(node.value) > MAX_NUMBER_LENGTH:
-                problem = f"a number has {len(node.value)} characters; expected at most {MAX_NUMBER_LENGTH}"
+                problem = (
+                    f"a number has {len(node.value)} characters; "
+                    f"expected at most {MAX_NUMBER_LENGTH}"
+                )
                 raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
             continue
         if not isinstance(node, yaml.MappingNode):
@@ -467,11 +493,12 @@ def _check_keys(root: yaml.Node) -> None:
 
 
 def _check_extent(root: yaml.Node) -> None:
-    """Refuses a document of more than MAX_NODES keys and values, its aliases written out, or that holds itself."""
+    """Refuses a document that is too large with its aliases written out, or that holds itself."""
     extent: dict[int, int] = {}
     open_nodes: set[int] = set()
 
     def measure(node: yaml.Node) -> int:
+        """Counts a node with all below it; one that an alias names again is not walked again."""
         if id(node) in extent:
             return extent[id(node)]
         if id(node) in open_nodes:
@@ -490,8 +517,9 @@ def _check_extent(root: yaml.Node) -> None:
 
 
 def _walk(root: yaml.Node) -> Iterator[yaml.Node]:
-    """Every node once."""
-    seen, left = {id(root)}, [root]
+    """Finds every node once."""
+    seen = {id(root)}
+    left = [root]
     while left:
         node = left.pop()
         yield node
@@ -502,15 +530,15 @@ def _walk(root: yaml.Node) -> Iterator[yaml.Node]:
 
 
 def _children(node: yaml.Node) -> list[yaml.Node]:
+    """Lists the nodes right below a node; those of a mapping are its keys and its values."""
     if isinstance(node, yaml.SequenceNode):
         return list(node.value)
-    return (
-        [child for pair in node.value for child in pair]
-        if isinstance(node, yaml.MappingNode)
-        else []
-    )
+    if isinstance(node, yaml.MappingNode):
+        return [child for pair in node.value for child in pair]
+    return []
 
 
 def _shorten(problem: Any) -> str:
+    """Writes PyYAML's complaint on one line, not too long."""
     text = " ".join(str(problem).split())
     return text if len(text) <= MAX_PROBLEM else text[: MAX_PROBLEM - 3] + "..."

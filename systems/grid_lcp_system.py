@@ -242,17 +242,8 @@ class GridLcpSystem(LeafSystem):
         shifted = shifts_loads(params, self._table)
         J = np.empty((1, 3, count_columns(self.obj.n, shifted, with_friction=True)))
         self._run(context, context.get_discrete_state(_MEMORY).CopyToVector(), J)
-        raw = RawJacobian(
-            steps=np.array([1]),
-            J=J,
-            p_BC=self.obj.p_BC,
-            cell_size=self.obj.cell_size,
-            mass=params.mass,
-            friction=params.friction,
-            gravity=self.physics.gravity,
-            inertial=self.physics.inertial,
-            start_tangent=None,
-            shifted=shifted,
+        raw = RawJacobian.of_parameters(
+            self.obj, params, self.physics, steps=np.array([1]), J=J, shifted=shifted
         )
         output.set_value(raw.expand())
 

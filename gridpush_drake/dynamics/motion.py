@@ -12,6 +12,8 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.notebook import count, describe_move, draw_paths, make_page
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 
 class MotionStatus(StrEnum):
@@ -153,6 +155,19 @@ class RawJacobian:
     k_i = mu_i m_i g, and m_i moves mass, center of mass c and inertia I about it:
     dm = dm_i, dc = (p_i - c)/m dm_i, dI = (|p_i - c|² + s²/6) dm_i. Where loads shift the columns
     are by m_i already.
+
+    Attributes:
+        steps: (R,) the differentiated poses.
+        J: (R, 3, width) the kernel's columns, see `kernels.forward_sensitivity`.
+        p_BC: (n, 2) cell centers, m.
+        cell_size: side of a cell, m.
+        mass: (n,) m_i, kg.
+        friction: (n,) mu_i.
+        gravity: g, m/s².
+        inertial: whether the body has inertia.
+        start_tangent: (2,) unit tangent of the outline where the push begins; None where its start
+            does not move along the outline.
+        shifted: whether the columns are by m_i already.
     """
 
     steps: IntArray
@@ -165,6 +180,32 @@ class RawJacobian:
     inertial: bool
     start_tangent: Array | None
     shifted: bool = False
+
+    @classmethod
+    def of_parameters(
+        cls,
+        obj: GridObject,
+        params: CellParameters,
+        physics: Physics,
+        *,
+        steps: IntArray,
+        J: Array,
+        shifted: bool,
+        start_tangent: Array | None = None,
+    ) -> "RawJacobian":
+        """Makes it of an object, its parameters, the physics, and what the kernel filled in."""
+        return cls(
+            steps=steps,
+            J=J,
+            p_BC=obj.p_BC,
+            cell_size=obj.cell_size,
+            mass=params.mass,
+            friction=params.friction,
+            gravity=physics.gravity,
+            inertial=physics.inertial,
+            start_tangent=start_tangent,
+            shifted=shifted,
+        )
 
     @property
     def other(self) -> Array:

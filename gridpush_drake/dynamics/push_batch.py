@@ -30,13 +30,21 @@ from gridpush_drake.objects.parameters import CellParameters
 
 
 class BatchPush(NamedTuple):
-    """One push of a batch."""
+    """One push of a batch.
 
-    push: Push  # the pusher's motion
-    pose: Array  # (3,) q of the object at the beginning, m and rad
-    times: Array  # (T+1,) the steps' times, s from the push's beginning
-    rows: IntArray  # (R,) the poses among the T+1 that are wanted; the same one more than once, too
-    table: Array | None  # (K, 2) corners in W of the table's top, m; None where it is endless
+    Attributes:
+        push: the pusher's motion.
+        pose: (3,) q of the object at the beginning, m and rad.
+        times: (T+1,) the steps' times from the push's beginning, s.
+        rows: (R,) the poses among the T+1 that are wanted; one may be wanted more than once.
+        table: (K, 2) corners in W of the table's top, m; None where it is endless.
+    """
+
+    push: Push
+    pose: Array
+    times: Array
+    rows: IntArray
+    table: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +67,7 @@ class PushBatch:
 
     Attributes:
         obj: the object.
-        physics: of the simulations.
+        physics: physics of the simulations.
         offsets: (P+1,) the first row of each push among the wanted poses of all, and their number.
     """
 
@@ -80,6 +88,8 @@ class PushBatch:
         near = [
             find_edges_near(obj, one.push, one.pose, one.table, physics.inertial) for one in pushes
         ]
+
+        # One call of the kernel knows one table; pushes far from any edge go together.
         kinds = [None if edges is None else edges.tobytes() for edges in near]
         self._groups = []
         for kind in dict.fromkeys(kinds):
@@ -120,17 +130,8 @@ class PushBatch:
             width = count_columns(n, shifted, with_friction=False)
             J = np.empty((len(group.rows), 3, width))
             poses[group.rows], _ = self._run(group, params, J)
-            raw = RawJacobian(
-                steps=group.steps,
-                J=J,
-                p_BC=self.obj.p_BC,
-                cell_size=self.obj.cell_size,
-                mass=params.mass,
-                friction=params.friction,
-                gravity=self.physics.gravity,
-                inertial=self.physics.inertial,
-                start_tangent=None,
-                shifted=shifted,
+            raw = RawJacobian.of_parameters(
+                self.obj, params, self.physics, steps=group.steps, J=J, shifted=shifted
             )
             derivatives[group.rows, :, :n] = raw.calc_mass()
             derivatives[group.rows, :, n] = raw.other[..., CONTACT_FRICTION]
@@ -150,6 +151,7 @@ class PushBatch:
             rows=len(group.rows),
             table=group.table,
         )
+        # A pose that is wanted more than once is recorded once.
         if len(J):
             again = group.recorded != np.arange(len(J))
             J[again] = J[group.recorded[again]]
@@ -158,6 +160,7 @@ class PushBatch:
     def _make_group(
         self, pushes: Sequence[BatchPush], chosen: IntArray, table: Array | None
     ) -> _Group:
+        # Push p has the steps first[p] to first[p+1], and one more pose than steps.
         some = [pushes[i] for i in chosen]
         first = np.append(0, np.cumsum([len(one.times) - 1 for one in some], dtype=np.int64))
         row_of_step = np.full(int(first[-1]) + len(some), -1)

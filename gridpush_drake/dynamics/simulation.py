@@ -153,17 +153,14 @@ def simulate(
 
     jacobian: Jacobian | RawJacobian | None = None
     if gradients in (True, "mass"):
-        jacobian = RawJacobian(
+        jacobian = RawJacobian.of_parameters(
+            obj,
+            params,
+            used,
             steps=rows,
             J=J,
-            p_BC=obj.p_BC,
-            cell_size=obj.cell_size,
-            mass=params.mass,
-            friction=params.friction,
-            gravity=used.gravity,
-            inertial=used.inertial,
-            start_tangent=push.start_tangent if isinstance(push, Push) else None,
             shifted=shifted,
+            start_tangent=push.start_tangent if isinstance(push, Push) else None,
         )
     elif gradients == "paper":
         jacobian = calc_paper_jacobian(obj, params, result, dts, rows, used)

@@ -142,7 +142,8 @@ def _halve(coverage: Array) -> Array:
     height, width = coverage.shape
     missing_rows = (0, height % 2)
     missing_columns = (0, width % 2)
-    even = np.pad(coverage, [missing_rows, missing_columns])
+    missing = [missing_rows, missing_columns]
+    even = np.pad(coverage, missing)
     # rows of squares, rows within a square, columns of squares, columns within a square
     squares = even.reshape(len(even) // 2, 2, -1, 2)
     return squares.mean(axis=(1, 3))
@@ -224,7 +225,8 @@ def _begin_at_a_corner(ring: Points) -> Points:
         (k, 2) without it.
     """
     ring = ring[:-1]
-    arm = ring - ring.mean(axis=0)
+    middle = ring.mean(axis=0)
+    arm = ring - middle
     squared_distance = (arm**2).sum(axis=1)
     farthest = int(np.argmax(squared_distance))
     return np.roll(ring, -farthest, axis=0)
@@ -306,7 +308,8 @@ def _drop_straight(ring: Points, corners: list[int]) -> list[int]:
         following = after[corner]
         points = _take_between(ring, previous, following)
         line = _fit_line(points)
-        if np.abs(line.measure(points)).max() > STRAIGHT:
+        distances = np.abs(line.measure(points))
+        if distances.max() > STRAIGHT:
             continue
         # The corner goes. Its neighbors have longer edges now, and are looked at again.
         after[previous] = following

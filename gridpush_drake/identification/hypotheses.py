@@ -139,7 +139,7 @@ class Setting:
         return self._covariances[range_cells]
 
     def with_pushes(self, pushes: LinearizedPushes) -> "Setting":
-        """The same setting with the training pushes to first order."""
+        """Makes this setting one with the training pushes to first order."""
         setting = Setting(self.obj, self.z0, self.log_contact_friction_std, pushes)
         setting._covariances.update(self._covariances)
         return setting
@@ -294,12 +294,14 @@ class TwoParts:
         return True
 
     def propose(self, setting: Setting) -> list[LoadPrior]:
-        """Proposes the cuts that explain the pushes best to first order, the most probable first."""
+        """Proposes the cuts that explain the pushes best to first order, the best one first."""
         assert setting.pushes is not None
         obj = setting.obj
         cuts = find_cuts(obj)
         pushes = reduce_rows(setting.pushes)
-        residuals, J, known = pushes.residuals, pushes.J, pushes.known
+        residuals = pushes.residuals
+        J = pushes.J
+        known = pushes.known
         C = setting.calc_smooth_covariance(self.range_cells)
         within = block_diag(self.amplitude**2 * C, setting.log_contact_friction_std**2)
         log_evidence = calc_cut_evidence(cuts, self.part_std, within, residuals, J)
@@ -403,12 +405,14 @@ def find_cuts(obj: GridObject) -> Array:
 
 
 def reduce_rows(pushes: LinearizedPushes) -> LinearizedPushes:
-    """The same pushes with no more rows than unknowns, by a QR factorization.
+    """Says what pushes say in no more rows than there are unknowns, by a QR factorization.
 
     Every normal prior of z has the same evidence and the same optimum with both, but for a constant
     that all priors share.
     """
-    residuals, J, known = pushes.residuals, pushes.J, pushes.known
+    residuals = pushes.residuals
+    J = pushes.J
+    known = pushes.known
     if len(residuals) <= J.shape[1]:
         return pushes
     seen = len(residuals) - known

@@ -318,9 +318,8 @@ def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array)
             "the forces are not used."
         )
     return (
-        f"{known}As it weighs {mass:g} kg, the mean friction coefficient is "
-        f"between {mean[0]:.3f} and {mean[1]:.3f}, "
-        f"and the box of possible centers of mass is {_describe_size(box)}; "
+        f"{known}As it weighs {mass:g} kg, the mean friction coefficient is between {mean[0]:.3f} "
+        f"and {mean[1]:.3f}, and the box of possible centers of mass is {_describe_size(box)}; "
         f"without forces it would be {_describe_size(wide)}."
     )
 
@@ -334,11 +333,9 @@ def _describe_patterns(obj: GridObject, patterns: int, cells: int) -> str:
     many = "1 pattern" if patterns == 1 else f"{patterns} independent patterns"
     return (
         f"The pushes determined {many} of how the friction is spread over the {obj.n} cells, such "
-        "as "
-        "more at one end and less at the other. Since neighboring cells are supposed to be alike, "
-        f"this takes at least half of the variance from {cells} of the cells; what sets a cell "
-        "apart "
-        "from its neighbors stays as it was supposed beforehand."
+        "as more at one end and less at the other. Since neighboring cells are supposed to be "
+        f"alike, this takes at least half of the variance from {cells} of the cells; what sets a "
+        "cell apart from its neighbors stays as it was supposed beforehand."
     )
 
 
@@ -371,15 +368,13 @@ def _describe(
     return (
         "Not identifiable from these data: the common scale of the friction. "
         "Slow pushes observed by their poses look the same when every cell rubs twice as hard.",
-        "Not identifiable from these data: mass and friction of a cell apart. "
-        "Only their product, relative to the other cells', acts on a slow push; "
-        "the masses shown suppose that all cells have the same friction coefficient, "
-        f"and {total}.",
+        "Not identifiable from these data: mass and friction of a cell apart. Only their product, "
+        "relative to the other cells', acts on a slow push; the masses shown suppose that all "
+        f"cells have the same friction coefficient, and {total}.",
         _describe_patterns(obj, learned, known_cells),
         f"The center of friction is known to {MM * center_std[0]:.1f} mm in x "
         f"and {MM * center_std[1]:.1f} mm in y (one standard deviation).",
-        "Were the friction of each cell exactly as estimated, friction coefficients anywhere "
-        f"from {low:g} to {high:g} would still leave the center of mass anywhere "
-        f"in a box of {_describe_size(box)}; "
-        "with equal coefficients it is at the center of friction.",
+        "Were the friction of each cell exactly as estimated, friction coefficients anywhere from "
+        f"{low:g} to {high:g} would still leave the center of mass anywhere in a box of "
+        f"{_describe_size(box)}; with equal coefficients it is at the center of friction.",
     )

@@ -277,7 +277,7 @@ class MapEnsemble:
         )
 
     def make_widest_factor(self, obj: GridObject, log_contact_friction_std: float) -> Array:
-        """Makes the factor (n+1, n+1) of the prior covariance of z under the widest smooth field."""
+        """Makes the factor (n+1, n+1) of z's prior covariance under the widest smooth field."""
         setting = Setting(obj, np.zeros(obj.n + 1), log_contact_friction_std)
         return self.widest.propose(setting)[0].factor
 
@@ -301,27 +301,28 @@ class MapEnsemble:
         last: MapFit | None = None  # of the smooth field before
         for hypothesis in ordered:
             for name, prior in _propose(hypothesis, setting):
-                on_grid = prior.p_BC is problem.obj.p_BC
-                moved = problem if on_grid else problem.move_cells(prior.p_BC)
-                begin, linear = None, None
+                begin = None
+                linear = None
                 if prior.start is not None:
                     begin = FitStart(prior.start, NoiseScale())
                 elif isinstance(hypothesis, SmoothField) and last is not None:
                     # A wider field explains no less than a narrower one did.
                     scale = NoiseScale(*np.minimum(last.scale, 1.0).tolist())
-                    begin, linear = FitStart(last.z, scale), last.linear
-                fit = fit_one(
-                    moved,
-                    prior.mean,
-                    prior.factor,
+                    begin = FitStart(last.z, scale)
+                    linear = last.linear
+                candidate = _fit_prior(
+                    problem,
+                    hypothesis,
+                    name,
+                    prior,
+                    fit_one,
                     start=begin,
                     linear=linear,
                     warm_start=warm.get(name, warm.get("")),
-                    max_evaluations=FIRST_EVALUATIONS,
                 )
-                candidates.append(Candidate(name, hypothesis, prior, moved, on_grid, fit))
+                candidates.append(candidate)
                 if isinstance(hypothesis, SmoothField):
-                    last = fit
+                    last = candidate.fit
         return candidates
 
     def _fit_conditional(
@@ -337,19 +338,17 @@ class MapEnsemble:
             if not hypothesis.needs_pushes:
                 continue
             for name, prior in _propose(hypothesis, setting):
-                on_grid = prior.p_BC is problem.obj.p_BC
-                moved = problem if on_grid else problem.move_cells(prior.p_BC)
-                proposed = None if prior.start is None else FitStart(prior.start, best.scale)
-                fit = fit_one(
-                    moved,
-                    prior.mean,
-                    prior.factor,
+                candidate = _fit_prior(
+                    problem,
+                    hypothesis,
+                    name,
+                    prior,
+                    fit_one,
                     start=FitStart(best.z, best.scale),
-                    linear=best.linear if on_grid else None,
-                    warm_start=proposed,
-                    max_evaluations=FIRST_EVALUATIONS,
+                    linear=best.linear,
+                    warm_start=None if prior.start is None else FitStart(prior.start, best.scale),
                 )
-                candidates.append(Candidate(name, hypothesis, prior, moved, on_grid, fit))
+                candidates.append(candidate)
         return candidates
 
     def _average(self, problem: PushProblem, candidates: list[Candidate]) -> MapEnsembleFit:
@@ -365,7 +364,8 @@ class MapEnsemble:
         leaning = evidences + np.log([prior.weight for prior in priors])
         # Leaning on weak variation predicts better; it is no knowledge, and must not make the
         # estimate look surer: the mean leans, the spread goes by evidence alone.
-        plausible, weights = softmax(evidences), softmax(leaning)
+        plausible = softmax(evidences)
+        weights = softmax(leaning)
         groups = self._group(problem, candidates, leaning, weights)
         z = _average_shares(
             np.array([group.weight for group in groups]), [group.z for group in groups]
@@ -374,7 +374,8 @@ class MapEnsemble:
         counted = np.flatnonzero(plausible > NEGLIGIBLE)
         ratios = [fits[i].linearized.calc_end_errors(residuals) for i in counted]
         kappa = self.noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
-        wider, surer = max(kappa, 1.0), min(CAUTION * kappa, 1.0)
+        wider = max(kappa, 1.0)
+        surer = min(CAUTION * kappa, 1.0)
         covariance, prior_covariance = np.zeros((2, len(z), len(z)))
         for group in groups:
             if not plausible[group.members].sum() > NEGLIGIBLE:
@@ -473,8 +474,9 @@ def _find_best(candidates: Sequence[Candidate]) -> int:
     return max(fields, key=lambda i: candidates[i].log_evidence)
 
 
-def _calc_distance_to_middle(one: SmoothField) -> float:
-    """How far a field's amplitude is from the one that fits from tilted loads begin with."""
+def _calc_distance_to_middle(one: LoadHypothesis) -> float:
+    """Distance of a smooth field's log amplitude from that with which tilted loads are fitted."""
+    assert isinstance(one, SmoothField)
     return float(np.abs(np.log(one.amplitude / TILTED_AMPLITUDE)))
 
 
@@ -499,8 +501,9 @@ def _begin_with_tilts(
     explains = scale < POOR_SCALE and farthest < POOR_FIT_DISTANCE * scale * noise.pose
     if explains and neighbor > fit.log_evidence - HOPELESS:
         return
-    middle = min(fields, key=lambda i: _calc_distance_to_middle(candidates[i].hypothesis))  # type: ignore[arg-type]
-    prior, problem = candidates[middle].prior, candidates[middle].problem
+    middle = min(fields, key=lambda i: _calc_distance_to_middle(candidates[i].hypothesis))
+    prior = candidates[middle].prior
+    problem = candidates[middle].problem
     tilted = tilt_loads(problem.obj, prior.mean)
     errors = [problem.calc_cell_errors(problem.residuals(z)).mean() for z in tilted]
     for i in np.argsort(errors, kind="stable")[:TILTED_FITS]:
@@ -536,14 +539,59 @@ def _follow_best(candidates: list[Candidate], fit_one: Callable[..., MapFit]) ->
             candidates[fields[own_place]] = replace(one, fit=fit)
 
 
+def _fit_prior(
+    problem: PushProblem,
+    hypothesis: LoadHypothesis,
+    name: str,
+    prior: LoadPrior,
+    fit_one: Callable[..., MapFit],
+    *,
+    start: FitStart | None,
+    linear: Linearization | None,
+    warm_start: FitStart | None,
+) -> Candidate:
+    """Fits one prior, with the cells' loads at the points where it puts them.
+
+    Args:
+        problem: the training pushes, with loads at the cells' centers.
+        hypothesis: the hypothesis that proposes the prior.
+        name: the prior's name.
+        prior: the prior.
+        fit_one: makes a fit.
+        start: where it begins; None for the prior mean.
+        linear: the pushes' residuals and derivatives there, with loads at the cells' centers; None
+            where they are not known.
+        warm_start: where else it may begin; None for nowhere else.
+    """
+    on_grid = prior.p_BC is problem.obj.p_BC
+    moved = problem if on_grid else problem.move_cells(prior.p_BC)
+    fit = fit_one(
+        moved,
+        prior.mean,
+        prior.factor,
+        start=start,
+        linear=linear if on_grid else None,
+        warm_start=warm_start,
+        max_evaluations=FIRST_EVALUATIONS,
+    )
+    return Candidate(
+        name=name,
+        hypothesis=hypothesis,
+        prior=prior,
+        problem=moved,
+        on_grid=on_grid,
+        fit=fit,
+    )
+
+
 def _hold_center(obj: GridObject) -> CenterOfMass:
-    """Where nothing is known of the center of mass: about the cells' centroid."""
+    """Holds the center of mass about the cells' centroid, where nothing is known of it."""
     x, y = obj.p_BC.mean(axis=0)
     return CenterOfMass((x, y), CENTER_STD * obj.radius_of_gyration)
 
 
 def _describe(best: LoadPrior) -> tuple[IdentificationStatus, str]:
-    """The status by the most probable prior, and the same in a sentence."""
+    """Tells the status by the most probable prior, and says it in a sentence."""
     if not best.stands_for_even:
         return IdentificationStatus.LEARNED, "Learned from the pushes."
     return (
@@ -554,9 +602,14 @@ def _describe(best: LoadPrior) -> tuple[IdentificationStatus, str]:
 
 
 def tilt_loads(obj: GridObject, z0: Array) -> list[Array]:
-    """Makes z (n+1,) whose loads grow exponentially across the object in some direction, with the total of z0's.
+    """Makes points whose loads grow exponentially across the object, each in another direction.
 
-    The load of an only cell has nowhere to go; of that object there is none.
+    Args:
+        obj: the object.
+        z0: (n+1,) the point whose total load they keep.
+
+    Returns:
+        The points z (n+1,); none of an object of one cell, whose load has nowhere to go.
     """
     if obj.n == 1:
         return []
@@ -573,19 +626,31 @@ def tilt_loads(obj: GridObject, z0: Array) -> list[Array]:
 
 
 def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
-    """The z of loads at p_loads (n, 2) on cells at p_BC (n, 2), tilted along so that their center stays where it is."""
+    """Carries loads at given points over to the cells, so that their center stays where it is.
+
+    The loads are tilted, exponentially along a direction b: x_i exp(b . arm_i). Newton's method
+    finds the b for which the tilted loads' arms sum up to nothing.
+
+    Args:
+        p_BC: (n, 2) the cells' centers, m.
+        z: (n+1,) log loads and log mu_c.
+        p_loads: (n, 2) points at which the loads are, m.
+
+    Returns:
+        (n+1,) z of the cells.
+    """
     x = calc_share(z)
     arm = p_BC - x @ p_loads
     if len(x) == 1:
         return z
-    ridge, b = TILT_RIDGE * float((p_BC.var(axis=0)).sum()) * np.eye(2), np.zeros(2)
+    ridge = TILT_RIDGE * float((p_BC.var(axis=0)).sum()) * np.eye(2)
+    b = np.zeros(2)
     for _ in range(TILT_STEPS):
         w = x * np.exp(arm @ b - (arm @ b).max())
         w /= w.sum()
         mean = w @ arm
-        step = -np.linalg.solve(
-            (arm * w[:, None]).T @ arm - np.outer(mean, mean) + ridge, mean + ridge @ b
-        )
+        hessian = (arm * w[:, None]).T @ arm - np.outer(mean, mean) + ridge
+        step = -np.linalg.solve(hessian, mean + ridge @ b)
         b += step / max(1.0, float(np.abs(arm @ step).max()) / MAX_TILT_STEP)
     moved = z.copy()
     moved[CELLS] += arm @ b
@@ -593,7 +658,7 @@ def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
 
 
 def _average_shares(weights: Array, z: list[Array]) -> Array:
-    """The z whose shares are the average of others', with the averages of their common scale and of log mu_c."""
+    """Averages points z, each (n+1,): their shares, their common scale, and log mu_c."""
     values = np.array(z)
     level = logsumexp(values[:, CELLS], axis=1)
     average = np.asarray(weights @ values)
@@ -602,8 +667,19 @@ def _average_shares(weights: Array, z: list[Array]) -> Array:
 
 
 def _compare_shares(z: Array, z0: Array) -> tuple[Array, Array]:
-    """How far z is from z0, x/x0 - 1 of the shares, and T (n+1, n+1), by which dz varies that, the scale apart."""
-    ratio, off, T = calc_share(z) / calc_share(z0), z - z0, np.eye(len(z))
+    """Compares the shares of the loads at two points.
+
+    Args:
+        z: (n+1,) one point.
+        z0: (n+1,) the other.
+
+    Returns:
+        How far z is from z0 (n+1,): x/x0 - 1 of the shares, and the difference of log mu_c. And T
+        (n+1, n+1), the derivative of that by z, apart from the common scale.
+    """
+    ratio = calc_share(z) / calc_share(z0)
+    off = z - z0
+    T = np.eye(len(z))
     off[CELLS] = ratio - 1
     T[CELLS, CELLS] = np.diag(ratio) + np.outer(1 - ratio, calc_share(z))
     return off, T
@@ -616,7 +692,8 @@ class Tracker:
         self, problem: PushProblem, progress: Callable[[HistoryEntry], None] | None
     ) -> None:
         """Begins at nothing simulated."""
-        self.problem, self.progress = problem, progress
+        self.problem = problem
+        self.progress = progress
         self.history: list[HistoryEntry] = []
         self._first = 0
 
@@ -628,18 +705,16 @@ class Tracker:
 
     def follow(self, problem: PushProblem) -> None:
         """Goes on with a problem that does without what was refused, whose losses begin anew."""
-        self.problem, self._first = problem, len(self.history)
+        self.problem = problem
+        self._first = len(self.history)
 
     def report(self, z: Array, linear: Linearization) -> None:
         """Notes where a fit is."""
         loss = float(self.problem.calc_cell_errors(linear.residuals).mean())
-        self.add(
-            HistoryEntry(
-                self.problem.simulations,
-                min([loss, *(e.loss for e in self.history[self._first :][-1:])]),
-                FITTING,
-            )
-        )
+        before = [entry.loss for entry in self.history[self._first :][-1:]]
+        best = min([loss, *before])
+        entry = HistoryEntry(simulations=self.problem.simulations, loss=best, stage=FITTING)
+        self.add(entry)
 
     def add(self, entry: HistoryEntry) -> None:
         """Notes an entry."""

@@ -1,7 +1,8 @@
-"""A learned model as one self-contained YAML file: the object, its cells' values and how well they are known.
+"""A learned model as one self-contained YAML file.
 
-The object stands there as in an object file, with its very cells. Symmetric matrices are text, exact to the last bit:
-base64 of little-endian float64.
+It holds the object, its cells' values, and how well they are known. The object stands there as in
+an object file, with its very cells. Symmetric matrices are text, exact to the last bit: base64 of
+little-endian float64.
 """
 
 import base64
@@ -31,6 +32,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.yaml_file import StrictSchema, add_core_forms, check_mapping, read_mapping
 
 FORMAT_VERSION: Literal[2] = 2
+"""Version of the form of model files."""
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -235,6 +237,7 @@ def unpack_symmetric(name: str, text: str, size: int) -> Array:
 
 
 def _decode(name: str, text: str) -> Array:
+    """Reads numbers from base64; an IdentificationError calls them by name."""
     try:
         data = base64.b64decode("".join(text.split()), validate=True)
         values = np.frombuffer(data, dtype="<f8").astype(np.float64)
@@ -248,21 +251,25 @@ def _decode(name: str, text: str) -> Array:
 
 
 WHAT = "a gridpush model"
+"""The expected form of a file, for messages."""
 
 MARK = "gridpush_model:"
-"""The key that every model file begins with, below its comments."""
+"""Key with which every model file begins, below its comments."""
 
 MARK_ROOM = 4096
-"""Bytes within which it stands."""
+"""Number of bytes at the beginning of a file within which `MARK` stands."""
 
-HEADER = """\
-# A model that gridpush learned: what the object's cells weigh, how they rub, and how well that is known.
-# SI units, radians; places are in the object's body frame. `gridpush predict`, `simulate` and `show` read it.
-# What stands under `identifiability`, and the cells' relative friction, bounds and learned share, is for reading:
-# it follows from the posterior at the end, which is exact.
-"""
+HEADER = (
+    "# A model that gridpush learned: what the object's cells weigh, how they rub, and how well "
+    "that is known.\n# SI units, radians; places are in the object's body frame. `gridpush "
+    "predict`, `simulate` and `show` read it.\n# What stands under `identifiability`, and the "
+    "cells' relative friction, bounds and learned share, is for reading:\n# it follows from the "
+    "posterior at the end, which is exact.\n"
+)
+"""Comments at the beginning of a model file."""
 
 LINE_WIDTH = 120
+"""Characters of a line in a model file."""
 
 
 def looks_like_model(path: Path | str) -> bool:
@@ -283,9 +290,8 @@ def write_model(path: Path | str, identification: Identification, force: bool = 
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
     content = _describe(identification).model_dump(exclude_none=True, exclude_unset=True)
-    write_whole(
-        path, HEADER + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH), force
-    )
+    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH)
+    write_whole(path, HEADER + text, force)
 
 
 def read_model(path: Path | str) -> Identification:
@@ -299,7 +305,8 @@ def read_model(path: Path | str) -> Identification:
 
     Raises:
         ObjectError: the file cannot be read or is not YAML.
-        IdentificationError: it is not a model; the message names the file, the field and the expected form.
+        IdentificationError: it is not a model; the message names the file, the field and the
+            expected form.
     """
     path = Path(path)
     schema = check_mapping(
@@ -312,7 +319,10 @@ def read_model(path: Path | str) -> Identification:
 
 
 def _describe(result: Identification) -> ModelSchema:
-    obj, known, spread = result.obj, result.identifiability, result.posterior
+    """Collects what a model file says."""
+    obj = result.obj
+    known = result.identifiability
+    spread = result.posterior
     return ModelSchema(
         gridpush_model=FORMAT_VERSION,
         method=result.method,
@@ -387,34 +397,48 @@ def _describe_physics(physics: Physics) -> PhysicsSchema:
 
 
 def _restore(schema: ModelSchema) -> Identification:
+    """Makes the model again of what a file says."""
     name = str(schema.object.name)
+    grid = make_cells(schema.object, name, Path())
     obj = GridObject(
-        name,
-        *make_cells(schema.object, name, Path()),
-        schema.object.to_prior(),
-        schema.object.height,
+        name=name,
+        p_BC=grid.p_BC,
+        cell_size=grid.cell_size,
+        labels=grid.labels,
+        outline=grid.outline,
+        prior=schema.object.to_prior(),
+        height=schema.object.height,
     )
-    cells, n = schema.cells, obj.n
-    mass, friction, push_height = (
-        np.array(cells.mass),
-        np.array(cells.friction),
-        obj.prior.push_height or 0.0,
-    )
+    cells = schema.cells
     params = CellParameters(
-        mass, friction, schema.contact_friction, push_height, schema.patch_ratio
+        mass=np.array(cells.mass),
+        friction=np.array(cells.friction),
+        contact_friction=schema.contact_friction,
+        push_height=obj.prior.push_height or 0.0,
+        patch_ratio=schema.patch_ratio,
     )
+    std = CellParameters(
+        mass=np.array(cells.mass_std),
+        friction=np.array(cells.friction_std),
+        contact_friction=schema.contact_friction_std,
+    )
+    size = obj.n + len(GLOBALS)
+    told = schema.posterior
     posterior = Posterior(
-        np.array(schema.posterior.mean),
-        unpack_symmetric("posterior.covariance", schema.posterior.covariance, n + len(GLOBALS)),
-        unpack_symmetric(
-            "posterior.prior_covariance", schema.posterior.prior_covariance, n + len(GLOBALS)
-        ),
+        np.array(told.mean),
+        unpack_symmetric("posterior.covariance", told.covariance, size),
+        unpack_symmetric("posterior.prior_covariance", told.prior_covariance, size),
     )
+    outliers = [
+        Outlier(push=out.push, poses=tuple(out.poses), observed=out.observed, whole=out.whole)
+        for out in schema.outliers
+    ]
+    # What the file says for people only is worked out again.
     force = None if schema.force is None else ForceScale(**schema.force.model_dump())
     return Identification(
         obj=obj,
         params=params,
-        std=CellParameters(np.array(cells.mass_std), np.array(cells.friction_std), schema.contact_friction_std),
+        std=std,
         posterior=posterior,
         identifiability=calc_identifiability(obj, params, posterior, force),
         method=schema.method,
@@ -428,15 +452,15 @@ def _restore(schema: ModelSchema) -> Identification:
         seed=schema.seed,
         push_names=tuple(schema.training_pushes),
         unused_pushes=tuple(schema.unused_pushes),
-        outliers=tuple(Outlier(out.push, tuple(out.poses), out.observed, out.whole) for out in schema.outliers),
+        outliers=tuple(outliers),
         force=force,
         interval_scale=schema.interval_scale,
         noise=NoiseModel() if schema.noise is None else NoiseModel(**schema.noise.model_dump()),
-    )  # fmt: skip
+    )
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
-    """Lists on one line, text of several lines as it stands."""
+    """Writes lists on one line, and text of several lines as it stands."""
 
 
 def _represent_list(dumper: Any, value: list[Any]) -> Any:

@@ -58,8 +58,8 @@ class FitStart:
 
     Attributes:
         z: (n+1,) log k and log mu_c.
-        scale: of the noise.
-        name: of the prior that the fit was under; empty for one that serves any prior.
+        scale: scale of the noise.
+        name: name of the prior that the fit was under; empty for one that serves any prior.
     """
 
     z: Array
@@ -72,7 +72,7 @@ class HypothesisEvidence:
     """How well one hypothesis of the object's loads explains the pushes.
 
     Attributes:
-        name: of the hypothesis, with a number where it stands for several priors.
+        name: name of the hypothesis, with a number where it stands for several priors.
         log_evidence: log evidence, less that of the best one.
         weight: share of the estimate that comes from it, between 0 and 1.
     """
@@ -93,8 +93,8 @@ class Identification:
             contact_friction.
         posterior: the spread of the relative support friction and the contact friction.
         identifiability: what these data say and what they cannot say.
-        method: that found it.
-        physics: of the simulations; its regime is never "auto".
+        method: the method that found it.
+        physics: physics of the simulations; its regime is never "auto".
         status: how it ended.
         message: the status in a sentence.
         history: the best loss so far along the search, simulations increasing.
@@ -102,15 +102,15 @@ class Identification:
         noise_std: standard deviation of what the model leaves unexplained, as cell error per axis,
             m.
         load_shift_std: standard deviation of the center of the load per axis from push to push, m.
-        seed: of everything random.
-        push_names: of the training pushes used.
-        unused_pushes: of those left out, because the pusher never touched the object in them.
+        seed: seed of everything random.
+        push_names: names of the training pushes that were used.
+        unused_pushes: names of the training pushes in which the pusher never touched the object.
         outliers: what was refused of the pushes, one entry for each of which something was.
         starts: where each of the default method's fits ended, for `identify(start=...)`; empty for
             other methods.
         force: what measured forces say of the friction's scale; None where there are none.
-        interval_scale: of predicted intervals, at most 1: how much narrower they are than posterior
-            and noise make them, as pushes like these turn out nearer.
+        interval_scale: factor on predicted intervals, at most 1: how much narrower they are than
+            posterior and noise make them, as pushes like these turn out nearer.
         noise: what the method took for granted of the noise, at scale one.
         hypotheses: evidence and weight of each hypothesis of how the object bears on the table;
             empty for other methods than the default.
@@ -153,7 +153,8 @@ class Identification:
 
     def _repr_html_(self) -> str:
         """Outline and cells, colored by their learned mass, and a table of what was found."""
-        obj, known = self.obj, self.identifiability
+        obj = self.obj
+        known = self.identifiability
         x, y = known.center_of_friction * MM
         std = np.sqrt(np.maximum(known.center_of_friction_covariance.diagonal(), 0.0)) * MM
         params = self.params
@@ -183,17 +184,19 @@ class Identification:
 
     @property
     def noise_scale(self) -> NoiseScale:
-        """Of `noise`, as large as the pushes said."""
-        return NoiseScale(
-            self.noise_std / self.noise.pose, self.load_shift_std / self.noise.load_shift
-        )
+        """Scale of the noise, in the method's own: how large the pushes said that it is."""
+        pose = self.noise_std / self.noise.pose
+        load_shift = self.load_shift_std / self.noise.load_shift
+        return NoiseScale(pose, load_shift)
 
     def samples(self, k: int, seed: int = 0) -> list[CellParameters]:
-        """Draws k parameter sets that agree with the pushes; every cell's friction is the estimate's.
+        """Draws parameter sets that agree with the pushes.
+
+        Every cell's friction is the estimate's.
 
         Args:
             k: how many.
-            seed: of the draw.
+            seed: seed of the draw.
 
         Returns:
             The parameter sets.
@@ -209,12 +212,14 @@ class Identification:
 
     @property
     def relative_friction(self) -> Array:
-        """(n,) k_i = mu_i m_i / sum(mu m), the estimate."""
+        """Estimated shares (n,) of the support's friction, k_i = mu_i m_i / sum(mu m)."""
         return self.params.relative_friction()
 
 
 def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
-    """Calculates where the center of mass is held to be: c = sum_i a_i p_i with a_i = m_i / sum m, to first order.
+    """Calculates where the center of mass is held to be, and how surely, to first order.
+
+        c = sum_i a_i p_i,     a_i = m_i / sum m
 
     The cells' frictions are held; what they may be is left out: see
     `Identifiability.center_of_mass_box`. Where next to nothing is known, first order says more than
@@ -238,10 +243,15 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
 
 
 def _cap(covariance: Array, obj: GridObject) -> Array:
-    """A covariance (2, 2) of a place in the object, m²: along no direction more than that of its cells' points."""
+    """Bounds a covariance (2, 2) of a place in the object, m².
+
+    Along no direction is it larger than that of a point that may be anywhere in the cells.
+    """
+    # With L L^T the cells' covariance, the eigenvalues of L^-1 S L^-T are the ratios.
     arm = obj.p_BC - obj.p_BC.mean(axis=0)
     root = np.linalg.cholesky(arm.T @ arm / obj.n + obj.cell_size**2 / 12 * np.eye(2))
-    ratio, directions = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, covariance).T))
+    relative = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
+    ratio, directions = np.linalg.eigh(relative)
     if ratio.max() <= 1:
         return covariance
     half = root @ directions

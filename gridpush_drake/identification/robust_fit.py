@@ -2,7 +2,8 @@
 
 A log may hold poses at which a tracker jumped, and pushes of another object. The fit to the whole
 log says which poses and pushes agree least with the others; what is refused is left out, and the
-rest is fitted again, until nothing is refused any more (`docs/theory/identification.md`, section 5).
+rest is fitted again, until nothing is refused any more (`docs/theory/identification.md`, section
+5).
 
 How one fit is made is in `map_ensemble` and `map_fit`; what makes a pose or a push an outlier is in
 `outliers`. This module only decides what is fitted next.
@@ -111,8 +112,10 @@ def fit_robustly(
             rest = problem.replace_log(majority.log)
             average_of_rest, best_of_rest = task.fit(rest)
             if not is_poor(best_of_rest):
-                problem, screened = rest, majority
-                average, best = average_of_rest, best_of_rest
+                problem = rest
+                screened = majority
+                average = average_of_rest
+                best = best_of_rest
     # Single poses first, then whole pushes, one a fit: each refusal changes what the rest says.
     for _ in range(MAX_FITS - 1):
         left_out = best.linearized.leave_out()

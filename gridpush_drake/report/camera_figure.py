@@ -9,15 +9,20 @@ from gridpush_drake.report.draw import FAINT, FONT, INK, LEARNED, MM, PAGE_WIDTH
 
 DEGREES = 180 / np.pi
 
-PHOTOGRAPH_HEIGHT, TRACK_HEIGHT = 3.9, 2.2
-"""Inches."""
+PHOTOGRAPH_HEIGHT = 3.9
+"""Height of the photograph, inches."""
+
+TRACK_HEIGHT = 2.2
+"""Height of a panel with errors, inches."""
 
 BAND = 2.0
-"""Standard deviations that the band about zero is wide, either way: 95 % of the errors belong into
-it."""
+"""Half width of the band about zero, in standard deviations: 95 % of the errors belong into it."""
 
-CLIP, SHOWN = 3.0, 95
-"""What is drawn: so many times the percentile of the errors."""
+SHOWN = 95
+"""Percentile of the errors by which the axes are scaled."""
+
+CLIP = 3.0
+"""End of the axes, in that percentile. Larger errors are not seen."""
 
 
 def draw_sight(sight: Sight) -> Figure:
@@ -31,6 +36,7 @@ def draw_sight(sight: Sight) -> Figure:
     for column, label, color in ((0, "x", LEARNED), (1, "y", INK)):
         _draw_errors(position, sight, column, MM, color, label)
     _draw_errors(angle, sight, 2, DEGREES, LEARNED, "theta")
+    # A few lost pictures must not hide all others.
     for ax, columns, scale in ((position, slice(0, 2), MM), (angle, slice(2, 3), DEGREES)):
         errors = sight.errors[sight.seen, columns]
         limit = CLIP * scale * float(np.percentile(np.abs(errors), SHOWN)) if errors.size else 0.0
@@ -43,7 +49,9 @@ def draw_sight(sight: Sight) -> Figure:
 
 
 def _draw_errors(ax: Axes, sight: Sight, column: int, scale: float, color: str, label: str) -> None:
-    errors, std = sight.errors[:, column] * scale, BAND * sight.std[:, column] * scale
+    """Draws the errors of one coordinate, and the band that the tracker states."""
+    errors = sight.errors[:, column] * scale
+    std = BAND * sight.std[:, column] * scale
     ax.fill_between(sight.t, -std, std, color=FAINT, alpha=0.4, linewidth=0)
     ax.plot(sight.t, errors, ".", color=color, markersize=2, label=label)
 
@@ -53,10 +61,7 @@ def describe_sight(sight: Sight) -> str:
     position, angle = sight.calc_rms()
     return (
         f"The object was seen in {sight.seen.mean() * 100:.0f} % of the pictures, its pose wrong "
-        "by "
-        f"{position * MM:.2f} mm and {angle * DEGREES:.2f} degrees root mean square. Above, the "
-        "photograph and the "
-        "outline found, on the table in blue and on top in green; below, the poses less the true "
-        "ones, and twice "
-        "the standard deviation that the tracker states."
+        f"by {position * MM:.2f} mm and {angle * DEGREES:.2f} degrees root mean square. Above, the "
+        "photograph and the outline found, on the table in blue and on top in green; below, the "
+        "poses less the true ones, and twice the standard deviation that the tracker states."
     )

@@ -1,4 +1,4 @@
-"""What all figures are drawn with: an object's cells and outline, pushes, tables, panels, legends, scale bars, files.
+"""Parts of all figures: cells and outlines, pushes, tables, panels, legends, scale bars, files.
 
 Only matplotlib's objects are used (`make_grid` gives a Figure on an Agg canvas), never pyplot, so
 that nothing global changes and drawing works in any thread and without a display.
@@ -31,46 +31,83 @@ from gridpush_drake.objects.grid_object import GridObject
 MM = 1e3
 """Millimeters in a meter."""
 
-INK, PALE, FAINT, TABLE = "#2b2f36", "#dfe5ec", "#a9b0b8", "#f3efe6"
-"""Outlines and text; cells without a value; where things began, and whatever stays in the
-background; a table's top."""
+INK = "#2b2f36"
+"""Color of outlines and text."""
+
+PALE = "#dfe5ec"
+"""Color of cells without a value."""
+
+FAINT = "#a9b0b8"
+"""Color of where things began, and of whatever stays in the background."""
+
+TABLE = "#f3efe6"
+"""Color of a table's top."""
 
 PART_COLORS = ("#7fa7c9", "#e3b778", "#8fbf9f", "#c99bb8", "#b3a6d9", "#a9a9a3")
-"""Parts in order of their labels, over again after the last."""
+"""Colors of an object's parts, in order of their labels, over again after the last."""
 
 CELL_MAP = "viridis"
 """Color map of values where none is asked for."""
 
-CELL_LINE, OUTLINE_LINE, ARROW_LINE, TIP_LINE = 0.4, 1.4, 1.6, 1.2
-"""Line widths, points."""
+CELL_LINE = 0.4
+"""Width of the lines between cells, points."""
+
+OUTLINE_LINE = 1.4
+"""Width of outlines, points."""
+
+ARROW_LINE = 1.6
+"""Width of arrows, points."""
+
+TIP_LINE = 1.2
+"""Width of the path of a finger, points."""
 
 FONT = 9
 """Size of text, points."""
 
-MARGIN, FRAME_SHARE, SCALE_DROP = 0.04, 0.03, 0.05
-"""In an object's larger side: room about it with axes and without, and how far below it the scale
-bar is."""
+MARGIN = 0.04
+"""Room about an object that is drawn with axes, in its larger side."""
 
-BAR_SHARE, BAR_GAP = 0.04, 0.03
-"""Width of a color bar and its distance, in widths of the axes."""
+FRAME_SHARE = 0.03
+"""Room about an object that is drawn without axes, in its larger side."""
+
+SCALE_DROP = 0.05
+"""Distance of the scale bar below an object, in the object's larger side."""
+
+BAR_SHARE = 0.04
+"""Width of a color bar, in widths of the axes."""
+
+BAR_GAP = 0.03
+"""Distance of a color bar from the axes, in their width."""
 
 MAX_TICKS = 5
-"""On one axis or color bar."""
+"""Largest number of ticks on one axis or color bar."""
 
-LEARNED, BEFORE = "#2468a8", "#c9822b"
-"""What the learned model says, and what was held before learning."""
+LEARNED = "#2468a8"
+"""Color of what the learned model says."""
 
-PAGE_WIDTH, HALF_WIDTH = 8.0, 4.6
-"""Of a figure as wide as the page, and of one half as wide, inches."""
+BEFORE = "#c9822b"
+"""Color of what was held before learning."""
 
-BAR_ROOM, TITLE_ROOM = 0.55, 0.5
-"""Beside a panel, for its color bar, and above it, inches."""
+PAGE_WIDTH = 8.0
+"""Width of a figure that is as wide as the page, inches."""
+
+HALF_WIDTH = 4.6
+"""Width of a figure about half as wide as the page, inches."""
+
+BAR_ROOM = 0.55
+"""Room beside a panel for its color bar, inches."""
+
+TITLE_ROOM = 0.5
+"""Room above a panel for its title, inches."""
 
 CENTIMETER = 0.01
-"""Lengths from here on are given in cm, shorter ones in mm; m."""
+"""Length from which on lengths are given in cm, m. Shorter ones are given in mm."""
 
-ROUND, SCALE_SHARE = (5, 2, 1), 0.4
-"""What a scale bar's length begins with, and the share of the object's width that it is at most."""
+ROUND = (5, 2, 1)
+"""Digits with which a scale bar's length begins, the larger ones preferred."""
+
+SCALE_SHARE = 0.4
+"""Longest scale bar, in the object's larger side."""
 
 PADDING = 0.05
 """Room about what is drawn in an SVG file, inches."""
@@ -150,7 +187,15 @@ def draw_cells(
 
 
 def draw_parts(ax: Axes, obj: GridObject) -> PolyCollection:
-    """Draws the cells in the colors of their parts, body frame, m, with a legend that counts them; gives the cells."""
+    """Draws the cells in the colors of their parts, with a legend that counts them.
+
+    Args:
+        ax: where to draw, body frame, m.
+        obj: the object.
+
+    Returns:
+        The cells.
+    """
     labels, index, counts = np.unique(obj.labels, return_inverse=True, return_counts=True)
     colors = [PART_COLORS[i % len(PART_COLORS)] for i in range(len(labels))]
     cells = PolyCollection(
@@ -181,7 +226,19 @@ def draw_outline(
     linestyle: str = "solid",
     alpha: float = 1.0,
 ) -> PathPatch:
-    """Draws the outline with its holes, world frame, m, at a pose (x, y, theta) X_WB, m and rad; gives the outline."""
+    """Draws the outline with its holes.
+
+    Args:
+        ax: where to draw, world frame, m.
+        obj: the object.
+        pose: (x, y, theta) X_WB, m and rad.
+        color: color of the line.
+        linestyle: style of the line, as matplotlib names it.
+        alpha: opacity, 0 to 1.
+
+    Returns:
+        The outline.
+    """
     outline = orient(obj.outline)
     rings = [
         transform(pose, np.array(ring.coords)[:, :2])
@@ -189,16 +246,23 @@ def draw_outline(
     ]
     path = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
     patch = PathPatch(
-        path, facecolor="none", edgecolor=color, linewidth=OUTLINE_LINE, linestyle=linestyle, alpha=alpha,
+        path,
+        facecolor="none",
+        edgecolor=color,
+        linewidth=OUTLINE_LINE,
+        linestyle=linestyle,
+        alpha=alpha,
         joinstyle="round",
-    )  # fmt: skip
+    )
     ax.add_patch(patch)
     return patch
 
 
 def add_color_bar(ax: Axes, mappable: ScalarMappable, label: str) -> Colorbar:
-    """Adds a slim color bar beside `ax`, titled `label`."""
-    bar = ax.get_figure(root=True).colorbar(mappable, ax=ax, fraction=BAR_SHARE, pad=BAR_GAP)  # type: ignore[union-attr]
+    """Adds a slim color bar beside some axes, with a title."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None, "the axes are on a figure"
+    bar = figure.colorbar(mappable, ax=ax, fraction=BAR_SHARE, pad=BAR_GAP)
     bar.set_label(label, fontsize=FONT, color=INK)
     bar.ax.tick_params(labelsize=FONT - 1, colors=INK)
     bar.ax.yaxis.set_major_locator(MaxNLocator(MAX_TICKS))
@@ -207,13 +271,15 @@ def add_color_bar(ax: Axes, mappable: ScalarMappable, label: str) -> Colorbar:
 
 
 def _squares(obj: GridObject, pose: ArrayLike) -> list[Array]:
-    """The (4, 2) corners of each cell in the world frame, m."""
+    """Calculates the corners (4, 2) of each cell in the world frame, m."""
     half = obj.cell_size / 2
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    return list(transform(pose, (obj.p_BC[:, None] + corners).reshape(-1, 2)).reshape(-1, 4, 2))
+    p_BQ = (obj.p_BC[:, None] + corners).reshape(-1, 2)
+    return list(transform(pose, p_BQ).reshape(-1, 4, 2))
 
 
 def _frame(ax: Axes) -> None:
+    """Gives axes of a map equal scales, room, labels and few ticks."""
     ax.set_aspect("equal", adjustable="datalim")
     ax.margins(MARGIN)
     ax.autoscale_view()
@@ -234,11 +300,14 @@ def draw_table(ax: Axes, corners: ArrayLike) -> None:
 
 def draw_arrow(ax: Axes, start: ArrayLike, end: ArrayLike, color: str) -> None:
     """Draws an arrow from `start` (2,) to `end` (2,), m."""
-    ax.annotate(
-        "", tuple(np.asarray(end)), tuple(np.asarray(start)),
-        arrowprops={"arrowstyle": "-|>", "color": color, "linewidth": ARROW_LINE, "shrinkA": 0, "shrinkB": 0},
-        zorder=5,
-    )  # fmt: skip
+    style = {
+        "arrowstyle": "-|>",
+        "color": color,
+        "linewidth": ARROW_LINE,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
+    ax.annotate("", tuple(np.asarray(end)), tuple(np.asarray(start)), arrowprops=style, zorder=5)
 
 
 def draw_tips(ax: Axes, push: Push, color: str) -> None:
@@ -251,7 +320,8 @@ def draw_tips(ax: Axes, push: Push, color: str) -> None:
 def frame_points(ax: Axes, points: Sequence[ArrayLike], room: float) -> None:
     """Sets the axes' limits to all points (k, 2), m, with `room` about them, m."""
     together = np.concatenate([np.asarray(part) for part in points])
-    low, high = together.min(axis=0) - room, together.max(axis=0) + room
+    low = together.min(axis=0) - room
+    high = together.max(axis=0) + room
     ax.set_aspect("equal", adjustable="box", anchor="N")  # side by side, panels begin at one height
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
@@ -260,15 +330,31 @@ def frame_points(ax: Axes, points: Sequence[ArrayLike], room: float) -> None:
 def add_legend_below(ax: Axes, handles: Sequence[Line2D], columns: int) -> None:
     """Adds a legend below the axes and their labels."""
     ax.legend(
-        handles=list(handles), fontsize=FONT - 1, frameon=False, loc="upper center",
-        bbox_to_anchor=(0.5, 0.0), borderaxespad=LEGEND_PAD, ncols=columns,
-    )  # fmt: skip
+        handles=list(handles),
+        fontsize=FONT - 1,
+        frameon=False,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        borderaxespad=LEGEND_PAD,
+        ncols=columns,
+    )
 
 
 def make_panels(
     obj: GridObject, rows: int, columns: int, *, width: float = PAGE_WIDTH, max_height: float = 3.2
 ) -> tuple[Figure, np.ndarray]:
-    """As `make_grid`, with panels of the object's proportions; `max_height` is theirs, inches."""
+    """Makes a figure of panels that have the object's proportions.
+
+    Args:
+        obj: the object.
+        rows: how many rows of panels.
+        columns: how many columns.
+        width: width of the figure, inches.
+        max_height: largest height of a panel, inches.
+
+    Returns:
+        The figure, and its axes (rows, columns).
+    """
     x0, y0, x1, y1 = obj.outline.bounds
     panel = max(width / columns - BAR_ROOM, 1.0)
     height = min(max(panel * (y1 - y0) / (x1 - x0), 0.8), max_height) + TITLE_ROOM
@@ -276,7 +362,17 @@ def make_panels(
 
 
 def make_grid(rows: int, columns: int, width: float, height: float) -> tuple[Figure, np.ndarray]:
-    """Makes a figure of `rows` by `columns` axes, `width` inches in all and `height` inches a row."""
+    """Makes a figure of several axes.
+
+    Args:
+        rows: how many rows of axes.
+        columns: how many columns.
+        width: width of the figure, inches.
+        height: height of a row, inches.
+
+    Returns:
+        The figure, and its axes (rows, columns).
+    """
     figure = ShownFigure(figsize=(width, height * rows), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False)
@@ -296,7 +392,7 @@ def hide_axes(ax: Axes, title: str = "") -> None:
 
 
 def frame_object(ax: Axes, obj: GridObject) -> None:
-    """Sets the axes' limits to the object in its body frame, with room for its cells and a scale bar."""
+    """Sets the axes' limits to the object in its body frame, with room for a scale bar."""
     x0, y0, x1, y1 = obj.outline.bounds
     room = obj.cell_size / 2 + FRAME_SHARE * max(x1 - x0, y1 - y0)
     ax.set_aspect("equal", adjustable="box")
@@ -322,7 +418,7 @@ def add_scale_bar(ax: Axes, obj: GridObject) -> None:
 
 
 def calc_round_length(longest: float) -> float:
-    """The greatest 1, 2 or 5 times a power of ten that is at most `longest`."""
+    """Calculates the largest of 1, 2 or 5 times a power of ten that is at most `longest`."""
     power = 10.0 ** floor(log10(longest))
     return next(first * power for first in ROUND if first * power <= longest * (1 + 1e-9))
 

@@ -1,4 +1,4 @@
-"""Figures of an object and its model: its parts, the pushes, the search, what was learned, and what it predicts."""
+"""Figures of an object and its model: parts, pushes, the search, what was learned, predictions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,15 +42,22 @@ from gridpush_drake.report.draw import (
 )
 
 LEGEND_COLUMNS = 3
+"""Number of columns of a legend."""
 
-MOTION_WIDTH, ARROW_HEAD = 6.0, 0.01
-"""Of a motion's figure, inches, and share of a path that its arrow's head is drawn along."""
+MOTION_WIDTH = 6.0
+"""Width of a motion's figure, inches."""
+
+ARROW_HEAD = 0.01
+"""Share of a path, at its end, along which the head of its arrow points."""
 
 GHOSTS = 5
-"""Faint outlines along a drawn motion, its two ends apart."""
+"""Number of faint outlines along a drawn motion, besides its two ends."""
 
-SPREAD_MAP, SHARE_MAP = "BuPu", "YlGnBu"
-"""Color maps of standard deviations, and of what was learned, 0 to 1."""
+SPREAD_MAP = "BuPu"
+"""Color map of standard deviations."""
+
+SHARE_MAP = "YlGnBu"
+"""Color map of how much was learned, 0 to 1."""
 
 FAINTEST = 0.25
 """Opacity of a cell of which nothing was learned."""
@@ -58,15 +65,20 @@ FAINTEST = 0.25
 GRAM = 1e3
 """Grams in a kilogram."""
 
-MAX_OVERLAYS, OVERLAY_COLUMNS = 8, 4
-"""Pushes drawn one by one, in all and side by side."""
+MAX_OVERLAYS = 8
+"""Largest number of pushes that are drawn one by one."""
+
+OVERLAY_COLUMNS = 4
+"""Number of them side by side."""
 
 MAX_OVERLAY_HEIGHT = 3.2
-"""Of each of them, inches."""
+"""Largest height of each of them, inches."""
 
-MAX_DUMBBELLS, LINE_HEIGHT = 32, 0.22
-"""Pushes compared line by line (above this, as a scatter of points), and the height of each,
-inches."""
+MAX_DUMBBELLS = 32
+"""Largest number of pushes that are compared line by line. More are a scatter of points."""
+
+LINE_HEIGHT = 0.22
+"""Height of such a line, inches."""
 
 
 def draw_object(obj: GridObject) -> Figure:
@@ -82,15 +94,14 @@ def draw_object(obj: GridObject) -> Figure:
 
 
 def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None = None) -> Figure:
-    """Draws the pushes in the object's frame as it lay when each began: arrows along the pusher's path."""
+    """Draws the pushes as arrows, in the object's frame as it lay when each of them began."""
     obj = result.obj
     figure, axes = make_panels(obj, 1, 1, width=HALF_WIDTH, max_height=HALF_WIDTH)
     ax = axes[0, 0]
     draw_cells(ax, obj)
     names = {*result.unused_pushes, *(outlier.push for outlier in result.outliers if outlier.whole)}
-    used, left_out = (
-        [seen for seen in log if (seen.name in names) == out] for out in (False, True)
-    )
+    used = [seen for seen in log if seen.name not in names]
+    left_out = [seen for seen in log if seen.name in names]
     kinds = (
         (used, LEARNED, "learned from"),
         (left_out, FAINT, "left out"),
@@ -108,7 +119,12 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
 
 
 def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> Figure:
-    """Draws the loss along the search, and the mean cell error with uniform parameters, m, where it is given."""
+    """Draws the loss along a search.
+
+    Args:
+        history: the search.
+        before: mean cell error with uniform parameters, m; None where it is not known.
+    """
     figure, ax = make_chart(HALF_WIDTH, 0.55 * HALF_WIDTH)
     simulations = [entry.simulations for entry in history]
     loss = [entry.loss * MM for entry in history]
@@ -127,8 +143,9 @@ def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> F
 def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> Figure:
     """Draws how the error of held-out predictions falls with the pushes learned from.
 
-    `errors` are their mean cell errors, m, before the first push and after each; `noise_floor` is
-    the error that the true parameters leave, where it is known.
+    Args:
+        errors: their mean cell errors before the first push and after each, m.
+        noise_floor: the error that the true parameters leave, m; None where it is not known.
     """
     figure, ax = make_chart(6.5, 2.9)
     ax.plot(
@@ -156,6 +173,7 @@ def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> 
 
 
 def _put_legend_above(ax: Axes) -> None:
+    """Moves the legend, where there is one, above the axes."""
     legend = ax.get_legend()
     if legend is not None:
         legend.set_loc("lower center")
@@ -164,6 +182,7 @@ def _put_legend_above(ax: Axes) -> None:
 
 
 def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
+    """Draws a path (k, 2), m, with a dot where it begins and an arrow's head where it ends."""
     ax.plot(*path.T, color=color, linewidth=1.4, label=label)
     ahead = path[-1] - path[0]
     length = np.hypot(*ahead)
@@ -173,24 +192,36 @@ def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
 
 
 def draw_model(result: Identification, truth: CellParameters | None = None) -> Figure:
-    """Draws the load and the mass that would go with it beside their standard deviations, and the truth if known.
+    """Draws the learned load and mass beside their standard deviations, and the truth if known.
 
     The load is a cell's share of the support's friction in units of the even share, so 1 everywhere
     where it is even. What was learned is drawn full, what is the prior's faint; a row for the load
     and one for mass.
     """
-    obj, known = result.obj, result.identifiability
-    friction = known.relative_friction * obj.n
+    obj = result.obj
+    known = result.identifiability
+    true_load = None
+    true_mass = None
+    if truth is not None:
+        true_load = truth.relative_friction() * obj.n
+        # Of the learned total mass, so that only the distribution differs.
+        true_mass = truth.mass * (result.params.total_mass / truth.total_mass) * GRAM
     rows = [
         (
-            "load", friction, known.relative_friction_std * obj.n,
-            None if truth is None else truth.relative_friction() * obj.n, "× even share",
+            "load",
+            known.relative_friction * obj.n,
+            known.relative_friction_std * obj.n,
+            true_load,
+            "× even share",
         ),
         (
-            "mass at even friction", result.params.mass * GRAM, result.std.mass * GRAM,
-            None if truth is None else truth.mass * (result.params.total_mass / truth.total_mass) * GRAM, "g a cell",
+            "mass at even friction",
+            result.params.mass * GRAM,
+            result.std.mass * GRAM,
+            true_mass,
+            "g a cell",
         ),
-    ]  # fmt: skip
+    ]
     shown = FAINTEST + (1 - FAINTEST) * known.learned_share
     figure, axes = make_panels(obj, len(rows), 2 if truth is None else 3)
     for ax_row, (name, estimate, spread, true, unit) in zip(axes, rows, strict=True):
@@ -213,8 +244,9 @@ def draw_model(result: Identification, truth: CellParameters | None = None) -> F
 
 
 def draw_unknown_maps(result: Identification) -> Figure:
-    """Draws how much of each cell the pushes told, and the smallest and greatest mass it may have."""
-    obj, known = result.obj, result.identifiability
+    """Draws how much of each cell was learned, and the smallest and largest mass it may have."""
+    obj = result.obj
+    known = result.identifiability
     figure, axes = make_panels(obj, 1, 3)
     _draw_map(
         axes[0, 0],
@@ -249,6 +281,7 @@ def _draw_map(
     cmap: str = CELL_MAP,
     alpha: Array | None = None,
 ) -> None:
+    """Draws one value of each cell, with title and color bar; `alpha` is each cell's opacity."""
     cells = draw_cells(ax, obj, values, limits=limits, cmap=cmap)
     hide_axes(ax, f"{title}, {unit}")
     frame_object(ax, obj)
@@ -258,11 +291,20 @@ def _draw_map(
 
 
 def _limits(values: Array, others: Array | None = None, zero: bool = False) -> tuple[float, float]:
-    """The smallest and the greatest of all, a little apart."""
+    """Finds the ends of a color map: the smallest and the largest value, at least a little apart.
+
+    Args:
+        values: the values.
+        others: further values, or None.
+        zero: whether the map begins at zero.
+    """
     together = values if others is None else np.concatenate([values, others])
-    low, high = (0.0 if zero else float(np.nanmin(together))), float(np.nanmax(together))
+    low = 0.0 if zero else float(np.nanmin(together))
+    high = float(np.nanmax(together))
     apart = max(high - low, 0.02 * abs(high), np.finfo(float).tiny)
-    return (low, low + apart) if zero else ((low + high - apart) / 2, (low + high + apart) / 2)
+    if zero:
+        return low, low + apart
+    return (low + high - apart) / 2, (low + high + apart) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,8 +314,9 @@ class Outcome:
     Attributes:
         seen: the push.
         before: (3,) final pose predicted with uniform parameters, m and rad.
-        after: (3,) as the learned model predicts it.
-        error_before: mean cell error, m, of the one; `error_after` of the other.
+        after: (3,) final pose as the learned model predicts it, m and rad.
+        error_before: mean cell error of `before`, m.
+        error_after: mean cell error of `after`, m.
         held_out: whether the model never saw it.
     """
 
@@ -286,7 +329,7 @@ class Outcome:
 
 
 def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
-    """Draws up to MAX_OVERLAYS pushes: where the object was, where it went, and where it was predicted to go."""
+    """Draws up to `MAX_OVERLAYS` pushes: where the object was, went, and was predicted to go."""
     chosen = outcomes[:MAX_OVERLAYS]
     columns = min(OVERLAY_COLUMNS, max(len(chosen), 1))
     rows = max(1, -(-len(chosen) // columns))
@@ -321,6 +364,7 @@ def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
 
 
 def _draw_overlay(ax: Axes, obj: GridObject, outcome: Outcome) -> None:
+    """Draws one push, with its errors in the title."""
     seen = outcome.seen
     draw_outline(ax, obj, pose=seen.pose, color=FAINT, linestyle="dashed")
     draw_outline(ax, obj, pose=seen.final_pose, color=INK)
@@ -330,10 +374,8 @@ def _draw_overlay(ax: Axes, obj: GridObject, outcome: Outcome) -> None:
     ax.plot(*seen.push.xy[-1], marker="o", markersize=4, color=FAINT)
     ax.autoscale_view()
     kind = ", held out" if outcome.held_out else ""
-    hide_axes(
-        ax,
-        f"{seen.name}{kind}\n{outcome.error_before * MM:.1f} → {outcome.error_after * MM:.1f} mm",
-    )
+    errors = f"{outcome.error_before * MM:.1f} → {outcome.error_after * MM:.1f} mm"
+    hide_axes(ax, f"{seen.name}{kind}\n{errors}")
 
 
 def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
@@ -341,11 +383,17 @@ def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
     return _draw_dumbbells(outcomes) if len(outcomes) <= MAX_DUMBBELLS else _draw_scatter(outcomes)
 
 
+def _collect_errors(outcomes: Sequence[Outcome]) -> tuple[Array, Array]:
+    """Collects the errors (P,) with uniform friction and as learned, mm."""
+    before = MM * np.array([outcome.error_before for outcome in outcomes])
+    after = MM * np.array([outcome.error_after for outcome in outcomes])
+    return before, after
+
+
 def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
+    """Draws a line for each push, from its error with uniform friction to that as learned."""
     figure, ax = make_chart(6.5, LINE_HEIGHT * len(outcomes) + 0.9)
-    before, after = (
-        MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
-    )
+    before, after = _collect_errors(outcomes)
     places = np.arange(len(outcomes))[::-1]
     ax.hlines(places, before, after, color=FAINT, linewidth=1.2)
     ax.plot(before, places, "o", color=BEFORE, markersize=5, label="uniform friction")
@@ -362,10 +410,9 @@ def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
 
 
 def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
+    """Draws a point for each push: its error as learned over that with uniform friction."""
     figure, ax = make_chart(5.0, 4.6)
-    before, after = (
-        MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
-    )
+    before, after = _collect_errors(outcomes)
     held_out = np.array([outcome.held_out for outcome in outcomes])
     for which, color, label in (
         (~held_out, LEARNED, "learned from"),
@@ -386,7 +433,13 @@ def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
 
 
 def draw_motion(obj: GridObject, push: Push, poses: Array) -> Figure:
-    """Draws a simulated motion (T+1, 3): the object from its beginning to its end, and the pusher's path."""
+    """Draws a simulated motion: the object from its beginning to its end, and the pusher's path.
+
+    Args:
+        obj: the object.
+        push: the pusher's motion.
+        poses: (T+1, 3) of the object, m and rad.
+    """
     figure, ax = make_chart(MOTION_WIDTH, 0.75 * MOTION_WIDTH)
     for pose in poses[np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]]:
         draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)

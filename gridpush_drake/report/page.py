@@ -1,4 +1,4 @@
-"""The report: one self-contained HTML page about a learned model, and about what a robot did, where one did."""
+"""The report: one self-contained HTML page about a learned model, and about what a robot did."""
 
 import base64
 from collections.abc import Callable, Sequence
@@ -44,12 +44,22 @@ from gridpush_drake.report.figures import (
 from gridpush_drake.report.progress import Expectation, Progress, draw_progress
 
 Row = tuple[str, str, str]
-"""What, its learned value and, where it is known, the true one."""
+"""A quantity's name, its learned value and, where it is known, the true one."""
 
 
 def list_numbers(result: Identification, truth: CellParameters | None = None) -> list[Row]:
-    """The quantities that sum a model up, each with its standard deviation, and the truth where it is known."""
-    obj, known, params = result.obj, result.identifiability, result.params
+    """Lists the quantities that sum a model up.
+
+    Args:
+        result: the model.
+        truth: what the object's cells really are; None where that is not known.
+
+    Returns:
+        A row for each quantity, with its standard deviation.
+    """
+    obj = result.obj
+    known = result.identifiability
+    params = result.params
 
     def told(describe: Callable[[CellParameters], str]) -> str:
         return "" if truth is None else describe(truth)
@@ -58,6 +68,8 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
     low, high = known.center_of_mass_box
     labels = np.unique(obj.labels).tolist()
     rows = [_describe_part(result, label, truth) for label in labels] if len(labels) > 1 else []
+    possible_x = _range(low[0], high[0])
+    possible_y = _range(low[1], high[1])
     rows += [
         (
             "center of friction",
@@ -71,7 +83,7 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
         ),
         (
             "center of mass, possible",
-            f"x {_range(low[0], high[0])}, y {_range(low[1], high[1])}",
+            f"x {possible_x}, y {possible_y}",
             "",
         ),
         (
@@ -87,7 +99,8 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
         ("left unexplained", f"{result.noise_std * MM:.2f} mm per axis", ""),
     ]
     if result.force is not None:
-        friction, std = result.force.friction, result.force.friction * result.force.relative_std
+        friction = result.force.friction
+        std = friction * result.force.relative_std
         true_friction = told(lambda true: f"{GRAVITY * float(true.mass @ true.friction):.2f} N")
         rows.append(
             (
@@ -100,17 +113,16 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
 
 
 def _describe_mass_source(result: Identification) -> str:
+    """Says where the total mass is from; nothing of one that was told."""
     if result.obj.prior.total_mass:
         return ""
-    return (
-        ", assumed"
-        if result.force is None
-        else ", of the measured forces and the friction that was supposed"
-    )
+    if result.force is None:
+        return ", assumed"
+    return ", of the measured forces and the friction that was supposed"
 
 
 def describe_making(result: Identification, log: PushLog, version: str) -> list[tuple[str, str]]:
-    """How the model was made."""
+    """Lists how the model was made."""
     return [
         (
             "object",
@@ -145,6 +157,7 @@ def _describe_part(result: Identification, label: int, truth: CellParameters | N
 
 
 def _point(point: np.ndarray, spread: np.ndarray | None = None) -> str:
+    """Writes a point (2,), m, in mm, and its standard deviations (2,), m, where they are known."""
     if spread is None:
         return f"({point[0] * MM:.1f}, {point[1] * MM:.1f}) mm"
     x, y = (f"{value * MM:.1f} ± {std * MM:.1f}" for value, std in zip(point, spread, strict=True))
@@ -152,9 +165,10 @@ def _point(point: np.ndarray, spread: np.ndarray | None = None) -> str:
 
 
 def _range(low: float, high: float) -> str:
-    return (
-        f"{low * MM:.0f} to {high * MM:.0f} mm" if np.isfinite([low, high]).all() else "not bounded"
-    )
+    """Writes a range, m, in mm."""
+    if not np.isfinite([low, high]).all():
+        return "not bounded"
+    return f"{low * MM:.0f} to {high * MM:.0f} mm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,12 +176,12 @@ class ReportSummary:
     """What was done, and what came of it.
 
     Attributes:
-        headline: in a sentence or two.
-        facts: what is counted, and the count: three or four.
-        figure: of it.
-        caption: of the figure.
-        heads: of the columns of `steps`.
-        steps: what was done, in order, a row a step.
+        headline: what came of it, in a sentence or two.
+        facts: three or four things that are counted, and their counts.
+        figure: a figure of it.
+        caption: the figure's caption.
+        heads: heads of the columns of `steps`.
+        steps: what was done, in order, a row for each step.
     """
 
     headline: str
@@ -179,18 +193,25 @@ class ReportSummary:
 
 
 TEMPLATE = "report.html.j2"
+"""File with the page, to be filled in."""
 
 MIN_HYPOTHESIS_WEIGHT = 0.01
-"""Hypotheses of the loads with a smaller share of the estimate are not named in the report."""
-
+"""Smallest share of the estimate with which a hypothesis of the loads is named in the report."""
 
 SIMILAR = 0.05
-"""Errors within this share of each other are called about the same."""
+"""Two errors are called about the same if they differ by less than this share."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Comparison:
-    """One log, predicted before and after learning."""
+    """One log, predicted before and after learning.
+
+    Attributes:
+        held_out: whether the model never saw it.
+        errors_before: errors of the predictions with uniform parameters.
+        errors_after: errors of the predictions as learned.
+        outcomes: how each push came out.
+    """
 
     held_out: bool
     errors_before: list[ErrorSummary]
@@ -200,10 +221,12 @@ class _Comparison:
     @property
     def cell(self) -> tuple[float, float]:
         """Mean cell error, m, before and after; NaN where nothing was observed."""
-        return tuple(  # type: ignore[return-value]
-            next((error.mean for error in errors if error.name == "cell"), float("nan"))
-            for errors in (self.errors_before, self.errors_after)
-        )
+        return _find_cell_error(self.errors_before), _find_cell_error(self.errors_after)
+
+
+def _find_cell_error(errors: Sequence[ErrorSummary]) -> float:
+    """Finds the mean cell error, m, among all errors; NaN where nothing was observed."""
+    return next((error.mean for error in errors if error.name == "cell"), float("nan"))
 
 
 def make_report(
@@ -237,6 +260,8 @@ def make_report(
         An HTML page that needs nothing else.
     """
     obj = identification.obj
+
+    # Every push is predicted before and after learning; those held out are the ones that count.
     used = remove_outliers(log, identification.outliers)
     used = used.subset(
         [i for i, seen in enumerate(used) if seen.name not in identification.unused_pushes]
@@ -246,28 +271,40 @@ def make_report(
     compared = [training, *([fresh] if fresh else [])]
     judged = fresh if fresh and fresh.outcomes else training
     outcomes = [outcome for comparison in reversed(compared) for outcome in comparison.outcomes]
-    known = truth is not None and held_out is not None and learning
-    floor = calc_mean_cell_error(obj, truth, held_out, identification.physics) if known else None  # type: ignore[arg-type]
-    text = (
-        files("gridpush_drake.report").joinpath("templates", TEMPLATE).read_text(encoding="utf-8")
+    floor = None
+    if truth is not None and held_out is not None and learning:
+        floor = calc_mean_cell_error(obj, truth, held_out, identification.physics)
+
+    figures = _draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
+    figures |= {
+        "learning": _embed(draw_learning(learning, floor)) if learning else None,
+        "summary": None if summary is None else _embed(summary.figure),
+        "sight": None if sight is None else _embed(draw_sight(sight)),
+        "progress": None if progress is None else _embed(draw_progress(progress, expectations)),
+    }
+    if summary is None:
+        headline = _make_headline(identification, judged)
+        facts: Sequence[tuple[str, str]] = _list_facts(identification, judged, log, held_out)
+    else:
+        headline = summary.headline
+        facts = summary.facts
+    folder = files("gridpush_drake.report").joinpath("templates")
+    text = folder.joinpath(TEMPLATE).read_text(encoding="utf-8")
+    environment = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    return Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True).from_string(
-        text
-    ).render(
+    return environment.from_string(text).render(
         name=obj.name.replace("_", " "),
-        headline=_make_headline(identification, judged) if summary is None else summary.headline,
+        headline=headline,
         message=identification.message,
         doubt=doubt_center(identification) if identification.push_names else None,
-        facts=_list_facts(identification, judged, log, held_out) if summary is None else summary.facts,
+        facts=facts,
         summary=summary,
         sight=None if sight is None else describe_sight(sight),
-        figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
-        | {
-            "learning": _embed(draw_learning(learning, floor)) if learning else None,
-            "summary": None if summary is None else _embed(summary.figure),
-            "sight": None if sight is None else _embed(draw_sight(sight)),
-            "progress": None if progress is None else _embed(draw_progress(progress, expectations)),
-        },
+        figures=figures,
         foretold="" if progress is None else progress.describe(),
         expected=bool(expectations),
         recording=recording,
@@ -282,7 +319,7 @@ def make_report(
         statements=identification.identifiability.statements,
         numbers=list_numbers(identification, truth),
         making=describe_making(identification, log, __version__),
-    )  # fmt: skip
+    )
 
 
 def _draw_figures(
@@ -293,7 +330,7 @@ def _draw_figures(
     before: float,
     outcomes: list[Outcome],
 ) -> dict[str, str | None]:
-    """All figures as data URIs; None where there is nothing to draw."""
+    """Draws all figures as data URIs; None where there is nothing to draw."""
     figures = {
         "object": draw_object(result.obj),
         "pushes": draw_pushes(result, log, held_out),
@@ -307,25 +344,33 @@ def _draw_figures(
 
 
 def _compare(result: Identification, log: PushLog, held_out: bool) -> _Comparison:
-    run = partial(predict, result.obj, log=log, physics=result.physics)
-    before, after = run(params=CellParameters.uniform(result.obj)), run(params=result.params)
-    errors = zip(
-        *(calc_final_errors(result.obj, poses, log) for poses in (before, after)), strict=True
+    """Predicts a log's pushes with uniform parameters, and as the model predicts them."""
+    obj = result.obj
+    run = partial(predict, obj, log=log, physics=result.physics)
+    before = run(params=CellParameters.uniform(obj))
+    after = run(params=result.params)
+    errors_before = calc_final_errors(obj, before, log)
+    errors_after = calc_final_errors(obj, after, log)
+    outcomes = []
+    for i, seen in enumerate(log):
+        error_before = errors_before[i]
+        error_after = errors_after[i]
+        if error_before is not None and error_after is not None:
+            outcome = Outcome(
+                seen=seen,
+                before=before[i].at_observations[-1],
+                after=after[i].at_observations[-1],
+                error_before=error_before.cell,
+                error_after=error_after.cell,
+                held_out=held_out,
+            )
+            outcomes.append(outcome)
+    return _Comparison(
+        held_out=held_out,
+        errors_before=summarize_errors(obj, before, log),
+        errors_after=summarize_errors(obj, after, log),
+        outcomes=outcomes,
     )
-    outcomes = [
-        Outcome(
-            seen,
-            first.at_observations[-1],
-            second.at_observations[-1],
-            one.cell,
-            other.cell,
-            held_out,
-        )
-        for seen, first, second, (one, other) in zip(log, before, after, errors, strict=True)
-        if one is not None and other is not None
-    ]
-    first, last = (summarize_errors(result.obj, poses, log) for poses in (before, after))
-    return _Comparison(held_out, first, last, outcomes)
 
 
 def _make_headline(result: Identification, judged: _Comparison) -> str:
@@ -337,15 +382,13 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
     which = "pushes it had never seen" if judged.held_out else "the pushes it learned from"
     if result.status == IdentificationStatus.EXPLAINS_LITTLE:
         return (
-            f"This model of the {name} should not be used: it explains little of the pushes it "
-            "was learned from, and "
-            f"is off by {after * MM:.1f} mm on average where {which} end."
+            f"This model of the {name} should not be used: it explains little of the pushes it was "
+            f"learned from, and is off by {after * MM:.1f} mm on average where {which} end."
         )
     if result.status == IdentificationStatus.PRIOR_KEPT:
         return (
-            "These pushes gave no reason to leave the assumption of an even object: predictions "
-            f"of {which} are off by "
-            f"{after * MM:.1f} mm on average."
+            "These pushes gave no reason to leave the assumption of an even object: predictions of "
+            f"{which} are off by {after * MM:.1f} mm on average."
         )
     count = len(result.push_names)
     spent = (
@@ -358,10 +401,10 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
     if after > (1 - SIMILAR) * before:
         return (
             f"{learned} to {after * MM:.1f} mm on average, about as well as assuming an even "
-            "object "
-            f"({before * MM:.1f} mm)."
+            f"object ({before * MM:.1f} mm)."
         )
-    return f"{learned} to {after * MM:.1f} mm on average; assuming an even object, it is off by {before * MM:.1f} mm."
+    off = f"it is off by {before * MM:.1f} mm."
+    return f"{learned} to {after * MM:.1f} mm on average; assuming an even object, {off}"
 
 
 def _list_facts(

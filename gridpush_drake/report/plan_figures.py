@@ -1,4 +1,4 @@
-"""Figures of plans and of runs: pushing to a goal, sliding to the table's edge, and grasping there."""
+"""Figures of plans and runs: pushing to a goal, sliding to the table's edge, grasping there."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -43,17 +43,38 @@ from gridpush_drake.report.draw import (
     tidy,
 )
 
-HOLDS, GRASP, OBSTACLE = "#4f9d69", "#b3423f", "#c7bdb0"
-"""What holds the object, what the gripper takes, and what is in the way."""
+HOLDS = "#4f9d69"
+"""Color of what holds the object."""
 
-WIDTH, MAX_HEIGHT, LEGEND_ROOM, PANEL_HEIGHT = 6.5, 7.5, 0.7, 4.4
-"""Of a plan's figure, beside its drawing, and of figures with two panels, inches."""
+GRASP = "#b3423f"
+"""Color of what the gripper takes."""
 
-ROOM, CLOSE_UP = 0.05, 0.06
-"""About what is drawn, and about an object in a close-up, m."""
+OBSTACLE = "#c7bdb0"
+"""Color of what is in the way."""
 
-JAW_LENGTH, JAW_WIDTH = 0.08, 0.02
-"""Of the gripper's fingers as drawn, m."""
+WIDTH = 6.5
+"""Width of a plan's figure, inches."""
+
+MAX_HEIGHT = 7.5
+"""Largest height of a plan's drawing, inches."""
+
+LEGEND_ROOM = 0.7
+"""Room below a plan's drawing for its legend, inches."""
+
+PANEL_HEIGHT = 4.4
+"""Height of figures with two panels, inches."""
+
+ROOM = 0.05
+"""Room about what is drawn, m."""
+
+CLOSE_UP = 0.06
+"""Room about an object in a close-up, m."""
+
+JAW_LENGTH = 0.08
+"""Length of the gripper's fingers as drawn, m."""
+
+JAW_WIDTH = 0.02
+"""Width of the gripper's fingers as drawn, m."""
 
 
 def draw_plan(
@@ -62,8 +83,16 @@ def draw_plan(
     surface: SupportSurface | None = None,
     obstacles: Sequence[Shape] = (),
 ) -> Figure:
-    """Draws a plan's pushes; without any, start and goal alone. The table is without end where it is None."""
-    poses, pushes = plan.poses, [planned.push for planned in plan.pushes]
+    """Draws a plan's pushes; of a plan without any, start and goal alone.
+
+    Args:
+        obj: the object.
+        plan: the plan.
+        surface: the table; None for one without end.
+        obstacles: what is in the way, world frame, m.
+    """
+    poses = plan.poses
+    pushes = [planned.push for planned in plan.pushes]
     shapes = [np.array(obstacle.exterior.coords)[:, :2] for obstacle in obstacles]
     points = [
         obj.cells_at(np.array([*poses, plan.goal])).reshape(-1, 2),
@@ -113,17 +142,12 @@ def draw_push_run(
         The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
-    rest, aim = (
-        np.array([np.asarray(pose, dtype=np.float64) for pose in poses]),
-        np.asarray(goal, dtype=np.float64),
-    )
+    rest = np.array([np.asarray(pose, dtype=np.float64) for pose in poses])
+    aim = np.asarray(goal, dtype=np.float64)
     ax = axes[0, 0]
     _draw_pushes(ax, obj, rest, pushes, aim, surface, "at the end")
-    frame_points(
-        ax,
-        [obj.cells_at(np.vstack([rest, aim])).reshape(-1, 2), *(push.xy for push in pushes)],
-        ROOM,
-    )
+    cells = obj.cells_at(np.vstack([rest, aim])).reshape(-1, 2)
+    frame_points(ax, [cells, *(push.xy for push in pushes)], ROOM)
     ax.set_title("The path to the goal", fontsize=FONT, color=INK)
     _draw_errors(axes[0, 1], np.atleast_1d(calc_goal_error(obj, rest, aim)), expected, tolerance)
     return figure
@@ -138,7 +162,10 @@ def _draw_pushes(
     surface: SupportSurface | None,
     end: str,
 ) -> None:
-    """The object from its first pose to its last, which the legend calls `end`, the numbered pushes, and the goal."""
+    """Draws the object from its first pose to its last, the numbered pushes, and the goal.
+
+    The legend calls the last pose `end`.
+    """
     _draw_outlines(ax, obj, poses, surface)
     if len(poses) > 1:
         draw_cells(ax, obj, pose=poses[-1], alpha=0.7)
@@ -158,7 +185,10 @@ def _draw_pushes(
 def _draw_outlines(
     ax: Axes, obj: GridObject, poses: Sequence[Array] | Array, surface: SupportSurface | None
 ) -> None:
-    """The table, and the object's outline at all its poses but the last: the first one dashed, the others faint."""
+    """Draws the table, and the object's outline at all its poses but the last.
+
+    The first one is dashed, the others are faint.
+    """
     if surface is not None:
         draw_table(ax, surface.corners)
     for pose in poses[1:-1]:
@@ -167,21 +197,29 @@ def _draw_outlines(
 
 
 def _draw_push(ax: Axes, push: Push, count: int) -> None:
-    """An arrow along the push, the finger where it began, and the push's number in it."""
-    begin, end = push.xy[0], push.xy[-1]
-    draw_arrow(ax, begin, end, LEARNED)
+    """Draws an arrow along a push, the finger where it begins, and the push's number in it."""
+    begin = push.xy[0]
+    draw_arrow(ax, begin, push.xy[-1], LEARNED)
     ax.add_patch(
         Circle((begin[0], begin[1]), push.radius, facecolor="white", edgecolor=LEARNED, zorder=6)
     )
     ax.text(
-        float(begin[0]), float(begin[1]), str(count), color=LEARNED, fontsize=FONT - 2, ha="center",
-        va="center_baseline", fontweight="bold", zorder=7,
-    )  # fmt: skip
+        float(begin[0]),
+        float(begin[1]),
+        str(count),
+        color=LEARNED,
+        fontsize=FONT - 2,
+        ha="center",
+        va="center_baseline",
+        fontweight="bold",
+        zorder=7,
+    )
 
 
 def _draw_errors(
     ax: Axes, errors: Array, expected: Sequence[float], tolerance: float | None
 ) -> None:
+    """Draws the errors to the goal (P+1,), seen and expected, m, and the tolerance, m."""
     ax.plot(np.arange(len(errors)), MM * errors, color=LEARNED, marker="o", zorder=3)
     handles = [Line2D([], [], color=LEARNED, marker="o", label="seen")]
     if len(expected):
@@ -204,7 +242,9 @@ def _draw_errors(
 
 
 def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan) -> Figure:
-    """Draws a plan: on the left the path, on the right the goal with what holds the object and what hangs over.
+    """Draws a plan: on the left the path, on the right the goal.
+
+    At the goal it is seen what holds the object, and what hangs over.
 
     Args:
         planner: object, table and options.
@@ -231,6 +271,7 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
 def _draw_goal(
     ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan
 ) -> None:
+    """Draws the object at a plan's goal, what holds it, and what the gripper takes."""
     goal = plan.goal
     if goal is None:
         ax.set_axis_off()
@@ -256,7 +297,13 @@ def _draw_goal(
 
 
 class PushDrawn(NamedTuple):
-    """A push as it was made: the finger's center at its start and its end, W, m, and whether it was to learn."""
+    """A push as it was made.
+
+    Attributes:
+        start: (2,) the finger's center where the push began, world frame, m.
+        end: (2,) the finger's center where it ended, world frame, m.
+        poke: whether the push was made to learn from it.
+    """
 
     start: Array
     end: Array
@@ -264,7 +311,12 @@ class PushDrawn(NamedTuple):
 
 
 class GraspDrawn(NamedTuple):
-    """A grasp as it was made: (2,) p_WG, m, and the heading of the fingers, rad."""
+    """A grasp as it was made.
+
+    Attributes:
+        point: (2,) p_WG, the grasp point, m.
+        approach: heading of the fingers, rad.
+    """
 
     point: Array
     approach: float
@@ -324,6 +376,7 @@ def _draw_end(
     truth: CellParameters | None,
     grasp: GraspDrawn | None,
 ) -> None:
+    """Draws the object as it lay at the end, what held it, and the grasp."""
     draw_table(ax, surface.corners)
     draw_cells(ax, obj, pose=pose, alpha=0.6)
     hull = calc_support_polygon(obj, pose, surface, SUPPORT_INSET)
@@ -364,18 +417,25 @@ def _draw_end(
 
 
 def _make_jaw(grasp: GraspDrawn) -> Array:
-    """(4, 2) corners of the fingers seen from above, their tips a little beyond the grasp point."""
+    """Makes the corners (4, 2) of the fingers, m, with their tips just beyond the grasp point."""
     along = make_direction(grasp.approach)
     across = np.array([-along[1], along[0]]) * JAW_WIDTH / 2
-    tip, root = (
-        grasp.point + JAW_WIDTH * 0.75 * along,
-        grasp.point - (JAW_LENGTH - JAW_WIDTH) * along,
-    )
+    tip = grasp.point + JAW_WIDTH * 0.75 * along
+    root = grasp.point - (JAW_LENGTH - JAW_WIDTH) * along
     return np.array([tip + across, tip - across, root - across, root + across])
 
 
 def _draw_areas(ax: Axes, pose: Array, areas: Sequence[tuple[Array, str, str]]) -> list[Line2D]:
-    """Areas (k, 2) of the body frame, m, in their colors; returns what the legend says of those that are not empty."""
+    """Draws areas in their colors.
+
+    Args:
+        ax: where to draw, world frame, m.
+        pose: (3,) the object's, m and rad.
+        areas: corners (k, 2) of each area, body frame, m, its color, and its name.
+
+    Returns:
+        Entries of a legend, for the areas that are not empty.
+    """
     handles = []
     for p_BP, color, label in areas:
         if len(p_BP):

@@ -1,4 +1,4 @@
-"""How knowledge grew: what was known after each push, and how well each push was foretold before it.
+"""How knowledge grew: what was known after each push, and how well each was foretold before it.
 
 A push is predicted here by the estimate that was made of the pushes before it alone. So every error
 is that of a prediction, and none of a fit; no push has to be held out for it.
@@ -6,6 +6,7 @@ is that of a prediction, and none of a fit; no push has to be held out for it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -57,13 +58,13 @@ class Progress:
 
     Attributes:
         pushes: (K + 1,) numbers of pushes learned from, the first one 0.
-        center_std: (K + 1,) standard deviation of the center of mass in the direction in which it is
-            known least, m.
+        center_std: (K + 1,) standard deviation of the center of mass in the direction in which it
+            is known least, m.
         center_error: (K + 1,) distance of the estimated center of mass from the true one, m; empty
             where that is not known.
-        names: of the pushes that were foretold.
-        foretold: mean cell error of each, m, as predicted from the pushes before it.
-        even: the same, assuming an even object, m.
+        names: names of the pushes that were foretold.
+        foretold: mean cell error of each of these, as predicted from the pushes before it, m.
+        even: mean cell error of each of these, as predicted of an even object, m.
     """
 
     pushes: Array
@@ -74,14 +75,14 @@ class Progress:
     even: Array
 
     def describe(self) -> str:
-        """The errors in a sentence; empty where no push was foretold."""
+        """Says the errors in a sentence; empty where no push was foretold."""
         if not len(self.foretold):
             return ""
-        told, even = self.foretold.mean() * MM, self.even.mean() * MM
+        told = self.foretold.mean() * MM
+        even = self.even.mean() * MM
         return (
             f"On average each push was foretold to {told:.1f} mm from the pushes before it; an "
-            "even "
-            f"object would have given {even:.1f} mm."
+            f"even object would have given {even:.1f} mm."
         )
 
 
@@ -107,7 +108,9 @@ def calc_progress(
     if truth is not None:
         center = truth.center_of_mass(obj)
         errors = [np.linalg.norm(one.params.center_of_mass(obj) - center) for one in stages]
-    names, foretold, even = [], [], []
+    names = []
+    foretold = []
+    even = []
     supported = {seen.name for seen in log.supported}
     for i, seen in enumerate(log):
         if seen.name not in supported or not len(seen.poses_observed):
@@ -129,7 +132,7 @@ def calc_progress(
 
 
 def draw_progress(progress: Progress, expectations: Sequence[Expectation] = ()) -> Figure:
-    """Draws on the left how well the center of mass was known, on the right how well each push was foretold."""
+    """Draws how well the center of mass was known, and how well each push was foretold."""
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     _draw_center(axes[0, 0], progress, expectations)
     _draw_foretold(axes[0, 1], progress)
@@ -137,13 +140,19 @@ def draw_progress(progress: Progress, expectations: Sequence[Expectation] = ()) 
 
 
 def _draw_center(ax: Axes, progress: Progress, expectations: Sequence[Expectation]) -> None:
+    """Draws the center of mass's standard deviation, expected and found, and its true error."""
     ax.plot(progress.pushes, progress.center_std * MM, "o-", color=LEARNED, markersize=5)
     handles = [Line2D([], [], color=LEARNED, marker="o", label="standard deviation")]
     if expectations:
-        marks = {"color": BEFORE, "marker": "D", "markerfacecolor": "white", "linestyle": "none"}
+        marks: dict[str, Any] = {
+            "color": BEFORE,
+            "marker": "D",
+            "markerfacecolor": "white",
+            "linestyle": "none",
+        }
         at = [one.pushes for one in expectations]
-        ax.plot(at, [one.center_std * MM for one in expectations], **marks)  # type: ignore[arg-type]
-        handles.append(Line2D([], [], label="expected before the poke", **marks))  # type: ignore[arg-type]
+        ax.plot(at, [one.center_std * MM for one in expectations], **marks)
+        handles.append(Line2D([], [], label="expected before the poke", **marks))
     if len(progress.center_error):
         ax.plot(progress.pushes, progress.center_error * MM, "x--", color=INK, markersize=5)
         handles.append(
@@ -157,6 +166,7 @@ def _draw_center(ax: Axes, progress: Progress, expectations: Sequence[Expectatio
 
 
 def _draw_foretold(ax: Axes, progress: Progress) -> None:
+    """Draws the errors of the pushes that were foretold, and those of an even object."""
     at = np.arange(1, len(progress.names) + 1)
     ax.plot(at, progress.even * MM, "o--", color=BEFORE, markersize=5)
     ax.plot(at, progress.foretold * MM, "o-", color=LEARNED, markersize=5)

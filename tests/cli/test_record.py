@@ -30,6 +30,14 @@ def thing(script, tmp_path):
     return path
 
 
+def check_same(log, other_log):
+    """Two logs hold the same pushes, bit for bit."""
+    for one, other in zip(log, other_log, strict=True):
+        np.testing.assert_array_equal(one.t_observed, other.t_observed)
+        np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
+        np.testing.assert_array_equal(one.push.xy, other.push.xy)
+
+
 def test_writes_the_pushes_of_a_stream(gridpush, script, stream, thing, tmp_path):
     out = tmp_path / "pushes.csv"
     outcome = gridpush("record", stream, "--object", thing, "--out", out, "--json")
@@ -40,9 +48,7 @@ def test_writes_the_pushes_of_a_stream(gridpush, script, stream, thing, tmp_path
     assert delay["applied"] == 0 and delay["told_by"] is None
     assert abs(delay["found"]["value"]) < 2 * delay["found"]["std"]
     expected = record_pushes(script.samples, script.obj, 0.005).log
-    for one, other in zip(expected, PushLog.read_csv(out), strict=True):
-        np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
-        np.testing.assert_array_equal(one.push.xy, other.push.xy)
+    check_same(expected, PushLog.read_csv(out))
 
 
 def test_a_delay_is_found_taken_out_and_agreed_with(gridpush, script, stream, thing, tmp_path):
@@ -64,9 +70,7 @@ def test_a_delay_is_found_taken_out_and_agreed_with(gridpush, script, stream, th
     # told its own number, it writes the same pushes, and has nothing to object
     told, again = record("told.csv", "--pose-delay", found["applied"])
     assert told["found"] == found["found"] and not told["contradicted"]
-    for one, other in zip(log, again, strict=True):
-        np.testing.assert_array_equal(one.t_observed, other.t_observed)
-        np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
+    check_same(log, again)
     # what the file says goes before what is found, and what the user says before both
     write_stream_csv(late, stream, force=True, pose_delay=3 * PERIOD)
     of_file, _ = record("file.csv")

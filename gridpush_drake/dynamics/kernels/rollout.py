@@ -500,7 +500,9 @@ def _guess_twist(xi, last_twist, moving_steps, start, moves, body):
     if moving_steps >= MOVING:
         # the last two twists, continued
         for i in range(3):
-            last_twist[i], xi[i] = xi[i], 2.0 * xi[i] - last_twist[i]
+            previous = xi[i]
+            xi[i] = 2.0 * previous - last_twist[i]
+            last_twist[i] = previous
     elif moving_steps == 1:
         for i in range(3):
             last_twist[i] = xi[i]

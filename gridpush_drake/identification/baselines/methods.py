@@ -1,4 +1,4 @@
-"""The methods that the paper compares with (its section VI.C), and the registry of all searches by name.
+"""The methods that the paper compares with (section VI.C), and the registry of all searches.
 
 All begin at the start, then differ. They see nothing but the loss, at one simulation of every
 training push a value. Lengths are shares of the bounds' width, in the logarithm.
@@ -33,12 +33,12 @@ class RandomSearch:
 
 @dataclass(frozen=True)
 class WeightedSampling:
-    """Weighted sampling: uniform draws first, then normal ones around the best so far, with a shrinking deviation.
+    """Weighted sampling: uniform draws first, then normal ones around the best so far.
 
     Attributes:
-        uniform_round: uniform draws at the beginning.
-        first_std: standard deviation after them (the paper's).
-        last_std: and the one it shrinks to, geometrically, as the budget is spent.
+        uniform_round: number of uniform draws at the beginning.
+        first_std: standard deviation of the first normal draw (the paper's).
+        last_std: standard deviation to which it shrinks, geometrically, as the budget is spent.
         physics: see `SearchMethod`.
     """
 
@@ -49,27 +49,31 @@ class WeightedSampling:
 
     def run(self, search: Search) -> SearchStatus:
         """Draws until the budget is spent."""
-        best, lowest = search.start, search(search.start, "start")
+        best = search.start
+        lowest = search(best, "start")
         for draw in count():
             if draw < self.uniform_round:
-                u, stage = search.rng.random(len(best)), "uniform"
+                u = search.rng.random(len(best))
+                stage = "uniform"
             else:
                 std = self.first_std * (self.last_std / self.first_std) ** search.loss.spent
-                u, stage = _draw_truncated_normal(search.rng, best, std), "normal"
+                u = _draw_truncated_normal(search.rng, best, std)
+                stage = "normal"
             value = search(u, stage)
             if value < lowest:
-                best, lowest = u, value
+                best = u
+                lowest = value
         raise AssertionError
 
 
 @dataclass(frozen=True)
 class FiniteDifference:
-    """Coordinate descent by forward differences, each coordinate updated at once; two evaluations a coordinate.
+    """Coordinate descent by forward differences; each coordinate takes two evaluations.
 
     Attributes:
         difference: length of a forward difference.
-        first_step: along a coordinate; each sweep over all of them halves it.
-        min_step: the search has stalled when the step is below.
+        first_step: first step along a coordinate; each sweep over all of them halves it.
+        min_step: step below which the search has stalled.
         physics: see `SearchMethod`.
     """
 
@@ -80,7 +84,8 @@ class FiniteDifference:
 
     def run(self, search: Search) -> SearchStatus:
         """Sweeps over the coordinates in random order."""
-        u, lowest = search.start.copy(), search(search.start, "start")
+        u = search.start.copy()
+        lowest = search(search.start, "start")
         step = self.first_step
         while step > self.min_step:
             for j in search.rng.permutation(len(u)):
@@ -91,7 +96,8 @@ class FiniteDifference:
                 trial = _moved(u, j, -step * np.sign(slope))
                 value = search(trial, "coordinate step")
                 if value < lowest:
-                    u, lowest = trial, value
+                    u = trial
+                    lowest = value
             step /= 2
         return SearchStatus.STALLED
 
@@ -132,7 +138,7 @@ class NelderMead:
     """Nelder-Mead, by SciPy, with coefficients adapted to the number of dimensions.
 
     Attributes:
-        edge: of the initial simplex.
+        edge: length of the initial simplex's edges.
         physics: see `SearchMethod`.
     """
 
@@ -141,15 +147,23 @@ class NelderMead:
 
     def run(self, search: Search) -> SearchStatus:
         """Moves the simplex until SciPy stops."""
-        from scipy.optimize import minimize  # likewise
+        from scipy.optimize import minimize  # only where it is used: it takes long to import
 
         inward = np.where(search.start + self.edge <= 1, self.edge, -self.edge)
         simplex = np.vstack([search.start, search.start + np.diag(inward)])
         budget = search.loss.budget
         minimize(
-            lambda u: search(u, "simplex"), search.start, method="Nelder-Mead", bounds=[(0, 1)] * len(search.start),
-            options={"initial_simplex": simplex, "adaptive": True, "maxiter": budget, "maxfev": budget},
-        )  # fmt: skip
+            lambda u: search(u, "simplex"),
+            search.start,
+            method="Nelder-Mead",
+            bounds=[(0, 1)] * len(search.start),
+            options={
+                "initial_simplex": simplex,
+                "adaptive": True,
+                "maxiter": budget,
+                "maxfev": budget,
+            },
+        )
         return SearchStatus.STALLED
 
 
@@ -161,19 +175,25 @@ SEARCH_METHODS: dict[str, SearchMethod] = {
     "cma_es": CmaEs(),
     "nelder_mead": NelderMead(),
 }
-"""By the name that `identify` takes."""
+"""Searches by the name that `identify` takes."""
 
 DEFAULT_BUDGET_PER_PUSH = 100
-"""Simulations of each training push where no budget is given."""
+"""Number of simulations of each training push where no budget is given."""
 
 
 def _draw_truncated_normal(rng: np.random.Generator, mean: Array, std: float) -> Array:
-    """Normal numbers around `mean`, within 0 and 1, by the inverse of their distribution."""
-    low, high = ndtr((0 - mean) / std), ndtr((1 - mean) / std)
-    return np.clip(mean + std * ndtri(low + (high - low) * rng.random(len(mean))), 0, 1)
+    """Draws normal numbers (d,) around a mean (d,), within 0 and 1.
+
+    A uniform number between the distribution's values at 0 and 1 is put into its inverse.
+    """
+    low = ndtr((0 - mean) / std)
+    high = ndtr((1 - mean) / std)
+    between = low + (high - low) * rng.random(len(mean))
+    return np.clip(mean + std * ndtri(between), 0, 1)
 
 
 def _moved(u: Array, j: int, by: float) -> Array:
+    """Moves coordinate j of a point (d,), within the cube."""
     moved = u.copy()
     moved[j] = np.clip(moved[j] + by, 0, 1)
     return moved

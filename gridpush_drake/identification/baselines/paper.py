@@ -1,4 +1,6 @@
-"""The paper's Algorithm 1 (Song & Boularias, RSS 2020): coordinate descent in M and mu by the closed-form gradient.
+"""The paper's Algorithm 1: coordinate descent in M and mu by the closed-form gradient.
+
+Source: Song & Boularias, RSS 2020.
 
 The loss is the mean over pushes, observed times tau and cells of |x_tau - x*_tau|, predicted and
 observed places. The paper holds x_t and xdot_t constant in each step's derivative; of the chain
@@ -31,24 +33,27 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 BLOCKS = ("mass", "friction")
+"""Blocks of parameters that are descended in by turns."""
 
 PAPER_PHYSICS = Physics(friction_law="lagged", regime="inertial")
 """The paper's model."""
 
 MIN_MISS = 1e-12
-"""m, below which a cell's distance has no direction."""
+"""Distance of a predicted cell from the observed one below which it has no direction, m."""
 
 
 @dataclass(frozen=True)
 class PaperDescent:
-    """Algorithm 1. Nothing in it is random, and its model is always inertial, pushed at the table's height.
+    """Algorithm 1: nothing in it is random.
+
+    Its model is always inertial, pushed at the table's height.
 
     Attributes:
         first_step: largest change of a cell's log mass or log friction in the first step.
-        lengthen: of the step, after a success.
-        shorten: of the step, after a failure.
-        min_step: the search has stalled when both steps are below.
-        physics: of its model.
+        lengthen: factor on the step after a success.
+        shorten: factor on the step after a failure.
+        min_step: step below which, in both blocks, the search has stalled.
+        physics: physics of its model.
     """
 
     first_step: float = 0.5
@@ -59,7 +64,9 @@ class PaperDescent:
 
     def run(self, search: Search) -> SearchStatus:
         """Descends in M and mu by turns, with backtracking, until it stalls or the loss ends it."""
-        loss, bounds, params = search.loss, search.bounds, replace(search.first, push_height=0.0)
+        loss = search.loss
+        bounds = search.bounds
+        params = replace(search.first, push_height=0.0)
         lowest, simulations = loss.evaluate(params, "start", gradients="paper")
         gradient = calc_paper_gradient_of_loss(loss, simulations)
         steps = {block: self.first_step for block in BLOCKS if np.ptp(getattr(bounds, block)) > 0}
@@ -68,7 +75,8 @@ class PaperDescent:
                 trial = bounds.clip(_step(params, block, gradient[block], steps[block]))
                 value, simulations = loss.evaluate(trial, f"descent in {block}", gradients="paper")
                 if value < lowest:
-                    params, lowest = trial, value
+                    params = trial
+                    lowest = value
                     gradient = calc_paper_gradient_of_loss(loss, simulations)
                     steps[block] *= self.lengthen
                 else:
@@ -77,11 +85,11 @@ class PaperDescent:
 
 
 def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> dict[str, Array]:
-    """The paper's gradient of the loss, by block (n,): dloss/dm, m/kg, and dloss/dmu, m.
+    """Calculates the paper's gradient of the loss, by block (n,): dloss/dm, m/kg; dloss/dmu, m.
 
     Args:
         loss: the loss.
-        simulations: of its pushes, with `gradients="paper"` at every step.
+        simulations: simulations of its pushes, with `gradients="paper"` at every step.
 
     Returns:
         The gradient by masses and by frictions.
@@ -91,28 +99,36 @@ def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> di
         simulations, loss.misses(simulations), loss.rows, strict=True
     ):
         by_pose = np.zeros((len(simulation.poses), 3))
-        np.add.at(
-            by_pose,
-            rows,
-            _differentiate_by_pose(loss.obj, simulation.poses[rows], miss) / len(simulations),
-        )
-        after = by_pose[::-1].cumsum(axis=0)[::-1]  # a step moves all poses after it
+        by_observed = _differentiate_by_pose(loss.obj, simulation.poses[rows], miss)
+        np.add.at(by_pose, rows, by_observed / len(simulations))
+        # A step moves all poses after it.
+        after = by_pose[::-1].cumsum(axis=0)[::-1]
         for block in BLOCKS:
             gradient[block] += np.einsum("tj,tjn->n", after, getattr(simulation.jacobian, block))
     return gradient
 
 
 def _step(params: CellParameters, block: str, gradient: Array, step: float) -> CellParameters:
-    """One block moved against its gradient by `step` in the logarithm of the cell that it moves most."""
+    """Moves one block against its gradient, by `step` in the logarithm of the cell moved most."""
     values: Array = getattr(params, block)
     by_log = gradient * values
     moved = values * np.exp(-step * by_log / max(np.abs(by_log).max(), np.finfo(float).tiny))
-    mass, friction = (moved, params.friction) if block == "mass" else (params.mass, moved)
-    return CellParameters(mass, friction, params.contact_friction)
+    if block == "mass":
+        return CellParameters(moved, params.friction, params.contact_friction)
+    return CellParameters(params.mass, moved, params.contact_friction)
 
 
 def _differentiate_by_pose(obj: GridObject, poses: Array, miss: Array) -> Array:
-    """Derivative (K, 3) of the mean distance by the predicted poses (K, 3), given the cells' misses (K, n, 2)."""
+    """Differentiates the mean distance of the cells from where they were seen.
+
+    Args:
+        obj: the object.
+        poses: (K, 3) predicted poses, m and rad.
+        miss: (K, n, 2) predicted minus observed cell centers, m.
+
+    Returns:
+        (K, 3) the derivatives by the predicted poses.
+    """
     distance = np.linalg.norm(miss, axis=-1, keepdims=True)
     pull = miss / np.maximum(distance, MIN_MISS) / (miss.shape[0] * miss.shape[1])
     arm = obj.cells_at(poses) - poses[:, None, :2]

@@ -1,4 +1,4 @@
-"""What every search shares: bounds, the loss that it lowers, the budget that it may spend, and its result.
+"""What every search shares: bounds, the loss that it lowers, its budget, and its result.
 
 A method (`SearchMethod`) works on a `Search`: a loss over points u of the unit cube, one coordinate
 for each free mass and friction, logarithmic between its bounds. `run_search` runs a method on a
@@ -22,17 +22,17 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 MASS_SPREAD = 50.0
-"""Ratio of the greatest to the least cell mass where nothing else is known: the paper's 5.0 kg to
+"""Ratio of the largest to the smallest cell mass where nothing else is known: the paper's 5.0 kg to
 0.1 kg."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What every cell's parameters lie between; equal numbers hold a parameter where it is.
+    """Bounds of every cell's parameters; equal numbers hold a parameter where it is.
 
     Attributes:
-        mass: least and greatest mass of a cell, kg.
-        friction: least and greatest friction coefficient of a cell against the support.
+        mass: smallest and largest mass of a cell, kg.
+        friction: smallest and largest friction coefficient of a cell against the support.
 
     Raises:
         IdentificationError: a range is not positive and increasing.
@@ -51,18 +51,26 @@ class Bounds:
 
     @classmethod
     def around(cls, obj: GridObject, start: CellParameters) -> "Bounds":
-        """The object's friction bounds, and masses up to sqrt(MASS_SPREAD) times the start's mean up and down."""
-        mean, factor = start.total_mass / start.n, MASS_SPREAD**0.5
-        return cls((mean / factor, mean * factor), (obj.prior.friction_min, obj.prior.friction_max))
+        """Makes bounds about a start, in the middle of masses that differ by `MASS_SPREAD`.
+
+        Frictions are within the object's own bounds.
+        """
+        mean = start.total_mass / start.n
+        factor = MASS_SPREAD**0.5
+        return cls(
+            mass=(mean / factor, mean * factor),
+            friction=(obj.prior.friction_min, obj.prior.friction_max),
+        )
 
     def clip(self, params: CellParameters) -> CellParameters:
-        """The nearest parameters within the bounds."""
-        mass, friction = np.clip(params.mass, *self.mass), np.clip(params.friction, *self.friction)
+        """Takes the nearest parameters within the bounds."""
+        mass = np.clip(params.mass, *self.mass)
+        friction = np.clip(params.friction, *self.friction)
         return replace(params, mass=mass, friction=friction)
 
 
 LOSS_THRESHOLD = 1e-4
-"""m; a search is done when the mean cell error of its training pushes is below it."""
+"""Mean cell error of the training pushes below which a search is done, m."""
 
 
 class SearchStatus(StrEnum):
@@ -92,8 +100,11 @@ class SearchResult:
     status: SearchStatus
 
 
-class SearchStopped(Exception):  # noqa: N818 - a signal from the loss to the search's caller, not an error
-    """The search is over: converged, or the budget is spent."""
+class SearchStopped(Exception):  # noqa: N818
+    """The search is over: converged, or the budget is spent.
+
+    It is a signal from the loss to whoever runs the search, and no error.
+    """
 
     def __init__(self, status: SearchStatus) -> None:
         super().__init__(status)
@@ -101,15 +112,16 @@ class SearchStopped(Exception):  # noqa: N818 - a signal from the loss to the se
 
 
 class CellLoss:
-    """Mean over pushes of the mean distance between predicted and observed cells over the observed times (ADD), m.
+    """The loss of a search: the mean over pushes of the mean cell error (ADD), m.
 
-    Counts the pushes it simulates, keeps the best parameters and the history, and ends the search
-    by `SearchStopped`.
+    A push's mean cell error is the mean distance between predicted and observed cells over the
+    observed times. The loss counts the pushes it simulates, keeps the best parameters and the
+    history, and ends the search by `SearchStopped`.
 
     Attributes:
-        simulations: pushes simulated so far.
+        simulations: number of pushes simulated so far.
         best: the parameters of the lowest loss.
-        best_loss: m.
+        best_loss: the lowest loss, m.
         history: the lowest loss so far, after each evaluation.
     """
 
@@ -137,7 +149,8 @@ class CellLoss:
         self.best = start
         self.best_loss = np.inf
         self.history: list[HistoryEntry] = []
-        self._progress, self._threshold = progress, threshold
+        self._progress = progress
+        self._threshold = threshold
         self._pushes = [TimedPush.of(seen, self.physics.regime) for seen in log]
         self._cells = [_observed_cells(obj, seen) for seen in log]
 
@@ -177,17 +190,17 @@ class CellLoss:
             push.simulate(self.obj, params, self.physics, **options) for push in self._pushes
         ]
         self.simulations += len(self)
-        loss = float(
-            np.mean([np.linalg.norm(miss, axis=-1).mean() for miss in self.misses(simulations)])
-        )
+        errors = [np.linalg.norm(miss, axis=-1).mean() for miss in self.misses(simulations)]
+        loss = float(np.mean(errors))
         loss = loss if np.isfinite(loss) else np.inf
         if loss < self.best_loss:
-            self.best, self.best_loss = params, loss
+            self.best = params
+            self.best_loss = loss
         self._record(stage)
         return loss, simulations
 
     def misses(self, simulations: list[Motion]) -> list[Array]:
-        """Predicted minus observed cell centers (K, n, 2), m, of each push."""
+        """Calculates predicted minus observed cell centers (K, n, 2), m, of each push."""
         return [
             self.obj.cells_at(simulation.poses[rows]) - cells
             for simulation, rows, cells in zip(simulations, self.rows, self._cells, strict=True)
@@ -195,7 +208,7 @@ class CellLoss:
 
     @property
     def rows(self) -> list[IntArray]:
-        """(K,) the observed poses among the simulated ones, for each push."""
+        """The places (K,) of the observed poses among the simulated ones, for each push."""
         return [push.rows for push in self._pushes]
 
     def _record(self, stage: str) -> None:
@@ -210,33 +223,38 @@ class Search:
     """The loss on the unit cube, and a seeded generator: what a method works with.
 
     Attributes:
-        loss: on parameters.
-        bounds: of the parameters.
+        loss: the loss of parameters.
+        bounds: bounds of the parameters.
         first: the start's parameters, within the bounds.
-        start: (d,) their coordinates.
-        rng: seeded.
+        start: (d,) coordinates of `first`.
+        rng: a seeded generator.
     """
 
     def __init__(self, loss: CellLoss, start: CellParameters, bounds: Bounds, seed: int) -> None:
         """Sets the cube up; parameters whose bounds are equal have no coordinate."""
-        self.loss, self.bounds, self.rng = loss, bounds, np.random.default_rng(seed)
+        self.loss = loss
+        self.bounds = bounds
+        self.rng = np.random.default_rng(seed)
         self.first = bounds.clip(start)
         n = start.n
         ranges = np.log([bounds.mass] * n + [bounds.friction] * n)
-        self._low, self._width = ranges[:, 0], np.diff(ranges, axis=1)[:, 0]
+        self._low = ranges[:, 0]
+        self._width = np.diff(ranges, axis=1)[:, 0]
         self._free = self._width > 0
         values = np.log(np.concatenate([self.first.mass, self.first.friction]))
-        self.start: Array = ((values - self._low)[self._free] / self._width[self._free]).clip(0, 1)
+        shares = (values - self._low)[self._free] / self._width[self._free]
+        self.start: Array = shares.clip(0, 1)
 
     def __call__(self, u: Array, stage: str) -> float:
-        """The loss, m, at u (d,); coordinates outside the cube are moved to its nearest face."""
+        """Evaluates the loss, m, at u (d,), or at the nearest point of the cube."""
         return self.loss(self.params(u), stage)
 
     def params(self, u: Array) -> CellParameters:
-        """The parameters at u (d,)."""
+        """Makes the parameters at u (d,), or at the nearest point of the cube."""
         n = self.first.n
         values = np.concatenate([self.first.mass, self.first.friction])
-        low, width = self._low[self._free], self._width[self._free]
+        low = self._low[self._free]
+        width = self._width[self._free]
         values[self._free] = np.exp(low + width * np.clip(u, 0, 1))
         return replace(self.first, mass=values[:n], friction=values[n:])
 
@@ -245,7 +263,7 @@ class SearchMethod(Protocol):
     """A search method.
 
     Attributes:
-        physics: of the model that it descends; None for the one that is asked for.
+        physics: physics of the model that it descends; None for the one that is asked for.
     """
 
     @property
@@ -279,9 +297,9 @@ def run_search(
         start: where to begin; its contact friction is kept.
         bounds: what the cells' parameters lie between.
         budget: most pushes to simulate.
-        seed: of everything random; the same seed gives the same result.
-        physics: of the simulations, where the method has none of its own; `Physics()` by default.
-            The regime "auto" becomes the one of the log's fastest push.
+        seed: seed of everything random; the same seed gives the same result.
+        physics: physics of the simulations, where the method has none of its own; `Physics()` by
+            default. The regime "auto" becomes the one of the log's fastest push.
         progress: called after each evaluation.
 
     Returns:
@@ -298,10 +316,16 @@ def run_search(
         status = method.run(Search(loss, start, bounds, seed))
     except SearchStopped as stop:
         status = stop.status
-    return SearchResult(loss.best, tuple(loss.history), loss.simulations, status)
+    return SearchResult(
+        params=loss.best,
+        history=tuple(loss.history),
+        simulations=loss.simulations,
+        status=status,
+    )
 
 
 def _observed_cells(obj: GridObject, seen: ObservedPush) -> Array:
+    """Places the cells (K, n, 2), m, at the observed poses of a push, of which it needs one."""
     if not len(seen.poses_observed):
         raise IdentificationError(
             f"push {seen.name!r}: has no observation after its first; expected at least one"

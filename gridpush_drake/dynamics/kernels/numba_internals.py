@@ -1,0 +1,204 @@
+"""All that the kernels take from inside Numba, beyond its documented interface.
+
+Numba documents `njit`, its options, `overload`, `typeof` and its types; those are used wherever
+they are needed. What stands here is not documented, and any version of Numba may change it:
+
+* the place where a dispatcher holds its cache, and the six members of such a cache (`NumbaCache`).
+  Numba's own cache can go stale where a kernel calls functions of other files, see `compiled`;
+* how the result of a compilation is taken apart and put together again (`reduce_result`,
+  `rebuild_result`, `can_be_kept`), and Numba's pickle for it (`dump`);
+* the machine that code is made for (`describe_machine`, `get_codegen`);
+* three options of `njit`: `_nrt`, `no_cpython_wrapper` and `no_cfunc_wrapper` (`make_dispatcher`,
+  `BORROWED`);
+* `compile` of a dispatcher (`compile_for`), and `instance_class` of a named tuple's type
+  (`get_record_class`).
+
+Each is looked up by a function of this module, which raises a NumbaError where it is not there.
+Whether it still does what is wanted is tested in `tests/dynamics/kernels/test_numba_internals.py`.
+"""
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
+
+import numba
+
+from gridpush_drake.errors import NumbaError
+
+KNOWN = "0.68"
+"""Version of Numba of which all this is known to be true."""
+
+CACHE = "_cache"
+"""Attribute of a dispatcher that holds its cache."""
+
+CACHE_MEMBERS = frozenset(
+    {"cache_path", "load_overload", "save_overload", "enable", "disable", "flush"}
+)
+"""Public members of a dispatcher's cache."""
+
+NO_REFERENCES = "_nrt"
+"""Option that, where it is False, keeps a function from counting references to arrays."""
+
+NO_PYTHON = "no_cpython_wrapper"
+"""Option that leaves out the form of a function that Python calls."""
+
+NO_C = "no_cfunc_wrapper"
+"""Option that leaves out the form of a function that C calls."""
+
+BORROWED: Any = {NO_REFERENCES: False}
+"""Options of an `overload` that passes on what its caller holds."""
+
+
+class NumbaCache:
+    """What a dispatcher asks of its cache; a class of its own fills in the first three."""
+
+    @property
+    def cache_path(self) -> str:
+        """Folder of the cache; empty where there is none."""
+        raise NotImplementedError
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Finds the result of a compilation; None where there is none."""
+        raise NotImplementedError
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        """Keeps the result of a compilation."""
+        raise NotImplementedError
+
+    def enable(self) -> None:
+        """Does nothing: the cache is always on."""
+
+    def disable(self) -> None:
+        """Does nothing: the cache is always on."""
+
+    def flush(self) -> None:
+        """Does nothing: every result is written at once."""
+
+
+def make_dispatcher(
+    function: Callable[..., Any],
+    cache: NumbaCache,
+    *,
+    counts_references: bool,
+    called_from_python: bool,
+    **options: Any,
+) -> Callable[..., Any]:
+    """Makes a function one that is compiled on its first call.
+
+    Args:
+        function: the function.
+        cache: where what is compiled is kept.
+        counts_references: whether it counts references to arrays, as one must that makes some.
+        called_from_python: whether Python can call it, and not compiled code alone.
+        options: further options of `numba.njit`, documented ones.
+
+    Returns:
+        The dispatcher.
+
+    Raises:
+        NumbaError: the installed Numba is built differently.
+    """
+    known = _take(_import("numba.core.cpu"), "CPUTargetOptions", "numba.core.cpu")
+    for name in (NO_REFERENCES, NO_PYTHON, NO_C):
+        _take(known, name, "numba.core.cpu.CPUTargetOptions")
+    all_options: dict[str, Any] = {
+        **options,
+        NO_REFERENCES: counts_references,
+        NO_PYTHON: not called_from_python,
+        NO_C: True,
+    }
+    dispatcher: Any = numba.njit(**all_options)(function)
+    if dispatcher is function:
+        return dispatcher  # NUMBA_DISABLE_JIT is set: nothing is compiled, nor kept
+    its_own = _take(dispatcher, CACHE, "a dispatcher")
+    members = {name for name in dir(its_own) if not name.startswith("_")}
+    if members != CACHE_MEMBERS:
+        raise _complain(f"a dispatcher's cache with {', '.join(sorted(CACHE_MEMBERS))} alone")
+    setattr(dispatcher, CACHE, cache)
+    return dispatcher
+
+
+def get_cache(dispatcher: Any) -> Any:
+    """Takes the cache of a dispatcher."""
+    return _take(dispatcher, CACHE, "a dispatcher")
+
+
+def compile_for(dispatcher: Any, types: Sequence[Any]) -> None:
+    """Compiles a function for some types of arguments, or finds it in its cache."""
+    _take(dispatcher, "compile", "a dispatcher")(tuple(types))
+
+
+def get_codegen(target_context: Any) -> Any:
+    """Takes the maker of machine code from a target context, once that knows all it should."""
+    _take(target_context, "refresh", "a target context")()
+    return _take(target_context, "codegen", "a target context")()
+
+
+def describe_machine(codegen: Any) -> list[str]:
+    """Says which machine code is made for: its kind, the processor's name and its features."""
+    return [str(part) for part in _take(codegen, "magic_tuple", "a code generator")()]
+
+
+def get_result_codegen(result: Any) -> Any:
+    """Takes the maker of machine code that made the result of a compilation."""
+    return _take(result, "codegen", "a compilation's result")
+
+
+def can_be_kept(result: Any) -> bool:
+    """Whether the result of a compilation holds for other processes, too.
+
+    One with loops that were compiled by themselves does not, nor one that holds addresses.
+    """
+    loops = _take(result, "lifted", "a compilation's result")
+    library = _take(result, "library", "a compilation's result")
+    holds_addresses = _take(library, "has_dynamic_globals", "a compiled library")
+    return not holds_addresses and all(loop.can_cache for loop in loops)
+
+
+def reduce_result(result: Any) -> Any:
+    """Takes the result of a compilation apart, into what `dump` can write."""
+    return _take(result, "_reduce", "a compilation's result")()
+
+
+def rebuild_result(target_context: Any, reduced: Any) -> Any:
+    """Puts the result of a compilation together again."""
+    kind = _take(_import("numba.core.compiler"), "CompileResult", "numba.core.compiler")
+    return _take(kind, "_rebuild", "numba.core.compiler.CompileResult")(target_context, *reduced)
+
+
+def dump(value: Any) -> bytes:
+    """Pickles values and functions by value; the standard library's `pickle.loads` reads them."""
+    pickled: bytes = _take(_import("numba.core.serialize"), "dumps", "numba.core.serialize")(value)
+    return pickled
+
+
+def get_record_class(numba_type: Any) -> type | None:
+    """Finds the class of a named tuple from its type in Numba; None of another type."""
+    if not isinstance(numba_type, numba.types.NamedTuple):
+        return None
+    found: type = _take(numba_type, "instance_class", "the type of a named tuple")
+    return found
+
+
+def _import(name: str) -> Any:
+    """Imports one of Numba's modules."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise _complain(f"module {name}") from error
+
+
+def _take(owner: Any, name: str, what: str) -> Any:
+    """Takes an attribute from something of Numba's, which `what` calls by name."""
+    try:
+        return getattr(owner, name)
+    except AttributeError as error:
+        raise _complain(f"attribute {name} of {what}") from error
+
+
+def _complain(missing: str) -> NumbaError:
+    """Makes the error that says what this version of Numba lacks."""
+    return NumbaError(
+        f"Numba {numba.__version__} has no {missing}, which the compiled kernels need; "
+        f"expected another version: pip install 'numba=={KNOWN}.*'"
+    )
