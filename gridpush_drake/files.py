@@ -27,10 +27,16 @@ TEMPORARY_PREFIX = ".gridpush-"
 name that the file system takes."""
 
 MAX_BESIDE = 1000
-"""How many folders beside a missing one are tried."""
+"""Largest number of folders beside one that cannot be used that are tried."""
 
-MAX_SHOWN, SHOWN_END = 200, 40
-"""Characters of a path that a message shows whole; of each end of a longer one."""
+MAX_SHOWN = 200
+"""Largest number of characters of a path that a message shows whole."""
+
+SHOWN_END = 40
+"""Number of characters that a message shows of each end of a longer path."""
+
+NEW_MODE = 0o666
+"""Mode of a new file, before the user's mask takes rights away."""
 
 NON_BLOCKING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """Flags with which a pipe that nobody writes to is opened at once."""
@@ -218,7 +224,9 @@ def make_folder(path: Path | str) -> None:
 
 @contextmanager
 def output_folder(path: Path | str) -> Iterator[None]:
-    """Makes a folder for output, and takes it away again, with those above it that it made, where nothing came of it.
+    """Makes a folder for output, and takes it away again where nothing came of it.
+
+    With it go the folders above it that were made for it.
 
     Raises:
         OutputError: it cannot be made.
@@ -236,7 +244,9 @@ def output_folder(path: Path | str) -> Iterator[None]:
 
 
 def make_folder_beside(path: Path | str) -> Path:
-    """Makes a new folder for what cannot be written where it should be: beside that, else among temporary files.
+    """Makes a new folder for files that cannot be written where they should be.
+
+    It is beside that place, or else among temporary files.
 
     Raises:
         OutputError: neither can be made.

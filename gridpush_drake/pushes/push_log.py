@@ -347,7 +347,7 @@ class PushLog(Frozen):
 
     @property
     def overhanging(self) -> "PushLog":
-        """Takes the pushes that no model can explain: over the edge of a table that is not known."""
+        """Takes the pushes that no model can explain: over the edge of an unknown table."""
         return self.subset(
             [i for i, seen in enumerate(self) if seen.overhang and self.table is None]
         )

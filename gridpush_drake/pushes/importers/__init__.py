@@ -30,10 +30,14 @@ class Importer(Protocol):
     command line. The first line of the class's docstring is the command's help. If an import needs
     more than a file, the class may have a text `example` with the options of the example that the
     help shows.
+
+    Attributes:
+        file: a stand-in for the file's name, such as "LOG.txt".
+        source: where such files are from.
     """
 
-    file: ClassVar[str]  # a stand-in for the file's name, such as "LOG.txt"
-    source: ClassVar[str]  # where such files are from
+    file: ClassVar[str]
+    source: ClassVar[str]
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file's pushes, and the object that was pushed.

@@ -243,7 +243,8 @@ def make_mit_object(path: Path, shape: str) -> GridObject:
     """
     if shape not in MIT_SHAPES:
         raise PushLogError(
-            f"{path}: shape {shape!r} is not known; expected {', '.join(MIT_SHAPES)}, or an object file"
+            f"{path}: shape {shape!r} is not known; expected {', '.join(MIT_SHAPES)}, or an "
+            "object file"
         )
     prior = PhysicalPrior(pusher_radius=TIP_RADIUS)
     return GridObject.from_outline(

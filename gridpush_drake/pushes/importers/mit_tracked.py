@@ -44,8 +44,14 @@ from gridpush_drake.pushes.segmentation import (
     make_observed_push,
 )
 
-TIP, OBJECT, WRENCH = "tip_pose", "object_pose", "ft_wrench"
-"""Names of the tables."""
+TIP = "tip_pose"
+"""Name of the table of the tip's poses."""
+
+OBJECT = "object_pose"
+"""Name of the table of the object's poses."""
+
+WRENCH = "ft_wrench"
+"""Name of the table of the forces."""
 
 COLUMNS = {
     TIP: "t (s), x, y (m), yaw (rad)",
@@ -100,13 +106,13 @@ class MitTrackedImporter:
     object_delay: float | None = field(
         default=None,
         metadata={
-            "help": "How much later the times of the object's poses are than those of the tip's, s. If "
-            "it is not given, it is found from the pushes."
+            "help": "How much later the times of the object's poses are than those of the tip's, "
+            "s. If it is not given, it is found from the pushes."
         },
     )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads the pushes of a file, or of all such files of a folder by their names; and the object.
+        """Reads the pushes of a file, or of all such files of a folder, and the object.
 
         Raises:
             PushLogError: a file cannot be read, lacks a table or holds something else in it; the
@@ -192,18 +198,20 @@ def _read_shape(path: Path, paths: list[Path]) -> str:
         said = [word.partition("=")[2] for word in one.stem.split("_") if word.startswith("shape=")]
         if len(said) != 1:
             raise PushLogError(
-                f"{one}: its name does not say the shape; expected shape=NAME in it, or --shape or --object"
+                f"{one}: its name does not say the shape; expected shape=NAME in it, or --shape "
+                "or --object"
             )
         shapes.add(said[0])
     if len(shapes) > 1:
         raise PushLogError(
-            f"{path}: holds pushes of {' and '.join(sorted(shapes))}; expected one shape, or --object"
+            f"{path}: holds pushes of {' and '.join(sorted(shapes))}; expected one shape, or "
+            "--object"
         )
     return shapes.pop()
 
 
 def _read_tables(path: Path) -> dict[str, Array]:
-    """The tables of a file, (K, 4) each, their times increasing; ft_wrench only where it is there."""
+    """Reads the tables (K, 4) of a file, times increasing; ft_wrench only where it is there."""
     raw = _read_json(path) if path.suffix.lower() == ".json" else _read_hdf5(path)
     tables = {}
     for name, form in COLUMNS.items():
@@ -241,8 +249,8 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
                 shape = getattr(file[name], "shape", None)
                 if shape is None or len(shape) != 2 or shape[0] > MAX_ROWS or shape[1] != 4:
                     raise PushLogError(
-                        f"{path}: {name} has the shape {shape}; expected (K, 4), K at most {MAX_ROWS}, "
-                        f"of {COLUMNS[name]}"
+                        f"{path}: {name} has the shape {shape}; expected (K, 4), K at most "
+                        f"{MAX_ROWS}, of {COLUMNS[name]}"
                     )
                 found[name] = file[name][:]
     except PushLogError:
@@ -260,7 +268,8 @@ def _check_table(path: Path, name: str, form: str, value: ArrayLike) -> Array:
         table = np.empty(0)
     if table.ndim != 2 or table.shape[1] != 4 or not MIN_ROWS <= len(table) <= MAX_ROWS:
         raise PushLogError(
-            f"{path}: {name} has the shape {table.shape}; expected {MIN_ROWS} to {MAX_ROWS} rows of {form}"
+            f"{path}: {name} has the shape {table.shape}; expected {MIN_ROWS} to {MAX_ROWS} rows "
+            f"of {form}"
         )
     if not (np.abs(table) <= MAX_NUMBER).all():
         raise PushLogError(f"{path}: {name} must hold finite numbers, rows of {form}")
@@ -268,7 +277,8 @@ def _check_table(path: Path, name: str, form: str, value: ArrayLike) -> Array:
     if (steps < 0).any():
         row = int(np.argmax(steps < 0)) + 2
         raise PushLogError(
-            f"{path}: {name}, row {row}: its time is before the one above; expected times (s) that increase"
+            f"{path}: {name}, row {row}: its time is before the one above; expected times (s) "
+            "that increase"
         )
     return table[np.append(True, steps > 0)]
 
@@ -304,7 +314,8 @@ def _orient_forces(path: Path, pushes: list[ObservedPush]) -> list[ObservedPush]
     if work >= 0:
         return pushes
     warn(
-        f"{path}: {WRENCH} holds the forces on the tip; they were turned round into those on the object",
+        f"{path}: {WRENCH} holds the forces on the tip; they were turned round into those on the "
+        "object",
         PushLogWarning,
         stacklevel=3,
     )

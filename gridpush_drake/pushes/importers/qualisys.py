@@ -81,30 +81,30 @@ class QualisysImporter:
     obj: GridObject | None = field(
         default=None,
         metadata={
-            "help": "The object that was pushed: an object file whose frame is that of the object's "
-            "rigid body, or a shipped object's name. It has to be given.",
+            "help": "The object that was pushed: an object file whose frame is that of the "
+            "object's rigid body, or a shipped object's name. It has to be given.",
             "name": "--object",
         },
     )
     object_body: str = field(
         default="",
         metadata={
-            "help": "The rigid body of the object: its name in the header of the table, or its number "
-            "there, from 1. It has to be given."
+            "help": "The rigid body of the object: its name in the header of the table, or its "
+            "number there, from 1. It has to be given."
         },
     )
     tip_body: str = field(
         default="",
         metadata={
-            "help": "The rigid body that carries the pusher's tip: its name or its number, from 1. It "
-            "has to be given."
+            "help": "The rigid body that carries the pusher's tip: its name or its number, from "
+            "1. It has to be given."
         },
     )
     tip_at: str = field(
         default="0,0,0",
         metadata={
-            "help": "Where the center of the tip is in the frame of the rigid body that carries it: "
-            "x,y,z, m."
+            "help": "Where the center of the tip is in the frame of the rigid body that carries "
+            "it: x,y,z, m."
         },
     )
     table_height: float = field(
@@ -143,8 +143,8 @@ class QualisysImporter:
             lowest = float(np.nanmin(tip[:, 2])) if np.isfinite(tip[:, 2]).any() else math.nan
             below = SegmenterOptions().engaged_below
             why = recording.unusable[0] if recording.unusable else (
-                f"the tip comes down to {lowest:.3f} m above the table, and counts as pushing below "
-                f"{below:g} m; are --tip-at and --table-height right?"
+                f"the tip comes down to {lowest:.3f} m above the table, and counts as pushing "
+                f"below {below:g} m; are --tip-at and --table-height right?"
             )  # fmt: skip
             raise PushLogError(f"{path}: holds no push of {self.obj.name}: {why}")
         return recording.log, self.obj
@@ -185,7 +185,8 @@ def read_bodies(path: Path) -> tuple[Array, dict[str, BodyTrack]]:
     if (np.diff(t) <= 0).any():
         number = rows[int(np.argmax(np.diff(t) <= 0)) + 1][0]
         raise PushLogError(
-            f"{path}, line {number}: its time is not after the one above; expected times (s) that increase"
+            f"{path}, line {number}: its time is not after the one above; expected times (s) that "
+            "increase"
         )
     names = header.get(NAMES, [])
     if len(names) != count:
@@ -200,13 +201,13 @@ def read_bodies(path: Path) -> tuple[Array, dict[str, BodyTrack]]:
 
 
 def _count_bodies(path: Path, number: int, line: str) -> int:
-    """How many bodies a row is of: 16 numbers and an empty column each, the last of which may lack."""
+    """Counts the bodies of a row: 16 numbers and an empty column each, the last may lack."""
     cells = line.split("\t")
     count, rest = divmod(len(cells) - FRAME_COLUMNS + 1, BODY_COLUMNS + 1)
     if rest not in (0, 1) or count < 1:
         raise PushLogError(
-            f"{path}, line {number}: has {len(cells)} columns; expected a frame's number, its time, and "
-            f"{BODY_COLUMNS} numbers and an empty column for each rigid body"
+            f"{path}, line {number}: has {len(cells)} columns; expected a frame's number, its "
+            f"time, and {BODY_COLUMNS} numbers and an empty column for each rigid body"
         )
     return count
 
@@ -216,8 +217,8 @@ def _read_row(path: Path, number: int, line: str, count: int) -> NDArray[np.floa
     cells = line.split("\t")
     if _count_bodies(path, number, line) != count:
         raise PushLogError(
-            f"{path}, line {number}: has {len(cells)} columns; expected those of {count} rigid bodies, "
-            "as in the rows above"
+            f"{path}, line {number}: has {len(cells)} columns; expected those of {count} rigid "
+            "bodies, as in the rows above"
         )
     row = np.empty(FRAME_COLUMNS + count * BODY_COLUMNS)
     row[:FRAME_COLUMNS] = [_read_cell(path, number, cell) for cell in cells[:FRAME_COLUMNS]]
@@ -257,7 +258,8 @@ def _make_track(path: Path, name: str, own: Array, lines: list[int]) -> BodyTrac
     wrong = ~lost & ((off > ROTATION_TOLERANCE) | (np.linalg.det(np.nan_to_num(R)) < 0))
     if wrong.any():
         raise PushLogError(
-            f"{path}, line {lines[int(np.argmax(wrong))]}: Rot[0] to Rot[8] of {name} are no rotation matrix"
+            f"{path}, line {lines[int(np.argmax(wrong))]}: Rot[0] to Rot[8] of {name} are no "
+            "rotation matrix"
         )
     return BodyTrack(
         p=np.where(lost[:, None], np.nan, p), R=np.where(lost[:, None, None], np.nan, R)

@@ -49,7 +49,8 @@ def make_episode(tracks: Tracks, record: RecordOptions) -> Episode | None:
         The motion: what was seen before the tip moved, while it moved, and after it stopped; None
         where the tip did not move.
     """
-    t, tip = tracks.tip_t, tracks.tip
+    t = tracks.tip_t
+    tip = tracks.tip
     moved = np.flatnonzero(np.linalg.norm(tip - tip[0], axis=1) > record.still)
     moving = np.flatnonzero(np.linalg.norm(tip - tip[-1], axis=1) > record.still)
     if not len(moved) or not len(moving):
@@ -70,7 +71,7 @@ def make_episode(tracks: Tracks, record: RecordOptions) -> Episode | None:
 
 
 def _merge(tracks: Tracks) -> list[Sample]:
-    """All times of both tracks: with the tip's place at each, and the object's pose where it was seen."""
+    """Makes a sample at each time of both tracks; the pose is that of the object where seen."""
     t = np.union1d(tracks.tip_t, tracks.object_t)
     inside = (tracks.tip_t[0] <= t) & (t <= tracks.tip_t[-1])
     steps = np.diff(tracks.tip_t)
