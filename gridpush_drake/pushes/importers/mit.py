@@ -119,6 +119,13 @@ RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_
 MODEL_ERRORS = ("avg_diff_disp", "avg_diff_angle")
 """Fields with the mean errors of the data set's own model, m and rad."""
 
+OBJECT_OPTION = {
+    "help": "The object that was pushed, if it is none of the data set's shapes: an object file or "
+    "a shipped object's name.",
+    "name": "--object",
+}
+"""Option of the data set's importers for the object."""
+
 
 @dataclass(frozen=True)
 class MitImporter:
@@ -141,11 +148,7 @@ class MitImporter:
     )
     obj: GridObject | None = field(
         default=None,
-        metadata={
-            "help": "The object that was pushed, if it is none of the data set's shapes: an object "
-            "file or a shipped object's name.",
-            "name": "--object",
-        },
+        metadata=OBJECT_OPTION,
     )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:

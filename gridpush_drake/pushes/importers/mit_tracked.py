@@ -32,7 +32,7 @@ from gridpush_drake.extras import import_extra
 from gridpush_drake.files import MEGABYTE, read_bytes, read_text
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.importers.mit import TIP_RADIUS, make_mit_object
+from gridpush_drake.pushes.importers.mit import OBJECT_OPTION, TIP_RADIUS, make_mit_object
 from gridpush_drake.pushes.importers.two_clocks import Tracks, make_episode
 from gridpush_drake.pushes.pose_delay import MS, ChosenDelay, choose_episodes_delay
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -97,11 +97,7 @@ class MitTrackedImporter:
     )
     obj: GridObject | None = field(
         default=None,
-        metadata={
-            "help": "The object that was pushed, if it is none of the data set's shapes: an object "
-            "file or a shipped object's name.",
-            "name": "--object",
-        },
+        metadata=OBJECT_OPTION,
     )
     object_delay: float | None = field(
         default=None,
