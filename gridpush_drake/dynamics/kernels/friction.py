@@ -85,7 +85,7 @@ def fill_load_derivatives(law, cells, eps, xi, f):
     raise NotImplementedError
 
 
-def _find_law(data: types.NamedTuple) -> FrictionLaw:
+def _find_law(data: types.Type) -> FrictionLaw:
     """Finds a law by the type of its data."""
     record = get_record_class(data)
     assert record is not None, "a law's data are a named tuple"

@@ -174,7 +174,8 @@ def dump(value: Any) -> bytes:
 
 def get_record_class(numba_type: Any) -> type | None:
     """Finds the class of a named tuple from its type in Numba; None of another type."""
-    if not isinstance(numba_type, numba.types.NamedTuple):
+    # Numba has a type of its own for a named tuple whose fields are all of one type.
+    if not isinstance(numba_type, numba.types.NamedTuple | numba.types.NamedUniTuple):
         return None
     found: type = _take(numba_type, "instance_class", "the type of a named tuple")
     return found

@@ -13,6 +13,7 @@ from numba.core import compiler, cpu, serialize
 
 from gridpush_drake.dynamics.kernels import numba_internals
 from gridpush_drake.dynamics.kernels.contact import Edges
+from gridpush_drake.dynamics.kernels.forward_sensitivity import Columns
 from gridpush_drake.dynamics.kernels.numba_internals import NumbaCache, make_dispatcher
 from gridpush_drake.errors import NumbaError
 
@@ -108,6 +109,8 @@ def test_what_holds_an_address_is_not_kept():
 def test_the_class_of_a_named_tuple_is_found():
     edges = Edges(*[np.zeros(1)] * 4, np.zeros(1, np.int64))
     assert numba_internals.get_record_class(numba.typeof(edges)) is Edges
+    alike = Columns(*[np.zeros((1, 1))] * len(Columns._fields))
+    assert numba_internals.get_record_class(numba.typeof(alike)) is Columns
     assert numba_internals.get_record_class(numba.float64) is None
 
 
