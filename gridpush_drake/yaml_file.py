@@ -173,13 +173,13 @@ class _StrictLoader(_Parser, yaml.constructor.SafeConstructor, _CoreResolver):
         return self._construct_form(node, "bool", "true or false").lower() == "true"
 
     def refuse_tag(self, node: yaml.Node) -> Any:
-        """Raises an error: the tag is of YAML 1.1, and YAML 1.2's core schema has none of its name."""
+        """Refuses a tag of YAML 1.1 whose name YAML 1.2's core schema does not have."""
         name = node.tag.removeprefix(_CORE_TAG)
         problem = f"the tag !!{name} is not known; expected a plain value"
         raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
 
     def _construct_form(self, node: yaml.ScalarNode, tags: str, expected: str) -> str:
-        """The text of a value that may have its tag because it was given, not because of its form."""
+        """Reads the text of a value whose tag may be given, against the value's own form."""
         text: str = self.construct_scalar(node)
         forms = [form for tag, form, _ in _FORMS if re.fullmatch(tags, tag)]
         if not any(re.fullmatch(form, text) for form in forms):

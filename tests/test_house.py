@@ -81,13 +81,12 @@ AIM = Figures(nodes=10.0, comments=25.0, pairs=2.0, packed=0.0, vague=0.0, long=
 
 ROOMS = """
 room              nodes  comments  pairs  packed  vague  long
-(files)            11.1         0     20     0.3      8    43
+(files)            10.1         5      0     0.0      0     0
 bench               9.5         5      9     1.4      3    18
 cli                 6.8         9      0     0.0      0     6
-display            10.0         0     10     0.3      3    44
-dynamics           10.3        25      2     1.8      0     2
-dynamics/kernels   11.1        25      2     0.5      0     1
-geometry           11.1        60      0     0.0      0     0
+display            10.0         8      0     0.0      0     0
+dynamics/kernels   11.0        40      2     0.4      0     0
+geometry           11.0        60      0     0.0      0     0
 gym                11.8         0     50     5.7      9    38
 interop            10.4        25      0     0.0      0     0
 identification     10.1        35     11     1.0      1    13
