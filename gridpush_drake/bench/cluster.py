@@ -148,7 +148,8 @@ def _do(function: Callable[[Any], Any], job: Any, program: str) -> Any:
     """On a worker: does a job, where the program is the same; the worker's threads take turns."""
     if _find_program() != program:
         raise GridPushError(
-            f"--dask: the worker on {socket.gethostname()} has other sources; expected the same package"
+            f"--dask: the worker on {socket.gethostname()} has other sources; expected the same "
+            "package"
         )
     with _TURN:
         return function(job)

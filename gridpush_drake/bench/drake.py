@@ -136,7 +136,7 @@ class StationScore:
 
 
 def shorten(options: Options) -> Options:
-    """Makes the options of the quick variant: the first objects, one seed, two pushes, no updates."""
+    """Makes the options of the quick variant: the first objects, one seed, and two pushes."""
     return replace(
         options,
         objects=options.objects[:1],
@@ -314,9 +314,9 @@ def run_updates(report: Report | None = None) -> Table:
     )
     notes = [
         f"An update is {UPDATE * MS:g} ms of the station with its plant, at most {UPDATE_RATE:g} "
-        "times real time; meanwhile: while the identifier or the policy is at work. By the clock on "
-        "the wall and, apart from what else the computer does, by the processor time of the thread "
-        "that the Diagram runs in."
+        "times real time; meanwhile: while the identifier or the policy is at work. By the clock "
+        "on the wall and, apart from what else the computer does, by the processor time of the "
+        "thread that the Diagram runs in."
     ]
     return Table("Single updates of the station's Diagram", columns, rows, notes)
 
@@ -429,7 +429,8 @@ STATION = Task(
 
 STUDY = Study(
     name="drake",
-    help="Set Drake's plant beside the grid LCP, time the LCP system, and let the whole station learn.",
+    help="Set Drake's plant beside the grid LCP, time the LCP system, and let the whole "
+    "station learn.",
     options=Options,
     shorten=shorten,
     measure=measure,

@@ -102,9 +102,10 @@ def tabulate_episodes(episodes: Sequence[Episode], objects: Sequence[str]) -> Ta
     notes = [
         "An iiwa with a gripper, free base, pose noise; what an object weighs and how it rubs is "
         "hidden.",
-        "held: lifted and held. dropped: off the table. not lifted: the gripper went up without it. "
-        "given up: anything else, such as no safe way found.",
-        "pokes, slides, raised, CoM error, simulated, wall: means of all runs; raised of those held.",
+        "held: lifted and held. dropped: off the table. not lifted: the gripper went up without "
+        "it. given up: anything else, such as no safe way found.",
+        "pokes, slides, raised, CoM error, simulated, wall: means of all runs; raised of those "
+        "held.",
     ]
     notes += [
         f"{run.object}, seed {run.seed}: {run.status}. {run.message}"

@@ -1,10 +1,10 @@
 """`gridpush bench gym`: the speed of the Gymnasium environments, and how well players do in them.
 
-The players are our own planner, one that plays at random, and a small one that learns by trying. The
-last one rates each place of the outline, in each of some directions, by a weighted sum of what the
-observation says of it. It takes the best one, and pushes as far as another weighted sum says. CMA-ES
-finds the weights: it keeps those that earned most in episodes which are the same for all that it
-compares.
+The players are our own planner, one that plays at random, and a small one that learns by trying.
+The last one rates each place of the outline, in each of some directions, by a weighted sum of what
+the observation says of it. It takes the best one, and pushes as far as another weighted sum says.
+CMA-ES finds the weights: it keeps those that earned most in episodes which are the same for all
+that it compares.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -289,8 +289,8 @@ def tabulate_speed(games: Sequence[tuple[str, int]]) -> Table:
     notes = (
         "Whole steps at random, with observations, rewards and new episodes; by wall clock, and by "
         "the time that the core worked for it, which is less where other programs run.",
-        f"A step of Explore simulates {SIMULATIONS['Explore']} pushes: the one made, its derivatives "
-        f"{ITERATIONS} times for the learner, and {HELD_OUT} that are held out.",
+        f"A step of Explore simulates {SIMULATIONS['Explore']} pushes: the one made, its "
+        f"derivatives {ITERATIONS} times for the learner, and {HELD_OUT} that are held out.",
     )
     title = "Speed of the vector environments, on one core"
     return Table(title, columns, rows, notes, digits=4)
@@ -347,7 +347,7 @@ def play_planner(game: str, seed: int) -> Score:
 
 
 def _hide(obj: GridObject) -> GridObject:
-    """Returns the object as the planner sees it: no parts, no weight, and bounds of its frictions."""
+    """Returns the object as the planner sees it: no parts, no weight, bounds of its frictions."""
     return know_friction(hide_parts(obj), *FRICTION_RANGE)
 
 
@@ -467,18 +467,17 @@ def choose_by_weights(weights: Array, seen: dict[str, NDArray[Any]]) -> Array:
     pushed = np.abs(seen["last_action"]).max(axis=1) > 0
     near = np.cos(2 * np.pi * last)[..., None] * pushed[:, None, None]
     spin = turn[:, None, None]
-    features = np.stack(
-        np.broadcast_arrays(
-            along,
-            along * far / size,
-            lever * spin,
-            np.abs(lever),
-            np.abs(lever) * np.abs(spin),
-            np.abs(lever) * far / size,
-            near,
-            np.abs(angle),
-        )
-    )
+    terms = [
+        along,
+        along * far / size,
+        lever * spin,
+        np.abs(lever),
+        np.abs(lever) * np.abs(spin),
+        np.abs(lever) * far / size,
+        near,
+        np.abs(angle),
+    ]
+    features = np.stack(np.broadcast_arrays(*terms))
 
     # The best rated place and direction, and how far to push there.
     rated = np.tensordot(weights[:RATING_WEIGHTS], features, axes=1).reshape(count, -1)

@@ -76,7 +76,8 @@ class Results:
             }
         except ValidationError as error:
             raise GridPushError(
-                f"{self.path}: holds a result of another form; pass --force to start anew ({error.title})"
+                f"{self.path}: holds a result of another form; pass --force to start anew "
+                f"({error.title})"
             ) from error
 
     def append(self, function: Callable[[Any], Result], job: Any, result: Result) -> None:
@@ -158,7 +159,8 @@ def _read(path: Path, head: dict[str, Any]) -> dict[str, Any]:
         there = {"bench": first["bench"], "program": first["program"], **first["settings"]}
     except (ValueError, KeyError, TypeError) as error:
         raise GridPushError(
-            f"{path}: is no file of results; expected JSON lines as gridpush bench writes them, or another name"
+            f"{path}: is no file of results; expected JSON lines as gridpush bench writes them, or "
+            "another name"
         ) from error
     here = {"bench": head["bench"], "program": head["program"], **head["settings"]}
     changed = [key for key in {**here, **there} if here.get(key) != there.get(key)]

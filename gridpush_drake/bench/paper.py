@@ -1,8 +1,10 @@
-"""`gridpush bench paper`: every method on the paper's simulated protocol, over the same number of simulations.
+"""`gridpush bench paper`: every method on the paper's simulated protocol.
+
+All methods may spend the same number of simulations.
 
 The scores have bootstrap confidence intervals over mass sets and their splits. The figure shows the
-error against the number of simulations, as the paper's Fig. 4 does. The paper's own figures are made
-in `bench.paper_figures`.
+error against the number of simulations, as the paper's Fig. 4 does. The paper's own figures are
+made in `bench.paper_figures`.
 """
 
 from collections.abc import Sequence
@@ -62,8 +64,8 @@ TRAINING_PUSHES = 5
 """Number of pushes that all methods learn from."""
 
 BUDGET = 1500
-"""Default of the greatest number of simulated pushes of a search. The default method decides itself,
-and takes about two thirds of it."""
+"""Default of the greatest number of simulated pushes of a search. The default method decides
+itself, and takes about two thirds of it."""
 
 BUDGET_SHARES = (1 / 60, 1 / 30, 1 / 15, 1 / 6, 1 / 3, 1.0)
 """Shares of the budget at which the curve is measured, each by a run of its own."""
@@ -141,10 +143,10 @@ def tabulate_methods(
     columns = {**_make_error_columns(names), "simulations": mean_simulations}
     notes = [
         *_notes(scores),
-        f"Truth: our inertial simulation, hidden masses by label, friction {SUPPORT_FRICTION:g}, ten "
-        f"pushes at {SPEED:g} m/s for {DURATION:g} s by a disc of {FINGER_RADIUS * 100:g} cm radius in "
-        "place of the paper's 3 cm square finger, pose seen every "
-        f"{OBSERVED_EVERY:g} s. The identifier sees neither labels nor the total mass.",
+        f"Truth: our inertial simulation, hidden masses by label, friction {SUPPORT_FRICTION:g}, "
+        f"ten pushes at {SPEED:g} m/s for {DURATION:g} s by a disc of {FINGER_RADIUS * 100:g} cm "
+        f"radius in place of the paper's 3 cm square finger, pose seen every {OBSERVED_EVERY:g} s. "
+        "The identifier sees neither labels nor the total mass.",
     ]
     return Table.of(title, ("method",), groups, columns, notes)
 

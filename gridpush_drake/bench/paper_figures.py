@@ -8,7 +8,8 @@ Each figure stands beside what the paper says:
                     cloned
     contact_points  contact points: simulations and what they are worth beside an exhaustive search
                     (its Fig. 4 b)
-    pregrasp        the hammer at the table's edge: learned, uniform, without a bound on the friction
+    pregrasp        the hammer at the table's edge: learned, uniform, without a bound on the
+                    friction
 
 The objects are the paper's masks where they are cloned, and else shipped objects of the same kind.
 Without `--figures`, the study is that of `bench.paper`.

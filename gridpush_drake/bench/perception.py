@@ -65,8 +65,8 @@ COLORS = (
     (0.75, 0.15, 0.15),
     (0.20, 0.45, 0.25),
 )
-"""Colors that the objects have in turn, red, green and blue from 0 to 1: wood, blue, dark gray, red,
-green."""
+"""Colors that the objects have in turn, red, green and blue from 0 to 1: wood, blue, dark gray,
+red, green."""
 
 WIDTH = 640
 """Width of the camera's pictures, pixels."""
@@ -401,7 +401,8 @@ def _track(job: TrackJob, begin: "Begin", tag: tuple[int, float] | None) -> Trac
 
 
 Follow = Callable[[Frame, NDArray[np.bool_]], TrackedPose]
-"""Function that finds the pose in the next frame; it takes the frame, and where the arm is in it."""
+"""Function that finds the pose in the next frame; it takes the frame, and where the arm is in
+it."""
 
 Begin = Callable[[GridObject, Frame, NDArray[np.float64], Camera], Follow]
 """Function that makes a `Follow`; it takes the object, the first frame, the pose (3,) in it, m and
@@ -424,7 +425,7 @@ def _follow_outline(
 
 
 def _follow_tag(obj: GridObject, first: Frame, pose: NDArray[np.float64], camera: Camera) -> Follow:
-    """Makes what follows the object by its tag, whose place on it is solved from the first frame."""
+    """Makes what follows the object by its tag, whose place is solved from the first frame."""
     number, size = TAG
 
     def find(frame: Frame) -> DetectedTag | None:
@@ -483,8 +484,8 @@ def tabulate_photos(scores: Sequence[PhotoScore]) -> Table:
     rows: list[tuple[Value, ...]] = [(score.name, *score.iou) for score in scores]
     rows.append(("mean", *np.mean([score.iou for score in scores], axis=0).tolist()))
     notes = [
-        "Intersection over union with a mask drawn by hand, which itself would not score above about "
-        "0.97."
+        "Intersection over union with a mask drawn by hand, which itself would not score above "
+        "about 0.97."
     ]
     columns = ("photograph", *CUES)
     return Table("The object's mask in real photographs", columns, rows, notes)
@@ -578,7 +579,7 @@ def _stack(rows: Sequence[Sequence[tuple[float, float, float]]]) -> NDArray[np.f
 
 
 def _summarize_track(scores: Sequence[TrackScore]) -> tuple[int, int, float, float]:
-    """Calculates frames, how many without the object, and RMS errors of place, mm, and angle, deg."""
+    """Calculates frames, those without the object, and RMS errors of place, mm, and angle, deg."""
     frames = sum(score.frames for score in scores)
     lost = sum(score.lost for score in scores)
     error = _stack([score.errors for score in scores])

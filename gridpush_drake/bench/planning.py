@@ -115,8 +115,8 @@ PART_NAMES = {CONTACT: "contact points", PUSH: "pushing"}
 """What the parts are called while they run."""
 
 WORLD_NOTES = {
-    LCP: "Hidden masses by part; poses seen with 0.5 mm and 0.003 rad of noise. The table's edge does "
-    "not change how the object rubs; it falls where its center of mass loses its support."
+    LCP: "Hidden masses by part; poses seen with 0.5 mm and 0.003 rad of noise. The table's edge "
+    "does not change how the object rubs; it falls where its center of mass loses its support."
 }
 """What a reader of the table should know of a world, by its name."""
 
@@ -420,8 +420,8 @@ def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> T
         "every method.",
         "The gradient method's starts are ranked by the ellipsoidal limit surface: no simulation, "
         "but counted in ms.",
-        "Gap: mean cell error at the push's end above the exhaustive search's, a grid walked on from "
-        "its best nodes; negative is better.",
+        "Gap: mean cell error at the push's end above the exhaustive search's, a grid walked on "
+        "from its best nodes; negative is better.",
         "f. d.: finite differences, the paper's walk along the outline. Times are medians of wall "
         "clock.",
     ]
@@ -459,10 +459,10 @@ def tabulate_runs(
         WORLD_NOTES.get(
             world, f"Pushed in {world}; poses seen with 0.5 mm and 0.003 rad of noise."
         ),
-        "Models: learned on the way from the uniform one; uniform throughout; the true one, looking "
-        "one push ahead (as the others do) and two.",
-        "Predictions: mean cell error of a push's predicted end, of the first push and of the later "
-        "ones.",
+        "Models: learned on the way from the uniform one; uniform throughout; the true one, "
+        "looking one push ahead (as the others do) and two.",
+        "Predictions: mean cell error of a push's predicted end, of the first push and of the "
+        "later ones.",
         "Pushes and seconds are means over the runs; the planner's simulations and seconds are a "
         "whole run's.",
     ]

@@ -1,4 +1,4 @@
-"""The same pushes in Drake's MultibodyPlant and in the grid LCP model.
+"""Pushes in Drake's MultibodyPlant, and the same ones in the grid LCP model.
 
 Objects have random parts. They get random pushes of 10 cm from random places of their outlines. The
 plant's sphere feet resist no spin, so the model's exact counterpart is spin="none"; "coupled", the

@@ -37,61 +37,104 @@ from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 MASK_SOURCE = "GitHub changkyu/rss2020_changkyu"
-MASK_ENDING, PROTOCOL = "_label.pgm", "protocol.json"
+"""Where the paper's masks are."""
+
+MASK_ENDING = "_label.pgm"
+"""Ending of the name of a mask."""
+
+PROTOCOL = "protocol.json"
+"""Name of the file beside the masks that has the paper's numbers."""
 
 MAX_CELLS = 127
-METERS_PER_PIXEL, PLANNING_METERS_PER_PIXEL = 0.001, 0.53 / 640
-"""Of the masks in simulations, and as real objects, m, unless the data say otherwise."""
+"""Greatest number of cells of an object that is made of a mask."""
+
+METERS_PER_PIXEL = 0.001
+"""Width of a mask's pixel in simulations, m, unless the data say otherwise."""
+
+PLANNING_METERS_PER_PIXEL = 0.53 / 640
+"""Width of a mask's pixel where the masks stand for real objects, m, unless the data say
+otherwise."""
 
 MASS_SETS = 10
-"""Drawn for each object."""
+"""Number of mass sets that are drawn for each object."""
 
 MASS_RANGE = (0.1, 5.0)
-"""What the mass of a part's cells is drawn from, kg a cell; evenly in the simulated protocol."""
+"""Least and greatest mass of a cell, kg; the simulated protocol draws it evenly, for each part."""
 
 TRAINING = (1, 2, 3, 4, 5)
 """Numbers of pushes to learn from; the others of the ten are predicted."""
 
 PUSHES_PER_SIDE = 5
-SPEED, DURATION, FINGER_RADIUS, OBSERVED_EVERY = 0.1, 2.0, 0.015, 0.1
-"""Of a simulated push, m/s and s; of its finger, m; and s between observations of the pose."""
+"""Number of pushes onto each side of the object."""
+
+SPEED = 0.1
+"""Speed of a simulated push, m/s."""
+
+DURATION = 2.0
+"""Duration of a simulated push, s."""
+
+FINGER_RADIUS = 0.015
+"""Radius of the finger that makes it, m."""
+
+OBSERVED_EVERY = 0.1
+"""Time between two observations of the pose, s."""
 
 SUPPORT_FRICTION = 0.4
-"""Of every cell, in the simulated truth; it is also the identifier's prior."""
+"""Friction of every cell in the simulated truth; it is also the identifier's prior."""
 
 PUSHED_SHIPPED = ("combination_wrench", "pliers", "toothpaste_tube")
 """Shipped objects that are pushed to goals, beside the masks: of other shapes than the masks
 have."""
 
 PAIRS = 10
-"""Of start and goal poses."""
+"""Number of pairs of start and goal poses."""
 
-TABLE_CENTER, TABLE_RADIUS, PLACE_RADIUS = (0.63, 0.0), 0.5, 0.28
-"""Of the round table, and within which poses are drawn, evenly, m: the widest object then hangs
-over by 45 mm."""
+TABLE_CENTER = (0.63, 0.0)
+"""Center of the round table, m."""
 
-OVERHANG, FINGER_OVERHANG = 0.045, 0.1
-"""m by which cells may hang over the table's edge (the protocol's own poses make the widest object
-do so by 36 mm), and the finger's center: it ends above the table, and pushes back what hangs
-over."""
+TABLE_RADIUS = 0.5
+"""Radius of the round table, m."""
 
-POSITION_STD, ANGLE_STD = 0.0005, 0.003
-"""Noise of poses that are seen by whoever plans, m per axis and rad."""
+PLACE_RADIUS = 0.28
+"""Distance from the table's center within which poses are drawn evenly, m: the widest object then
+hangs over by 45 mm."""
+
+OVERHANG = 0.045
+"""Distance by which cells may hang over the table's edge, m; the protocol's own poses make the
+widest object do so by 36 mm."""
+
+FINGER_OVERHANG = 0.1
+"""Distance by which the finger's center may be beyond the table's edge, m: it ends above the table,
+and pushes back what hangs over."""
+
+POSITION_STD = 0.0005
+"""Standard deviation of seen positions, per axis, m."""
+
+ANGLE_STD = 0.003
+"""Standard deviation of seen angles, rad."""
 
 Drawn = TypeVar("Drawn", bound="Protocol | PlanningProtocol")
 
 Masses = dict[str, tuple[tuple[float, ...], ...]]
-"""Of an object: mass of a cell of each label 1, 2, ..., kg, by mass set."""
+"""Masses of the cells of each label 1, 2, ..., kg, by object and mass set."""
 
 
 def check_folder(data: Path, expected: str) -> None:
-    """Raises GridPushError where there is no such folder."""
+    """Checks that a folder is there.
+
+    Args:
+        data: the folder.
+        expected: what it should be, for the error.
+
+    Raises:
+        GridPushError: it is not there.
+    """
     if not data.is_dir():
         raise GridPushError(f"{data}: is no folder; expected {expected}")
 
 
 def find_masks(data: Path) -> dict[str, Path]:
-    """The paper's masks anywhere below a folder, by the objects' names.
+    """Finds the paper's masks anywhere below a folder, by the objects' names.
 
     Raises:
         GridPushError: there is no such folder, no mask in it, or two of one name.
@@ -114,7 +157,12 @@ def find_masks(data: Path) -> dict[str, Path]:
 
 @dataclass(frozen=True)
 class Split:
-    """Indices of the pushes to learn from and of those to predict."""
+    """A division of an object's pushes.
+
+    Attributes:
+        train: numbers of the pushes to learn from.
+        test: numbers of those to predict.
+    """
 
     train: tuple[int, ...]
     test: tuple[int, ...]
@@ -127,8 +175,9 @@ class Protocol:
     Attributes:
         masks: the paper's objects' files, by name; the other objects are shipped.
         masses: mass of a cell of each label 1, 2, ..., kg, by object and mass set.
-        splits: by number of training pushes; mass set i goes with split i.
-        meters_per_pixel: of the masks, m.
+        splits: divisions of the pushes by the number of training pushes; mass set i goes with
+            split i.
+        meters_per_pixel: width of a mask's pixel, m.
     """
 
     masks: dict[str, Path]
@@ -179,9 +228,16 @@ def make_protocol(data: Path | None = None, seed: int = 0) -> Protocol:
 
 
 def draw_masses(name: str, labels: NDArray[Any], seed: int) -> tuple[tuple[float, ...], ...]:
-    """Draws, `MASS_SETS` times, the mass of a cell of each label 1, 2, ... of an object's cells or pixels, kg."""
+    """Draws MASS_SETS times the masses of the cells of an object, kg.
+
+    Args:
+        name: name of the object.
+        labels: labels 1, 2, ... of its cells or pixels.
+        seed: seed of the protocol.
+    """
     rng = np.random.default_rng([seed, crc32(name.encode())])
-    return tuple(map(tuple, rng.uniform(*MASS_RANGE, (MASS_SETS, int(labels.max()))).tolist()))
+    drawn = rng.uniform(*MASS_RANGE, (MASS_SETS, int(labels.max())))
+    return tuple(map(tuple, drawn.tolist()))
 
 
 def draw_splits(seed: int) -> dict[int, tuple[Split, ...]]:
@@ -198,6 +254,7 @@ def draw_splits(seed: int) -> dict[int, tuple[Split, ...]]:
 
 
 def _read_masses(content: Any, drawn: Masses) -> Masses:
+    """Reads the masses of a document; those that it does not have are as drawn."""
     return {
         name: tuple(map(tuple, content["masses_by_label"].get(name, sets)))
         for name, sets in drawn.items()
@@ -205,7 +262,16 @@ def _read_masses(content: Any, drawn: Masses) -> Masses:
 
 
 def _read_document(drawn: Drawn, expected: str, read: Callable[[Any], Drawn]) -> Drawn:
-    """What `protocol.json` has, of which `expected` names the keys; where there is none, what was drawn."""
+    """Reads `protocol.json`; returns what was drawn where there is none.
+
+    Args:
+        drawn: what was drawn.
+        expected: names of the document's keys, for the error.
+        read: makes the protocol of the document.
+
+    Raises:
+        GridPushError: the document cannot be read, or is of another form.
+    """
     beside = (mask.with_name(PROTOCOL) for mask in drawn.masks.values())
     path = next((path for path in beside if path.is_file()), None)
     if path is None:
@@ -228,7 +294,8 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
     """
     if name not in protocol.masses:
         raise GridPushError(
-            f"objects: {name!r} is not in the protocol; expected one of {', '.join(protocol.masses)}"
+            f"objects: {name!r} is not in the protocol; expected one of "
+            f"{', '.join(protocol.masses)}"
         )
     obj = replace(read_object(protocol, name), prior=PhysicalPrior(friction=SUPPORT_FRICTION))
     if name in protocol.masks:
@@ -247,10 +314,14 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
 
 
 def make_pushes(obj: GridObject, columns: int) -> list[Push]:
-    """The ten pushes, for an object at the pose (0, 0, 0): along -y onto the upper side, then along +y onto the lower.
+    """Makes the ten pushes of an object at the pose (0, 0, 0).
 
-    The disc touches the outline at their start; `columns` is how many the object's image has, first
-    to last pixel.
+    The first ones go along -y onto the upper side, the others along +y onto the lower side. The disc
+    touches the outline when they begin.
+
+    Args:
+        obj: the object.
+        columns: number of columns of the object's picture, from its first to its last pixel.
     """
     left, _, right, _ = obj.outline.bounds
     step = columns // PUSHES_PER_SIDE
@@ -268,13 +339,23 @@ def make_pushes(obj: GridObject, columns: int) -> list[Push]:
 
 
 def place_disc(edges: OutlineEdges, x: float, side: int, radius: float) -> float:
-    """The y, m, of a disc's center that comes along y, from `side` +1 (above) or -1, where it touches the outline.
+    """Finds where a disc that comes along y touches the outline.
 
-    The center then lies on the outline grown by the radius: on a circle about a vertex or on a
+    Its center then lies on the outline grown by the radius: on a circle about a vertex or on a
     shifted edge.
+
+    Args:
+        edges: the outline.
+        x: x of the disc's center, m.
+        side: 1 where the disc comes from above, -1 where it comes from below.
+        radius: radius of the disc, m.
+
+    Returns:
+        y of the disc's center, m.
     """
     flip = np.array([1.0, side])
-    start, end = edges.start * flip, edges.end * flip
+    start = edges.start * flip
+    end = edges.end * flip
     offset = x - start[:, 0]
     near = np.abs(offset) <= radius
     heights = [start[near, 1] + np.sqrt(radius**2 - offset[near] ** 2)]
@@ -304,12 +385,12 @@ class PlanningProtocol:
     """The planning protocol's numbers.
 
     Attributes:
-        seed: of what was drawn.
+        seed: seed of what was drawn.
         masks: files of the paper's objects by name.
         masses: mass of a cell of each label 1, 2, ..., kg, by mask and mass set.
         pairs: (10, 2, 3) start and goal poses, m and rad.
         surface: the round table.
-        meters_per_pixel: of the masks, m.
+        meters_per_pixel: width of a mask's pixel, m.
     """
 
     seed: int
@@ -321,18 +402,26 @@ class PlanningProtocol:
 
     @property
     def constraints(self) -> PushConstraints:
-        """What pushes must keep clear of."""
+        """The rules that pushes must keep."""
         return PushConstraints(self.surface, edge_margin=-OVERHANG, finger_inset=-FINGER_OVERHANG)
 
     @property
     def mass_sets(self) -> int:
-        """How many mass sets there are for each object."""
+        """The number of mass sets of each object."""
         return min(map(len, self.masses.values()), default=MASS_SETS)
 
 
 @lru_cache(maxsize=4)
 def make_planning_protocol(data: Path | None = None, seed: int = 0) -> PlanningProtocol:
-    """The planning protocol, of the shipped objects and of the masks in a folder. Raises as `make_protocol`."""
+    """Makes the planning protocol of the shipped objects and of the masks in a folder.
+
+    Args:
+        data: the folder; None without masks.
+        seed: seed of what is drawn.
+
+    Raises:
+        GridPushError: the folder or its `protocol.json` cannot be read.
+    """
     masks = {} if data is None else find_masks(data)
     masses = {name: draw_masses(name, read_labels(path), seed) for name, path in masks.items()}
     surface = SupportSurface.round(TABLE_CENTER, TABLE_RADIUS)
@@ -346,7 +435,14 @@ def make_planning_protocol(data: Path | None = None, seed: int = 0) -> PlanningP
         table = planning["table"]
         surface = SupportSurface.round(table["centre"], float(table["radius"]))
         scale = float(content["metres_per_pixel"]["real_and_planning"])
-        return PlanningProtocol(seed, masks, _read_masses(content, masses), pairs, surface, scale)
+        return PlanningProtocol(
+            seed=seed,
+            masks=masks,
+            masses=_read_masses(content, masses),
+            pairs=pairs,
+            surface=surface,
+            meters_per_pixel=scale,
+        )
 
     return _read_document(drawn, "masses_by_label, planning and metres_per_pixel", read)
 
@@ -361,50 +457,55 @@ def draw_pairs(seed: int) -> Array:
 
 
 def list_objects(protocol: PlanningProtocol, shipped: Sequence[str] | None = None) -> list[str]:
-    """Names of the masks and of the shipped objects, of all where None."""
+    """Lists the names of the masks and of shipped objects, of all of these where None."""
     return [*protocol.masks, *(list_shipped_objects() if shipped is None else shipped)]
 
 
 def read_object(protocol: Protocol | PlanningProtocol, name: str) -> GridObject:
-    """An object by its name, with its parts. Raises ObjectError where there is none."""
+    """Reads an object by its name, with its parts. Raises ObjectError where there is none."""
     if name in protocol.masks:
         return GridObject.from_mask(
-            protocol.masks[name], meters_per_pixel=protocol.meters_per_pixel, max_cells=MAX_CELLS,
+            protocol.masks[name],
+            meters_per_pixel=protocol.meters_per_pixel,
+            max_cells=MAX_CELLS,
             prior=PhysicalPrior(friction=SUPPORT_FRICTION),
-        )  # fmt: skip
+        )
     return GridObject.from_yaml(find_shipped_object(name))
 
 
 read_planning_object = lru_cache(maxsize=32)(read_object)
-"""The same, of a planning protocol, each once."""
+"""Reads an object of a planning protocol; each file is read only once."""
 
 
 def hide_parts(obj: GridObject) -> GridObject:
-    """The object as whoever learns sees it: one part."""
+    """Returns the object as whoever learns sees it: of one part."""
     return replace(obj, labels=np.ones(obj.n, dtype=np.int64))
 
 
 def add_pose_noise(pose: Array, rng: np.random.Generator) -> Array:
-    """A pose (3,) as it is seen."""
+    """Draws a pose (3,) as it is seen, m and rad."""
     return pose + np.array([POSITION_STD, POSITION_STD, ANGLE_STD]) * rng.standard_normal(3)
 
 
 def know_friction(obj: GridObject, low: float, high: float) -> GridObject:
-    """The object with support friction known to be within a range, its geometric mean the prior, but no weight."""
+    """Returns the object with a friction that is known to be within a range, and an unknown weight.
+
+    The prior of the friction is the geometric mean of its bounds.
+    """
     middle = float(np.sqrt(low * high))
-    return replace(
-        obj,
-        prior=replace(
-            obj.prior, total_mass=None, friction=middle, friction_min=low, friction_max=high
-        ),
+    prior = replace(
+        obj.prior, total_mass=None, friction=middle, friction_min=low, friction_max=high
     )
+    return replace(obj, prior=prior)
 
 
 def make_hidden(protocol: PlanningProtocol, name: str, mass_set: int) -> CellParameters:
-    """The hidden masses of a mass set: the protocol's for a mask, drawn by part for a shipped object."""
+    """Makes the hidden masses of a mass set.
+
+    They are the protocol's for a mask, and drawn by part for a shipped object.
+    """
     obj = read_planning_object(protocol, name)
     if name in protocol.masks:
-        return CellParameters.by_part(
-            obj, dict(enumerate(protocol.masses[name][mass_set], start=1)), SUPPORT_FRICTION
-        )
+        masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
+        return CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     return CellParameters.random(obj, protocol.seed + mass_set)

@@ -2,8 +2,8 @@
 
 The pushes are public data of other people. Without them, simulated pushes of the shipped objects
 stand in (`simulate_log`), and the table says so: nothing in it is real. Their masses and frictions
-are hidden, drawn by part. Every push begins at a random place of the outline, and the object is seen
-with noise at its beginning and its end.
+are hidden, drawn by part. Every push begins at a random place of the outline, and the object is
+seen with noise at its beginning and its end.
 
     CMU (Zhou et al. 2016)  25 of a file's 50 pushes are held out, 1 to 25 of the others train. The
                             metric is |dxy| + rho |dtheta|, with rho = 0.05 sqrt 2 m.
@@ -216,8 +216,8 @@ class Options(StudyOptions):
     data: Path | None = option(
         None,
         "Real pushes: a clone of GitHub robinzhoucmu/MLab_EXP or "
-        "robinzhoucmu/PlanarManipulationToolBox, or a folder of such logs. Without, simulated pushes "
-        "stand in.",
+        "robinzhoucmu/PlanarManipulationToolBox, or a folder of such logs. Without, simulated "
+        "pushes stand in.",
         name="--data",
         metavar="DIR",
     )
@@ -447,8 +447,8 @@ def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequenc
         spread = [float(np.median(errors)), float(np.quantile(errors, 0.9))]
         rows.append([model, training, *map(calc_splits_mean, means), *spread])
     notes = (
-        "|dxy| + rho |dtheta| of held-out pushes, rho = 70.7 mm; mean over splits ± 95 % confidence "
-        "(Student's t).",
+        "|dxy| + rho |dtheta| of held-out pushes, rho = 70.7 mm; mean over splits ± 95 % "
+        "confidence (Student's t).",
         f"Mean, median and 90th percentile over the feet sets: {', '.join(feet)}.",
         "Repeating the same push differs by about 1.4 mm.",
     )
@@ -471,7 +471,8 @@ def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Seque
             row += [calc_splits_mean(feet), worse[worst], worst]
         rows.append(row)
     notes = (
-        "Worst: on the set where learning helps least, its mean error less that of uniform pressure, mm.",
+        "Worst: on the set where learning helps least, its mean error less that of uniform "
+        "pressure, mm.",
     )
     columns = ("training", CENTER, "worst", "on", POSES, "worst", "on")
     return Table("CMU pushes: error by number of training pushes, mm", columns, rows, notes)
@@ -505,8 +506,8 @@ def _tabulate_simulated(scores: Sequence[Score], names: Sequence[str]) -> Table:
         f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of "
         f"{100 * DISTANCE:g} cm at {100 * SPEED:g} cm/s from random places, poses seen with "
         f"{1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of noise.",
-        f"{CMU_TEST} pushes are held out; mean over splits, each with hidden parameters of its own, "
-        "± 95 % confidence.",
+        f"{CMU_TEST} pushes are held out; mean over splits, each with hidden parameters of its "
+        "own, ± 95 % confidence.",
     )
     columns = ("object, simulated", "model", *POSE_COLUMNS)
     title = "Simulated stand-in for real pushes: held-out error of simulated pushes"

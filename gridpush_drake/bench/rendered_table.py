@@ -1,6 +1,7 @@
-"""A table, an object and an arm's tip under a camera, rendered by Drake's VTK engine, with a depth camera's noise.
+"""Pictures of a table, an object and an arm's tip, as a color and depth camera sees them.
 
-It needs neither display nor GPU. Two lamps: one beside the camera, one aside, which casts shadows.
+They are rendered by Drake's VTK engine, which needs neither display nor GPU, and have a depth
+camera's noise. There are two lamps: one beside the camera, and one aside, which casts shadows.
 """
 
 import numpy as np
@@ -40,53 +41,92 @@ from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE
 from gridpush_drake.perception.tags import draw_tag
 
 RENDERER = "vtk"
-TABLE, THICKNESS = 1.6, 0.02
-"""Side and thickness of the table, m."""
+"""Name of the renderer in the scene."""
 
-TABLE_COLOR, ARM_COLOR = (0.75, 0.74, 0.70), (0.2, 0.2, 0.22)
+TABLE = 1.6
+"""Side of the table, m."""
+
+THICKNESS = 0.02
+"""Thickness of the table, m."""
+
+TABLE_COLOR = (0.75, 0.74, 0.70)
+"""Color of the table: red, green and blue, 0 to 1."""
+
+ARM_COLOR = (0.2, 0.2, 0.22)
+"""Color of the arm's tip: red, green and blue, 0 to 1."""
+
 LAMPS = (("camera", 0.75, (0.0, 0.0, 1.0)), ("world", 0.25, (0.3, 0.5, -1.0)))
-"""Of each: the frame of its direction, its intensity, its direction."""
+"""Lamps: the frame in which each one's direction is given, its intensity, and its direction."""
 
 SHADOW_MAP = 2048
-"""Side of what shadows are computed on, pixels; with Drake's default objects shade themselves in
-blocks."""
+"""Side of the picture on which shadows are computed, pixels. With Drake's default, objects shade
+themselves in blocks."""
 
-SHEET, WHITE, BLACK = 2e-4, (0.95, 0.95, 0.95), (0.03, 0.03, 0.03)
-"""Thickness of a tag's paper and of its ink, m, and their colors."""
+SHEET = 2e-4
+"""Thickness of a tag's paper, and of the ink on it, m."""
 
-ROD, HAND, HAND_HEIGHT = 0.12, (0.08, 0.05, 0.06), 0.15
-"""Length of the rod that pushes, m; sides and height over the table of the hand that holds it."""
+WHITE = (0.95, 0.95, 0.95)
+"""Color of a tag's paper: red, green and blue, 0 to 1."""
 
-NEAR, FAR = 0.05, 5.0
-"""Of what is rendered, m."""
+BLACK = (0.03, 0.03, 0.03)
+"""Color of a tag's ink: red, green and blue, 0 to 1."""
+
+ROD = 0.12
+"""Length of the rod that pushes, m."""
+
+HAND = (0.08, 0.05, 0.06)
+"""Sides of the hand that holds the rod, m."""
+
+HAND_HEIGHT = 0.15
+"""Height of the hand over the table, m."""
+
+NEAR = 0.05
+"""Least distance from the camera at which anything is rendered, m."""
+
+FAR = 5.0
+"""Greatest distance from the camera at which anything is rendered, m."""
 
 COLOR_NOISE = 2.0
-"""Standard deviation, of 255."""
+"""Standard deviation of the colors, of which 255 is the greatest."""
 
-DEPTH_NOISE, DEPTH_EDGE = 0.005, 0.01
-"""Standard deviation of depth at 1 m, m: it grows with distance squared; and the step at which it
-is not measured."""
+DEPTH_NOISE = 0.005
+"""Standard deviation of a depth of 1 m, m; it grows with the distance squared."""
 
-TABLE_LABEL, OBJECT_LABEL, ARM_LABEL = 1, 2, 3
+DEPTH_EDGE = 0.01
+"""Step between neighboring pixels at which no depth is measured, m."""
+
+TABLE_LABEL = 1
+"""Label of the table's pixels."""
+
+OBJECT_LABEL = 2
+"""Label of the object's pixels."""
+
+ARM_LABEL = 3
+"""Label of the pixels of the arm's tip."""
 
 
 class RenderedTable:
     """The scene; each look is a pure function of the poses and a seed."""
 
     def __init__(
-        self, outline: Polygon, height: float, color: ArrayLike, camera: Camera, rod_radius: float | None = None,
+        self,
+        outline: Polygon,
+        height: float,
+        color: ArrayLike,
+        camera: Camera,
+        rod_radius: float | None = None,
         tag: tuple[int, float] | None = None,
-    ) -> None:  # fmt: skip
-        """Makes it.
+    ) -> None:
+        """Makes the scene.
 
         Args:
-            outline: of the object, B, m.
-            height: of it, m.
-            color: of it, red, green and blue, 0 to 1.
-            camera: without distortion, with X_WC.
-            rod_radius: of the rod that an arm's hand holds, m; None without an arm.
+            outline: outline of the object, body frame, m.
+            height: height of the object, m.
+            color: color of the object: red, green and blue, 0 to 1.
+            camera: a camera without distortion whose pose X_WC is known.
+            rod_radius: radius of the rod that an arm's hand holds, m; None without an arm.
             tag: number and side, m, of an AprilTag on the object, level over the middle of its
-                outline's bounds.
+                outline's bounds; None without one.
         """
         self.camera = camera
         self._scene = SceneGraph()
@@ -150,21 +190,17 @@ class RenderedTable:
             poses.set_value(self._arm, RigidTransform(at))
         self._scene.get_source_pose_port(self._source).FixValue(self._context, poses)
         query: QueryObject = self._scene.get_query_output_port().Eval(self._context)
-        world, X_WC = self._scene.world_frame_id(), RigidTransform(self.camera.pose)
+        world = self._scene.world_frame_id()
+        X_WC = RigidTransform(self.camera.pose)
         color = query.RenderColorImage(self._color_camera, world, X_WC).data[..., :3]
         labels = query.RenderLabelImage(self._color_camera, world, X_WC).data[..., 0]
         rng = np.random.default_rng(seed)
-        noisy = np.clip(color + COLOR_NOISE * rng.standard_normal(color.shape), 0, 255).astype(
-            np.uint8
-        )
+        noisy = color + COLOR_NOISE * rng.standard_normal(color.shape)
+        noisy = np.clip(noisy, 0, 255).astype(np.uint8)
         measured = None
         if depth:
-            z = (
-                query.RenderDepthImage(self._depth_camera, world, X_WC)
-                .data[..., 0]
-                .astype(np.float64)
-            )
-            measured = add_depth_noise(z, rng)
+            image = query.RenderDepthImage(self._depth_camera, world, X_WC)
+            measured = add_depth_noise(image.data[..., 0].astype(np.float64), rng)
         return Frame(noisy, measured, t), labels == ARM_LABEL
 
     def _add_frame(self, name: str) -> FrameId:
@@ -173,7 +209,8 @@ class RenderedTable:
     def _add_tag(self, number: int, size: float, at: list[float]) -> None:
         """Adds a white plate, with a margin of one bit, and on it the tag's black bits."""
         bits = draw_tag(number)
-        bit, (x, y, z) = size / len(bits), at
+        bit = size / len(bits)
+        x, y, z = at
         self._add(
             self._object,
             Box(size + 2 * bit, size + 2 * bit, SHEET),
@@ -197,6 +234,7 @@ class RenderedTable:
         at: ArrayLike,
         name: str = "",
     ) -> None:
+        """Adds a shape at a place (3,) of a frame, or of the world where that is None."""
         properties = PerceptionProperties()
         properties.AddProperty("phong", "diffuse", Rgba(*np.asarray(color, dtype=np.float64), 1.0))
         properties.AddProperty("label", "id", RenderLabel(label))
@@ -210,7 +248,10 @@ class RenderedTable:
 
 
 def add_depth_noise(z: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float32]:
-    """What a depth camera makes of depth (height, width), m: noise that grows with distance squared, holes at edges."""
+    """Makes of a depth (height, width), m, what a depth camera would measure.
+
+    Its noise grows with the distance squared, and there are holes, 0 m, at edges.
+    """
     noisy = np.where(np.isfinite(z), z, 0.0)
     edge = np.zeros(z.shape, dtype=bool)
     for axis in (0, 1):

@@ -68,7 +68,7 @@ def measure(
 
 @contextmanager
 def one_core() -> Iterator[bool]:
-    """Keeps this process to one core and one thread; yields whether the system can keep it to a core."""
+    """Keeps this process to one core and one thread; yields whether the system can do that."""
     with threadpool_limits(1):
         if not hasattr(os, "sched_setaffinity"):
             yield False
@@ -271,8 +271,8 @@ def _measure_push(
         _row(name, timing, timing.median / plain) for name, timing in times.items()
     ]
     notes = [
-        f"{obj.name}, {obj.n} cells, {DURATION:g} s push, step {DT * MS:g} ms; median and quartiles "
-        f"of {repetitions} runs{', pinned to one core' if pinned else ''}.",
+        f"{obj.name}, {obj.n} cells, {DURATION:g} s push, step {DT * MS:g} ms; median and "
+        f"quartiles of {repetitions} runs{', pinned to one core' if pinned else ''}.",
         "The Jacobian is by all masses and frictions, the contact friction and the push.",
     ]
     if with_mujoco:
@@ -357,7 +357,7 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
         # What is compiled or loaded for the first identification is not timed.
         identify(obj, log.subset(range(min(2, pushes))))
         repetitions = IDENTIFY_REPETITIONS if pushes < FEW else 1
-        whole = measure(lambda obj=obj, log=log: identify(obj, log), repetitions, 0, process_time)  # type: ignore[misc]
+        whole = measure(partial(identify, obj, log), repetitions, 0, process_time)
         found = identify(obj, log)
         problem = PushProblem(obj, log, found.params, QUASI_STATIC)
         timed = [TimedPush.of(seen, QUASI_STATIC.regime) for seen in log]
@@ -389,8 +389,9 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
         "the same one by one, ms",
     )
     note = (
-        f"Processor time; {OBSERVED} poses of each push. The last two columns are one evaluation of "
-        "the log: in one call, which also makes residuals of it, and by `simulate`, push by push."
+        f"Processor time; {OBSERVED} poses of each push. The last two columns are one evaluation "
+        "of the log: in one call, which also makes residuals of it, and by `simulate`, push by "
+        "push."
     )
     return Table("Identification", columns, rows, [note])
 

@@ -66,8 +66,8 @@ OBJECTS: dict[str, Any] = {
 """Arguments of `option` for the option of several benches that says which objects are measured."""
 
 MASKS: dict[str, Any] = {
-    "text": "The paper's objects too: a clone of GitHub changkyu/rss2020_changkyu, or another folder of "
-    "masks, NAME_label.pgm.",
+    "text": "The paper's objects too: a clone of GitHub changkyu/rss2020_changkyu, or another "
+    "folder of masks, NAME_label.pgm.",
     "name": "--data",
     "metavar": "DIR",
 }
@@ -143,8 +143,8 @@ class Study(Generic[O]):
             process.
         make_jobs: checks the options, and makes the jobs that they ask for.
         shorten: makes the options of the quick variant.
-        measure: measures what needs this process for itself, such as times, before the jobs are run;
-            it is called with the options and what reports progress.
+        measure: measures what needs this process for itself, such as times, before the jobs are
+            run; it is called with the options and what reports progress.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What a bench shows: a table of what was measured, for people and for machines, and figures as files."""
+"""Tables of what was measured, for people and for machines; intervals; and figures as files."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Mean:
     even: bool = False
 
     def describe(self) -> str:
-        """The mean, with its interval."""
+        """Writes the mean, with its interval."""
         if self.low is None or self.high is None:
             return f"{self.mean:.2f}"
         if self.even:
@@ -50,13 +50,25 @@ class Mean:
 Value = str | float | int | Mean | None
 
 Column = Callable[[Any], Value]
-"""What a column of a table says of the results that a row is of."""
+"""Function that calculates a column's value from the results that a row is of."""
 
-MM, MS, PERCENT, DEGREES = 1e3, 1e3, 100.0, 180 / pi
-"""Millimeters in a meter, milliseconds in a second, percent in the whole, degrees in a radian."""
+MM = 1e3
+"""Millimeters in a meter."""
 
-FRAME, PADDING = 1, 3
-"""Characters of a shown table: its left border, and what a column has beside its text."""
+MS = 1e3
+"""Milliseconds in a second."""
+
+PERCENT = 100.0
+"""Percent in the whole."""
+
+DEGREES = 180 / pi
+"""Degrees in a radian."""
+
+FRAME = 1
+"""Width of the left border of a shown table, characters."""
+
+PADDING = 3
+"""Width of a column of a shown table beside its text, characters."""
 
 
 @dataclass(frozen=True)
@@ -100,13 +112,13 @@ class Table:
         """Tabulates results by groups.
 
         Args:
-            title: of the table.
+            title: what was measured, with its unit.
             keys: names of the columns that say what a row is of.
-            groups: of each row the values of these, and its results; those without any are left
-                out.
-            columns: of the others the name, and what it says of a row's results.
-            notes: as of the table.
-            digits: likewise.
+            groups: values of these columns for each row, and the row's results; a row without
+                results is left out.
+            columns: the other columns by name, with what calculates their values.
+            notes: how it was measured, a sentence each.
+            digits: number of significant digits that numbers are shown with.
 
         Returns:
             The table.
@@ -119,7 +131,7 @@ class Table:
         return cls(title, (*keys, *columns), rows, notes, digits, len(keys))
 
     def to_dict(self) -> dict[str, Any]:
-        """The table as JSON has it."""
+        """Returns the table as JSON has it."""
         return {
             "title": self.title,
             "columns": list(self.columns),
@@ -130,7 +142,7 @@ class Table:
     def __rich_console__(
         self, console: "rich.console.Console", options: "rich.console.ConsoleOptions"
     ) -> "Iterator[rich.console.RenderableType]":
-        """The table as a terminal shows it, in as many parts, one below the other, as its width asks for."""
+        """Shows the table on a terminal, in as many parts below each other as its width asks for."""
         parts = self.split(options.max_width)
         for i, part in enumerate(parts):
             yield self._to_rich(part, options.max_width, title=self.title if i == 0 else "")
@@ -138,7 +150,7 @@ class Table:
             yield Text(note, style="table.caption", justify="left")
 
     def split(self, width: int) -> list[list[int]]:
-        """Parts of the table that fit a width.
+        """Splits the table into parts that fit a width.
 
         Args:
             width: of what it is shown on, characters.
@@ -161,14 +173,17 @@ class Table:
         return parts
 
     def to_markdown(self) -> str:
-        """The table as Markdown has it."""
+        """Returns the table as Markdown has it."""
         lines = [f"### {self.title}", "", f"| {' | '.join(self.columns)} |"]
         lines.append("|---|" + "---:|" * (len(self.columns) - 1))
         lines += [f"| {' | '.join(self.format(value) for value in row)} |" for row in self.rows]
         return "\n".join([*lines, "", *(f"{note}  " for note in self.notes), ""])
 
     def format(self, value: Value) -> str:
-        """A value as text: numbers to `digits` significant digits, without powers of ten below a million."""
+        """Writes a value, a number to `digits` significant digits.
+
+        Powers of ten are written from a million on, and below a millionth.
+        """
         if value is None:
             return "-"
         if isinstance(value, Mean):
@@ -183,14 +198,15 @@ class Table:
         return f"{rounded:.{max(self.digits - 1 - floor(log10(abs(rounded))), 0)}f}"
 
     def _measure(self, column: int) -> int:
-        """Characters that a column needs: its longest value, or the longest word of its name."""
+        """Counts the characters that a column needs: its longest value or word of its name."""
         texts = [*self.columns[column].split(), *(self.format(row[column]) for row in self.rows)]
         return max(map(cell_len, texts))
 
     def _to_rich(self, part: Sequence[int], width: int, title: str) -> "rich.table.Table":
-        """Some of the columns, keys left and the others right, or where those do not fit left and broken between words.
+        """Makes a table of some of the columns, as Rich shows it.
 
-        Nothing is read as markup.
+        Keys are aligned left and the other columns right. Where these do not fit, they are aligned
+        left and broken between words. Nothing is read as markup.
         """
         spare = width - FRAME - sum(self._measure(i) + PADDING for i in part)
         fits = spare >= 0
@@ -213,7 +229,7 @@ class Table:
 
 
 def _to_json(value: Value) -> Any:
-    """A value as JSON has it, a mean's figures by name."""
+    """Returns a value as JSON has it, a mean's figures by name."""
     return (
         {"mean": value.mean, "low": value.low, "high": value.high}
         if isinstance(value, Mean)
@@ -222,7 +238,7 @@ def _to_json(value: Value) -> Any:
 
 
 CONFIDENCE = 0.95
-"""Of intervals, about shares and means."""
+"""Confidence of the intervals of shares and means."""
 
 
 RESAMPLES = 9999
@@ -264,8 +280,8 @@ class Share:
     """How many of several episodes ended in one way.
 
     Attributes:
-        count: of them.
-        total: of all.
+        count: number of those that did.
+        total: number of all.
         low: the Wilson interval's lower end, at CONFIDENCE.
         high: its upper end.
     """
@@ -277,39 +293,46 @@ class Share:
 
     @classmethod
     def of(cls, count: int, total: int) -> "Share":
-        """With its interval; `total` is 1 or more."""
+        """Calculates the interval of a share; `total` is 1 or more."""
         interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="wilson")
         return cls(count, total, float(interval.low), float(interval.high))
 
     def describe(self) -> str:
-        """The count, and the interval in percent."""
+        """Writes the count, and the interval in percent."""
         return f"{self.count} ({PERCENT * self.low:.1f} to {PERCENT * self.high:.1f} %)"
 
 
 def calc_mean(values: Iterable[float | None]) -> float:
-    """Of those that are numbers; NaN where there is none."""
+    """Calculates the mean of those values that are numbers; NaN where there are none."""
     known = [value for value in values if value is not None and isfinite(value)]
     return sum(known) / len(known) if known else float("nan")
 
 
 def mean_of(field: str, scale: float = 1.0) -> Column:
-    """A column of `Table.of`: the mean of a field of the results, times `scale`."""
+    """Makes a column of `Table.of`: the mean of a field of the results, times `scale`."""
     return lambda results: scale * calc_mean(getattr(result, field) for result in results)
 
 
 def count_of(field: str, value: object) -> Column:
-    """Likewise: how many of the results have this value of a field."""
+    """Makes a column of `Table.of`: how many of the results have this value of a field."""
     return lambda results: sum(getattr(result, field) == value for result in results)
 
 
 ALL = "all"
-"""Key of the row of all results."""
+"""Name of the row of all results."""
 
 
 def by_object(
     results: Sequence[Any], names: Sequence[str], *keys: str, key: str = "name"
 ) -> list[tuple[tuple[str, ...], list[Any]]]:
-    """Groups of `Table.of`: results of each object, by their field `key`, and of all; `keys` come before the name."""
+    """Makes groups of `Table.of`: the results of each object, and of all.
+
+    Args:
+        results: the results.
+        names: names of the objects.
+        keys: values of columns before the object's name.
+        key: field of a result that has its object's name.
+    """
     groups = [
         ((*keys, name), [result for result in results if getattr(result, key) == name])
         for name in names
@@ -317,14 +340,25 @@ def by_object(
     return [*groups, ((*keys, ALL), list(results))]
 
 
-DPI, ENDINGS = 150, (".png", ".pdf", ".svg")
+DPI = 150
+"""Resolution of a figure, pixels an inch."""
 
-PANEL, LEGEND_HEIGHT = (3.6, 2.7), 0.6
-"""Width and height of a figure's panel, and of its legend, inches."""
+ENDINGS = (".png", ".pdf", ".svg")
+"""Endings of the names of figures."""
+
+PANEL = (3.6, 2.7)
+"""Width and height of a figure's panel, inches."""
+
+LEGEND_HEIGHT = 0.6
+"""Height of a figure's legend, inches."""
 
 
 def check_figure(path: Path | str, force: bool) -> None:
-    """Checks, before long work begins, that a figure may be written. Raises OutputError where it may not."""
+    """Checks, before long work begins, that a figure may be written.
+
+    Raises:
+        OutputError: it may not.
+    """
     if Path(path).suffix.lower() not in ENDINGS:
         raise OutputError(
             f"{path}: is of an unknown kind; expected a name that ends in {', '.join(ENDINGS)}"
@@ -345,10 +379,10 @@ def write_panels(
     """Writes a figure of alike panels, with one legend, in the format of the path's ending.
 
     Args:
-        path: PNG, PDF or SVG.
-        titles: a panel each.
-        columns: of panels.
-        labels: of the x and y axes, which all share.
+        path: file of the figure: PNG, PDF or SVG.
+        titles: titles of the panels.
+        columns: number of columns of panels.
+        labels: labels of the x and y axes, which all panels share.
         draw: draws the panel of a title.
         force: whether an existing file may be replaced.
         from_zero: whether the y axes begin there.

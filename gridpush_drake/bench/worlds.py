@@ -37,8 +37,8 @@ def find_world(name: str) -> WorldMaker:
     """Finds a world by its name.
 
     Args:
-        name: one of WORLDS, or MODULE:CLASS of a class that is made as `WorldMaker` says. The module
-            must be importable, in worker processes too.
+        name: one of WORLDS, or MODULE:CLASS of a class that is made as `WorldMaker` says. The
+            module must be importable, in worker processes too.
 
     Raises:
         GridPushError: there is no such world.

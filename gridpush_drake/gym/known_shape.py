@@ -47,7 +47,8 @@ class KnownShape:
         width = np.ptp(np.reshape(self.obj.outline.bounds, (2, 2)), axis=0).max()
         if width > WINDOW:
             raise PlanningError(
-                f"{self.obj.name}: is {width:.3g} m wide; expected at most {WINDOW:g} m in these games"
+                f"{self.obj.name}: is {width:.3g} m wide; expected at most {WINDOW:g} m in these "
+                "games"
             )
 
     @cached_property

@@ -23,8 +23,11 @@ from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 
-RUBBER, STEEL = 0.8, 0.2
-"""Frictions of an object's parts where they are of different materials."""
+RUBBER = 0.8
+"""Friction of a part of rubber."""
+
+STEEL = 0.2
+"""Friction of a part of steel."""
 
 TOLD = {
     f"{low:g} to {high:g}": (low, high)
@@ -33,19 +36,21 @@ TOLD = {
 """Bounds of the friction that the method is told of such objects; the first ones hold."""
 
 DRAWN = "drawn"
+"""Name of the experiment with objects of known relative friction, drawn within what is told."""
+
 KNOWN = {f"known, {key}": bounds for key, bounds in TOLD.items()}
-"""Whose relative friction is known: objects whose friction is drawn within what is told, and those
-of TOLD."""
+"""Experiments with objects of known relative friction that are partly of rubber, by their names,
+with the bounds that are told."""
 
 
 def draw_materials(obj: GridObject, mass_set: int) -> Array:
-    """(n,) frictions of an object one part of which is of rubber, and the others of steel."""
+    """Draws frictions (n,) of an object of which one part is of rubber, and the others of steel."""
     rng = np.random.default_rng([mass_set, 2])
     return np.where(obj.labels == rng.choice(np.unique(obj.labels)), RUBBER, STEEL)
 
 
 def describe_share(count: int, total: int) -> str:
-    """A share in percent, and its interval."""
+    """Writes a share in percent, and its interval."""
     share = Share.of(count, total)
     return f"{PERCENT * count / total:.0f} ({PERCENT * share.low:.0f}-{PERCENT * share.high:.0f})"
 
@@ -55,7 +60,7 @@ class BoundsScore:
     """One object with known relative friction.
 
     Attributes:
-        method: DRAWN, or of KNOWN.
+        method: DRAWN, or one of KNOWN.
         safe: whether there is a goal that is safe for all masses within the bounds.
         tips: whether the object tips at the best such goal.
         outside: how far the true center of mass is outside the region that the bounds leave, m.
@@ -68,24 +73,39 @@ class BoundsScore:
 
 
 def judge_bounds(
-    obj: GridObject, truth: CellParameters, parts: Sequence[GraspPart], surface: SupportSurface, max_arm: float,
+    obj: GridObject,
+    truth: CellParameters,
+    parts: Sequence[GraspPart],
+    surface: SupportSurface,
+    max_arm: float,
     method: str,
-) -> BoundsScore:  # fmt: skip
-    """Judges the bounds that `obj` has, at the table's middle; `max_arm`, m, is the planner's."""
+) -> BoundsScore:
+    """Judges the bounds of an object's friction, with the object at the table's middle.
+
+    Args:
+        obj: the object, whose prior has the bounds.
+        truth: its true masses and frictions.
+        parts: where it can be grasped.
+        surface: the table.
+        max_arm: greatest distance of the grasp from where the center of mass is believed, m.
+        method: DRAWN, or one of KNOWN.
+    """
+    # The masses that are possible within the bounds, and how far the truth is from them.
     friction = truth.relative_friction()[None]
     masses = PlausibleMassSet(
         obj, friction / obj.prior.friction_max, friction / obj.prior.friction_min
     )
     centers = masses.center_of_mass_polygon
     outside = float(shapely.Polygon(centers).distance(shapely.Point(truth.center_of_mass(obj))))
+
+    # The best goal that is safe for all of them, and whether the true masses tip there.
     near = [part for part in parts if np.linalg.norm(part.p_BG - masses.middle) <= max_arm]
     goals = find_pregrasp_goals(masses, near, np.zeros(3), surface) if near else []
     if not goals or goals[0].margin < GoalOptions().margin:
-        return BoundsScore(method, False, False, outside)
+        return BoundsScore(method=method, safe=False, tips=False, outside=outside)
     true = PlausibleMassSet.of_masses(obj, truth)
-    return BoundsScore(
-        method, True, calc_stability_margin(true, goals[0].pose, surface, 0.0) < 0, outside
-    )
+    margin = calc_stability_margin(true, goals[0].pose, surface, 0.0)
+    return BoundsScore(method=method, safe=True, tips=margin < 0, outside=outside)
 
 
 BOUNDS_COLUMNS: dict[str, Column] = {
@@ -98,7 +118,7 @@ BOUNDS_COLUMNS: dict[str, Column] = {
 
 
 def tabulate_bounds(scores: Sequence[BoundsScore], friction: tuple[float, float]) -> Table:
-    """What the bounds allow, and where they mislead."""
+    """Tabulates what the bounds allow, and where they mislead."""
     label = f"{friction[0]:g} to {friction[1]:g}"
     names = {
         DRAWN: f"{label}, drawn",
@@ -108,9 +128,11 @@ def tabulate_bounds(scores: Sequence[BoundsScore], friction: tuple[float, float]
         ((name,), [score for score in scores if score.method == key]) for key, name in names.items()
     ]
     notes = (
-        f"Told are bounds of the friction: of what is drawn within them, or of one part of rubber, {RUBBER:g}, with "
-        f"others of steel, {STEEL:g}. The relative friction is known exactly.",
-        "safe goal: one where no masses within the bounds tip the object. tips there: the true ones do.",
-        "center outside: objects whose true center of mass is outside the region that the bounds leave, and how far.",
+        "Told are bounds of the friction: of what is drawn within them, or of one part of rubber, "
+        f"{RUBBER:g}, with others of steel, {STEEL:g}. The relative friction is known exactly.",
+        "safe goal: one where no masses within the bounds tip the object. tips there: the true "
+        "ones do.",
+        "center outside: objects whose true center of mass is outside the region that the bounds "
+        "leave, and how far.",
     )
     return Table.of("What bounds of the friction allow", ("told",), groups, BOUNDS_COLUMNS, notes)

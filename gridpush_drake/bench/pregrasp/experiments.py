@@ -1,4 +1,4 @@
-"""`gridpush bench pregrasp`: slides to the table's edge with hidden masses, and what pokes are worth.
+"""`gridpush bench pregrasp`: slides to the table's edge, and what pokes are worth.
 
 These are the experiments. Objects lie in the quasi-static LCP world with a table's edge
 (`bench.pregrasp.world`), if nothing else is said:
@@ -8,8 +8,8 @@ These are the experiments. Objects lie in the quasi-static LCP world with a tabl
                 parameters
     exploring   pokes chosen by design, or at random, until the center of mass's standard deviation
                 is small
-    materials   the method with objects that are partly of rubber and partly of steel, told bounds of
-                the friction that hold, or do not
+    materials   the method with objects that are partly of rubber and partly of steel, told bounds
+                of the friction that hold, or do not
     bounds      what such bounds allow at best (`bench.pregrasp.bounds`)
 
 With truths, there is sliding by the method in other worlds: bodies in MuJoCo that do not obey the
@@ -110,7 +110,7 @@ HEXAGON = 0.5
 
 
 def find_mask(data: Path) -> Path:
-    """Finds the paper's hammer among the public data. Raises GridPushError where it is not there."""
+    """Finds the paper's hammer in a folder. Raises GridPushError where it is not there."""
     masks = find_masks(data)
     if MASK_OBJECT not in masks:
         raise GridPushError(
@@ -208,11 +208,11 @@ def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Tab
     ]
     notes = (
         "graspable: a part hangs over the edge far enough, and the object is at rest.",
-        "dropped: it fell off the table on the way. given up: no safe way was found, and it is still "
-        "on the table.",
-        "learned: stability for all masses that agree with the pushes; true: hidden parameters known; "
-        "uniform: uniform mass, nothing learned; unbounded: the paper's identification, friction "
-        "without a bound.",
+        "dropped: it fell off the table on the way. given up: no safe way was found, and it is "
+        "still on the table.",
+        "learned: stability for all masses that agree with the pushes; true: hidden parameters "
+        "known; uniform: uniform mass, nothing learned; unbounded: the paper's identification, "
+        "friction without a bound.",
         "pokes, slides: mean number of pushes.",
     )
     return Table.of(
@@ -250,9 +250,9 @@ def tabulate_shares(
     groups = [((key,), [score.outcome for score in scores if score.method == key]) for key in keys]
     notes = (
         *notes,
-        "reached: a part hangs over the edge far enough, and the object is at rest; dropped: it fell, "
-        "or tilts by 10°; in brackets 95 % Wilson intervals. The other runs were given up, the object "
-        "on the table.",
+        "reached: a part hangs over the edge far enough, and the object is at rest; dropped: it "
+        "fell, or tilts by 10°; in brackets 95 % Wilson intervals. The other runs were given up, "
+        "the object on the table.",
         "to spare: stability margin at the worst where it was reached.",
     )
     return Table.of(f"Pre-grasp sliding by {by}", (by,), groups, SHARE_COLUMNS, notes)
@@ -275,8 +275,8 @@ class Trace:
         pokes: number of pokes until the standard deviation was small; MAX_POKES + 1 where it never
             was.
         error: error of the final estimate of what is wanted, m.
-        chi_square: its square in units of the estimate's covariance, for each direction wanted; 1 on
-            average where the covariance is right.
+        chi_square: its square in units of the estimate's covariance, for each direction wanted; 1
+            on average where the covariance is right.
     """
 
     pokes: int
@@ -337,8 +337,8 @@ def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
     ]
     title = f"Pokes until the center of mass is known to {WANTED_STD * MM:.0f} mm"
     notes = (
-        "by design, at random: mean number of pokes; the poke said to tell most, or any of the same "
-        "pool.",
+        "by design, at random: mean number of pokes; the poke said to tell most, or any of the "
+        "same pool.",
         "wanted: of the center of mass; in both directions the least known one counts.",
         "error: mean distance of the final estimate from the true center.",
         "within 95 %: runs of either kind whose true center is within the 95 % range that the "
@@ -421,8 +421,8 @@ QUICK_SEEDS = 1
 """Number of tables, starts and noises in the quick variant."""
 
 FRICTION_RANGE = (0.3, 0.4)
-"""Least and greatest friction of an object's parts, true and known to the method. As much is known in
-the station, of somebody who has seen what object and table are made of
+"""Least and greatest friction of an object's parts, true and known to the method. As much is known
+in the station, of somebody who has seen what object and table are made of
 (`models/scenarios/grasp.yaml`)."""
 
 WIDE_FRICTION_RANGE = (0.25, 0.5)
@@ -440,12 +440,12 @@ DEPTH = Gripper.finger_depth
 MAX_ARM = 0.06
 """Default of the greatest distance of the grasp from where the center of mass is believed, m. Held
 farther off, the object turns in the gripper. Anywhere at the end of a handle, no mass distribution
-tips the object, and all methods do as well. So near, the object must come close to tipping; the true
-masses still leave a grasp in every case."""
+tips the object, and all methods do as well. So near, the object must come close to tipping; the
+true masses still leave a grasp in every case."""
 
 MAX_ARMS = {"toolbox": 0.15}
-"""Greatest distance of the grasp from where the center of mass is believed, m, of objects that offer
-nothing to hold so near to their middle. This one can be taken by its edge only."""
+"""Greatest distance of the grasp from where the center of mass is believed, m, of objects that
+offer nothing to hold so near to their middle. This one can be taken by its edge only."""
 
 OFFSET = 0.05
 """Greatest distance of the object from the table's middle at the beginning, along each axis, m."""
@@ -471,8 +471,8 @@ class Options(StudyOptions):
         depth: depth of the gripper's fingers, m.
         experiment: one of EXPERIMENTS.
         truths: what moves the objects, of TRUTHS or MODULE:CLASS of a world. With truths there is
-            only sliding, by LEARNED, on rectangular tables, with the same objects, masses and starts
-            under each. None for the LCP world on any table.
+            only sliding, by LEARNED, on rectangular tables, with the same objects, masses and
+            starts under each. None for the LCP world on any table.
         max_arm: greatest distance of the grasp from where the center of mass is believed, m.
         friction: least and greatest friction of any part against the table.
         methods: methods that slide, of METHODS.
@@ -487,8 +487,8 @@ class Options(StudyOptions):
     depth: float = option(DEPTH, "Depth of the gripper's fingers, which must hang over, m.")
     experiment: Literal["all", "sliding", "exploring", "materials", "bounds"] = option(
         ALL,
-        "What to measure: all stands for sliding and exploring; materials are objects of rubber and "
-        "steel; bounds of the friction are judged by what they allow at best.",
+        "What to measure: all stands for sliding and exploring; materials are objects of rubber "
+        "and steel; bounds of the friction are judged by what they allow at best.",
     )
     truths: tuple[str, ...] | None = option(
         None,
@@ -649,8 +649,8 @@ def tabulate(options: Options, done: Done) -> list[Table]:
         tables.append(tabulate_objects(slides, options.names, options.truths[0]))
     elif options.kind == MATERIALS:
         note = (
-            f"One part's friction is {RUBBER:g}, the others' {STEEL:g}; other bounds than the first "
-            "do not hold."
+            f"One part's friction is {RUBBER:g}, the others' {STEEL:g}; other bounds than the "
+            "first do not hold."
         )
         tables.append(tabulate_shares(slides, "told", options.sliding, (note,)))
         tables.append(tabulate_objects(slides, options.names, options.sliding[0]))
@@ -833,8 +833,8 @@ TASK = Task(
 
 STUDY = Study(
     name="pregrasp",
-    help="Slide objects of hidden masses to the table's edge, and compare pokes by design with random "
-    "ones.",
+    help="Slide objects of hidden masses to the table's edge, and compare pokes by design with "
+    "random ones.",
     options=Options,
     shorten=shorten,
     make_jobs=make_jobs,

@@ -225,7 +225,7 @@ class MujocoEdgeWorld(MujocoWorld):
 
     @property
     def truth(self) -> WorldTruth:
-        """What is true of the body now, for judges only; it stays if it does for another REST_TIME."""
+        """What is true of the body now, for judges only; it stays if it does for a REST_TIME more."""
         return replace(super().truth, stays=self._would_stay())
 
     def _would_stay(self) -> bool:
@@ -262,7 +262,7 @@ def _stand(
 
 
 def know_height(obj: GridObject, height: float) -> GridObject:
-    """Returns the object, known to be pushed at a height, m, by the finger that planners push with."""
+    """Returns the object, known to be pushed at a height, m, by the finger of the planners."""
     radius = obj.prior.pusher_radius or ContactOptions().radius
     return replace(obj, prior=replace(obj.prior, pusher_radius=radius, push_height=height or None))
 

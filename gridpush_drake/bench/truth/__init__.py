@@ -1,1 +1,1 @@
-"""Bodies in MuJoCo that do not obey the model: made, pushed, learned, and pushed over a table's edge."""
+"""Bodies in MuJoCo that do not obey the model: how they are made, pushed and learned."""

@@ -342,15 +342,15 @@ def tabulate_scores(scores: Sequence[TruthScore]) -> Table:
             name = f"{pushes} pushes" if model == LEARNED else model
             rows.append([kind, name, *_sum_up(chosen)])
     notes = (
-        "Mean final cell error of held-out pushes, and the 95 % bootstrap interval of its mean over "
-        "the bodies.",
-        "True masses, true loads: what the model does when it is given each cell's mass, or its load "
-        "at rest, N/g.",
+        "Mean final cell error of held-out pushes, and the 95 % bootstrap interval of its mean "
+        "over the bodies.",
+        "True masses, true loads: what the model does when it is given each cell's mass, or its "
+        "load at rest, N/g.",
         "Center: mean distance from the true center of mass; within: bodies whose center is in the "
         "95 % region;",
         "region: median radius of a circle as large as that region.",
-        f"Held-out within: pushes that end as near to the prediction as is said of {INTERVAL:.0%} of "
-        "them.",
+        f"Held-out within: pushes that end as near to the prediction as is said of {INTERVAL:.0%} "
+        "of them.",
     )
     columns = (
         "truth",

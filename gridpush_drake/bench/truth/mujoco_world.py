@@ -246,7 +246,7 @@ class MujocoWorld(TrackedWorld):
         )
 
     def _find_rest(self, middle: Array) -> None:
-        """Finds how the body rests wholly on the table, at (2,) x and y: height, tilt, and loads."""
+        """Finds height, tilt and loads of the body resting wholly on the table, at (2,) x and y."""
         self._data.qpos[:2] = middle
         self._let_pass(SETTLE_TIME)
         self._rest_height = float(self._data.qpos[2])
@@ -299,7 +299,7 @@ class MujocoWorld(TrackedWorld):
 
     @property
     def truth(self) -> WorldTruth:
-        """What is true of the body now, for judges only; it stays while it does not tilt by FALLEN_TILT."""
+        """What is true of the body now, for judges only; it stays unless it tilts by FALLEN_TILT."""
         tilt = self._read_tilt()
         return replace(super().truth, tilt=tilt, stays=tilt < FALLEN_TILT)
 
@@ -356,7 +356,7 @@ class MujocoWorld(TrackedWorld):
                 getattr(self._data, name)[:] = getattr(before, name)
 
     def _read_pose(self, near: float | None = None) -> Array:
-        """Reads q of B in W (3,), m and rad; the angle is the one nearest to `near` where that is given."""
+        """Reads q of B in W (3,), m and rad, with the angle nearest to `near` where that is given."""
         pose = _calc_poses(self._data.qpos[None, :7])[0]
         if near is not None:
             pose[2] = np.unwrap([near, pose[2]])[1]
@@ -439,7 +439,7 @@ def _describe_inertia(body: TruthBody) -> str:
 
 
 def _describe_geoms(body: TruthBody) -> str:
-    """Describes feet f, walls w along the outline at the pusher's height, and plates p, the bottom."""
+    """Describes feet f, walls w along the outline at the pusher's height, and plates p below."""
     z = body.push_height
     half = body.obj.cell_size / 2
     edges = body.obj.edges

@@ -268,7 +268,7 @@ def _execute_flat(world: PushWorld, push: Push, pose: Array) -> WorldMotion | No
 
 
 def _draw_pose(obj: GridObject, params: CellParameters, rng: np.random.Generator) -> Array | None:
-    """Draws a pose (3,) with some of the cells beyond the edge; None where the body would tip there."""
+    """Draws a pose (3,) with some of the cells beyond the edge; None where the body would tip."""
     theta = rng.uniform(-np.pi, np.pi)
     share = rng.uniform(*SHARE)
     edge = np.quantile(rotate(theta, obj.p_BC)[:, 0], 1 - share)
@@ -280,7 +280,7 @@ def _draw_pose(obj: GridObject, params: CellParameters, rng: np.random.Generator
 def _draw_push(
     obj: GridObject, pose: Array | None, radius: float, rng: np.random.Generator
 ) -> Push | None:
-    """Draws a push from the outline inwards; None where the pusher does not fit, or without a pose."""
+    """Draws a push from the outline inwards; None without a pose, or where no pusher fits."""
     place = rng.uniform(0, obj.edges.perimeter)
     angle = rng.uniform(-SLANT, SLANT)
     point, _, normal = obj.edges.at(place)
@@ -355,7 +355,7 @@ def run_tipping(job: TippingJob) -> TippingScore:
 
 
 def _aim(obj: GridObject, pose: Array, radius: float) -> Push:
-    """Aims a push along x through the center of mass, which is at y = 0, from just beside the body."""
+    """Aims a push along x through the center of mass, which is at y = 0, from beside the body."""
     ring = LineString(rotate(pose[2], np.array(obj.outline.exterior.coords)) + pose[:2])
     path = LineString([(ring.bounds[0] - 2 * radius, 0.0), (-TIP_START, 0.0)])
     touch = path.intersection(ring.buffer(radius).exterior).bounds[0]
@@ -438,8 +438,8 @@ def tabulate_limit(scores: Sequence[TippingScore]) -> Table:
         "said to tip behind": count_of("tipped", True),
     }
     notes = (
-        f"Bodies in MuJoCo, pushed across the edge; the model is asked {TIP_SLACK * MM:g} mm of the "
-        "pusher's path before and behind the place where the body begins to tip.",
+        f"Bodies in MuJoCo, pushed across the edge; the model is asked {TIP_SLACK * MM:g} mm of "
+        "the pusher's path before and behind the place where the body begins to tip.",
     )
     return Table.of("The limit", ("object",), _group_by_name(scores), columns, notes)
 

@@ -31,60 +31,96 @@ from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, 
 OUTLINES = ("claw_hammer", "combination_wrench", "open_book", "toolbox", "spray_bottle")
 """Shipped objects."""
 
-OWN_WEIGHT, HALF_HEIGHT, FOUNDATION = "own_weight", "half_height", "foundation"
-VERTICES, THREE_FEET = "vertices", "three_feet"
+OWN_WEIGHT = "own_weight"
+"""Kind of a body of which each cell bears its own weight."""
+
+HALF_HEIGHT = "half_height"
+"""Kind of such a body that is pushed at half its height."""
+
+FOUNDATION = "foundation"
+"""Kind of a body with an evenly compliant bottom."""
+
+VERTICES = "vertices"
+"""Kind of a body that stands on uneven rigid feet at the vertices of its hull."""
+
+THREE_FEET = "three_feet"
+"""Kind of a body that stands on three rigid feet."""
+
 KINDS = (OWN_WEIGHT, HALF_HEIGHT, FOUNDATION, VERTICES, THREE_FEET)
+"""Kinds of truth; see `bench.truth.mujoco_world`."""
 
 MASS_RATIO = (3.0, 10.0)
-"""Of a cell of the heavy part to one of the rest; log-uniform."""
+"""Least and greatest mass of a cell of the heavy part over one of the rest; its logarithm is drawn
+evenly."""
 
 FRICTION_RANGE = (0.3, 0.4)
-"""What a body's friction, one for all feet, is drawn from; whoever learns knows as much."""
+"""Least and greatest friction of a body, one for all feet; whoever learns knows as much."""
 
 CONTACT_FRICTION_RANGE = (0.35, 0.65)
+"""Least and greatest friction of the pusher on a body."""
 
-CONTACT_FRICTION, CONTACT_FRICTION_STD = 0.5, 0.15
-"""What is known of it."""
+CONTACT_FRICTION = 0.5
+"""Friction of the pusher on a body as it is believed beforehand."""
 
-TRAINING, HELD_OUT = 18, 10
-"""Pushes of a set."""
+CONTACT_FRICTION_STD = 0.15
+"""Standard deviation of that belief."""
 
-DISTANCE, SPEED_RANGE = 0.1, (0.02, 0.05)
-"""m and m/s."""
+TRAINING = 18
+"""Number of pushes of a set to learn from."""
+
+HELD_OUT = 10
+"""Number of pushes of a set that are held out."""
+
+DISTANCE = 0.1
+"""Length of a push, m."""
+
+SPEED_RANGE = (0.02, 0.05)
+"""Least and greatest speed of the pusher, m/s."""
 
 SLANT = np.radians(30)
-"""Furthest from the outline's normal."""
+"""Greatest angle of a push from the outline's inward normal, rad."""
 
 CLEARANCE = 5e-4
-"""m between pusher and outline at the beginning."""
+"""Distance of the pusher from the outline when a push begins, m."""
 
 REACH = 0.1
-"""m, at most, of the body from the world's origin at a push's beginning, per axis."""
+"""Greatest distance of the body from the world's origin when a push begins, per axis, m."""
 
 MIN_MOTION = 0.01
-"""m, mean over the cells; pushes that move a body less are drawn again."""
+"""Mean distance that a push must move the cells, m; pushes that move them less are drawn again."""
 
 OBSERVATIONS = 10
-"""Poses seen during a push, evenly spaced, its end among them."""
+"""Number of poses that are seen during a push, evenly spaced, its end among them."""
 
 UNEVENNESS = 3e-4
-"""m, at most, by which a vertex is higher than others."""
+"""Greatest height of a vertex above the lowest one, m."""
 
 FOOT_HEIGHT = 1e-3
-"""m of rigid feet: what the flat bottom is above the table. It touches only where feet are over the
-edge."""
+"""Height of the flat bottom of a body on rigid feet above the table, m. It touches only where feet
+are over the edge."""
 
 BEARING_FEET = 3
-"""By which a rigid body's weight is shared out, to say how stiff its feet are."""
+"""Number of feet that share a rigid body's weight, which says how stiff its feet are."""
 
 TRIES = 20000
+"""Number of random pushes that are tried before it is said that none moves the body."""
 
-OBJECT, PUSHES, HELD_OUT_PUSHES, TRUTH = "object.yaml", "pushes.csv", "heldout.csv", "truth.json"
-"""Files of a set."""
+OBJECT = "object.yaml"
+"""File of a set that has the object."""
+
+PUSHES = "pushes.csv"
+"""File of a set that has the pushes to learn from."""
+
+HELD_OUT_PUSHES = "heldout.csv"
+"""File of a set that has the pushes that are held out."""
+
+TRUTH = "truth.json"
+"""File of a set that has the truth."""
 
 WHAT = (
     "a truth (JSON with kind, outline, seed, mass, friction, contact_friction, loads, push_height)"
 )
+"""What TRUTH should hold, for errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,15 +128,15 @@ class TruthSet:
     """Pushes of one hidden body.
 
     Attributes:
-        kind: of KINDS.
-        name: of the outline.
-        seed: of all that was drawn.
-        obj: as whoever learns sees it: one part, total mass and friction interval.
+        kind: one of KINDS.
+        name: name of the outline.
+        seed: seed of all that was drawn.
+        obj: the object as whoever learns sees it: one part, total mass and bounds of its friction.
         params: its true masses and frictions.
         loads: (n,) true loads of its cells at rest, N.
-        push_height: of the pusher above the table, m.
+        push_height: height of the pusher above the table, m.
         training: pushes to learn from.
-        held_out: others.
+        held_out: pushes that are held out.
     """
 
     kind: str
@@ -115,7 +151,7 @@ class TruthSet:
 
     @property
     def center_of_mass(self) -> Array:
-        """p_BBcm (2,), m."""
+        """The true center of mass p_BBcm (2,), m."""
         return self.params.center_of_mass(self.obj)
 
 
@@ -125,11 +161,11 @@ def make_set(
     """Draws a hidden body and pushes it.
 
     Args:
-        kind: of KINDS.
-        name: of OUTLINES, or of any shipped object.
-        seed: of all that is drawn; masses are the same for every kind.
-        training: pushes to learn from.
-        held_out: others.
+        kind: one of KINDS.
+        name: name of a shipped object.
+        seed: seed of all that is drawn; masses are the same for every kind.
+        training: number of pushes to learn from.
+        held_out: number of pushes that are held out.
 
     Returns:
         The set.
@@ -148,19 +184,37 @@ def make_set(
     )
     world = MujocoWorld(body, radius, observations=OBSERVATIONS)
     pushes = [draw_push(world, f"push_{i + 1}", rng) for i in range(training + held_out)]
-    logs = (PushLog(tuple(pushes[:training])), PushLog(tuple(pushes[training:])))
-    return TruthSet(kind, name, seed, obj, params, world.loads, body.push_height, *logs)
+    return TruthSet(
+        kind=kind,
+        name=name,
+        seed=seed,
+        obj=obj,
+        params=params,
+        loads=world.loads,
+        push_height=body.push_height,
+        training=PushLog(tuple(pushes[:training])),
+        held_out=PushLog(tuple(pushes[training:])),
+    )
 
 
 def draw_masses(name: str, rng: np.random.Generator) -> tuple[GridObject, CellParameters]:
-    """Draws what a shipped object's parts weigh, one of them heavy, and how it rubs; gives it as if unknown, too."""
+    """Draws what a shipped object's parts weigh, one of them heavy, and how it rubs.
+
+    Returns:
+        The object as whoever learns sees it, and its true masses and frictions.
+    """
     shipped = GridObject.from_yaml(find_shipped_object(name))
-    heavy, ratio = rng.choice(np.unique(shipped.labels)), np.exp(rng.uniform(*np.log(MASS_RATIO)))
+    heavy = rng.choice(np.unique(shipped.labels))
+    ratio = np.exp(rng.uniform(*np.log(MASS_RATIO)))
     low, high = FRICTION_RANGE
     prior = replace(
-        shipped.prior, friction=(low + high) / 2, friction_min=low, friction_max=high,
-        contact_friction=CONTACT_FRICTION, contact_friction_std=CONTACT_FRICTION_STD,
-    )  # fmt: skip
+        shipped.prior,
+        friction=(low + high) / 2,
+        friction_min=low,
+        friction_max=high,
+        contact_friction=CONTACT_FRICTION,
+        contact_friction_std=CONTACT_FRICTION_STD,
+    )
     obj = replace(shipped, labels=np.ones(shipped.n, dtype=np.int64), prior=prior)
     mass = np.where(shipped.labels == heavy, ratio, 1.0)
     mass *= (prior.total_mass or DEFAULT_TOTAL_MASS) / mass.sum()
@@ -175,41 +229,57 @@ def make_body(
     rng: np.random.Generator,
     height: float = BODY_HEIGHT / 2,
 ) -> TruthBody:
-    """Puts an object of given masses on feet, pushed at a height, m; OWN_WEIGHT at the table's.
+    """Puts an object of given masses on feet.
+
+    Args:
+        kind: one of KINDS.
+        obj: the object.
+        params: its masses and frictions.
+        rng: draws what is random about the feet.
+        height: height at which it is pushed, m; an OWN_WEIGHT is pushed at the table's height.
 
     Raises:
         GridPushError: the kind is not known.
         ObjectError: no three feet are found that bear it while it is pushed.
     """
-    cells, weight = np.arange(obj.n), params.total_mass * GRAVITY
-    height = 0.0 if kind == OWN_WEIGHT else height
+    weight = params.total_mass * GRAVITY
+    soft = TruthBody(
+        obj=obj,
+        params=params,
+        feet=obj.p_BC,
+        cell=np.arange(obj.n),
+        load=params.mass * GRAVITY,
+        sinkage=SINKAGE,
+        gap=np.zeros(obj.n),
+        push_height=0.0 if kind == OWN_WEIGHT else height,
+    )
     if kind in (OWN_WEIGHT, HALF_HEIGHT):
-        return TruthBody(
-            obj, params, obj.p_BC, cells, params.mass * GRAVITY, SINKAGE, np.zeros(obj.n), height
-        )
+        return soft
     if kind == FOUNDATION:
-        even = np.full(obj.n, weight / obj.n)
-        return TruthBody(obj, params, obj.p_BC, cells, even, SINKAGE, np.zeros(obj.n), height)
+        return replace(soft, load=np.full(obj.n, weight / obj.n))
+
+    # Rigid feet, at the vertices of the hull too: there they end above the table, and touch it only
+    # where the body tips.
     rim = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
     rim_cell = np.linalg.norm(rim[:, None] - obj.p_BC, axis=2).argmin(axis=1)
     if kind == VERTICES:
-        feet, cell, gap = rim, rim_cell, rng.uniform(0, UNEVENNESS, len(rim))
+        feet = rim
+        cell = rim_cell
+        gap = rng.uniform(0, UNEVENNESS, len(rim))
     elif kind == THREE_FEET:
         three = draw_feet(obj, params, float(params.friction.max()) * height + FEET_SLACK, rng)
-        feet, cell = np.concatenate([obj.p_BC[three], rim]), np.concatenate([three, rim_cell])
+        feet = np.concatenate([obj.p_BC[three], rim])
+        cell = np.concatenate([three, rim_cell])
         gap = np.concatenate([np.zeros(len(three)), np.full(len(rim), FOOT_HEIGHT)])
     else:
         raise GridPushError(f"kind: {kind!r}; expected one of {', '.join(KINDS)}")
-    load = np.full(len(feet), weight / BEARING_FEET)
-    return TruthBody(
-        obj,
-        params,
-        feet,
-        cell,
-        load,
-        RIGID_SINKAGE,
-        gap,
-        height,
+    return replace(
+        soft,
+        feet=feet,
+        cell=cell,
+        load=np.full(len(feet), weight / BEARING_FEET),
+        sinkage=RIGID_SINKAGE,
+        gap=gap,
         bottom=FOOT_HEIGHT,
         time_step=RIGID_TIME_STEP,
     )
@@ -246,7 +316,16 @@ def draw_push(world: MujocoWorld, name: str, rng: np.random.Generator) -> Observ
 
 
 def write_set(made: TruthSet, folder: Path, force: bool = False) -> None:
-    """Writes object.yaml, pushes.csv, heldout.csv, truth.json. Raises OutputError where one may not be written."""
+    """Writes object.yaml, pushes.csv, heldout.csv and truth.json.
+
+    Args:
+        made: the set.
+        folder: where they are written.
+        force: whether files that exist may be replaced.
+
+    Raises:
+        OutputError: one may not be written.
+    """
     params = made.params
     truth = {
         "kind": made.kind,
@@ -271,7 +350,7 @@ def read_set(folder: Path) -> TruthSet:
     """Reads what `write_set` wrote.
 
     Args:
-        folder: of the set.
+        folder: folder of the set.
 
     Returns:
         The set.
@@ -292,7 +371,19 @@ def read_set(folder: Path) -> TruthSet:
         height = float(truth["push_height"])
         if not params.n == len(loads) == obj.n:
             raise ValueError(f"{params.n} masses and {len(loads)} loads of {obj.n} cells")
-        kind, name, seed = str(truth["kind"]), str(truth["outline"]), int(truth["seed"])
+        kind = str(truth["kind"])
+        name = str(truth["outline"])
+        seed = int(truth["seed"])
     except (ValueError, KeyError, TypeError) as error:
         raise GridPushError(f"{path}: expected {WHAT} ({error!r})") from error
-    return TruthSet(kind, name, seed, obj, params, loads, height, *logs)
+    return TruthSet(
+        kind=kind,
+        name=name,
+        seed=seed,
+        obj=obj,
+        params=params,
+        loads=loads,
+        push_height=height,
+        training=logs[0],
+        held_out=logs[1],
+    )

@@ -1,4 +1,7 @@
-"""Makes a command of a study: its options are the fields of the study's options, and those of all."""
+"""Makes a command of a study.
+
+Its options are the fields of the study's own options, and those that all studies have.
+"""
 
 from collections.abc import Sequence
 from dataclasses import Field, fields
@@ -27,8 +30,8 @@ ResultsFile = Annotated[
     typer.Option(
         "--results",
         metavar="FILE.jsonl",
-        help="Where each finished job's result is kept. A job that is found there is not run again; "
-        "a file of other settings is refused, and --force begins it anew.",
+        help="Where each finished job's result is kept. A job that is found there is not run "
+        "again; a file of other settings is refused, and --force begins it anew.",
         show_default="in gridpush_bench, a file for each choice of settings and version of the "
         "program",
     ),
@@ -154,7 +157,7 @@ LISTS = {
 
 
 def _to_list(kind: Any) -> Any:
-    """Returns the type as Typer takes it of an option that may be repeated; any other one as it is."""
+    """Returns a type as Typer takes it: a list where the option may be repeated."""
     return LISTS.get(kind, kind)
 
 
