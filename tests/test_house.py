@@ -82,12 +82,12 @@ AIM = Figures(nodes=10.0, comments=25.0, pairs=2.0, packed=0.0, vague=0.0, long=
 ROOMS = """
 room              nodes  comments  pairs  packed  vague  long
 (files)            10.1         5      0     0.0      0     0
-bench               9.5         5      9     1.4      3    18
+bench               9.2         7      0     0.0      0     0
 cli                 6.8         9      0     0.0      0     6
 display            10.0         8      0     0.0      0     0
 dynamics/kernels   11.0        40      2     0.4      0     0
 geometry           11.0        60      0     0.0      0     0
-gym                11.8         0     50     5.7      9    38
+gym                10.6        12      0     0.0      0     0
 interop            10.4        25      0     0.0      0     0
 identification     10.1        35     11     1.0      1    13
 multibody           9.1         0     11     1.4     10    51

@@ -1,13 +1,14 @@
-"""`gridpush campaign`: whole episodes of a station's task with many seeds and objects, and how each of them ended.
+"""`gridpush campaign`: whole episodes of a station's task with many seeds and objects.
 
-An episode is one run of the task: everything that is hidden or random is drawn from its seed, so
-that whoever runs it again sees the same. What came of it is one line of a file (`jobs.Results`).
+An episode is one run of the task. Everything that is hidden or random is drawn from its seed, so
+that whoever runs it again sees the same. What came of it is one line of a file
+(`bench.results.Results`).
 """
 
 import shlex
 import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -27,24 +28,39 @@ from gridpush_drake.station.scene import use_object
 from gridpush_drake.station.task import TaskRecord, TaskStatus
 from gridpush_drake.station.tasks import TASKS, calc_center_error
 
-SCENARIO, EPISODES, TABLE, REPLAYS = "scenario.yaml", "episodes.jsonl", "table.md", "replays"
-"""In a campaign's folder: what its episodes are of, a line for each, what came of all, and those
-that were replayed."""
+SCENARIO = "scenario.yaml"
+"""File in a campaign's folder that has the scenario of its episodes."""
 
+EPISODES = "episodes.jsonl"
+"""File in a campaign's folder that has a line for each episode."""
 
-REFUSED, BROKEN = "refused", "error"
-"""Statuses, beside a task's, of episodes that could not be run: for a reason that the package
-gives, and otherwise."""
+TABLE = "table.md"
+"""File in a campaign's folder that says what came of all episodes."""
 
-DROPPED, NOT_LIFTED, GAVE_UP = "dropped", "not lifted", "gave up"
-"""What an episode came to that did not end as it should."""
+REPLAYS = "replays"
+"""Folder in a campaign's folder for episodes that are run again."""
+
+REFUSED = "refused"
+"""Status of an episode that could not be run for a reason that the package gives."""
+
+BROKEN = "error"
+"""Status of an episode that could not be run for any other reason."""
+
+DROPPED = "dropped"
+"""Outcome of an episode whose object fell off the table."""
+
+NOT_LIFTED = "not lifted"
+"""Outcome of an episode whose object stayed behind when the gripper went up."""
+
+GAVE_UP = "gave up"
+"""Outcome of an episode that ended in any other way than it should."""
 
 MEANINGS = {
     DROPPED: "off the table",
     NOT_LIFTED: "the gripper closed and went up, and the object stayed",
     GAVE_UP: "anything else",
 }
-"""Of them, for a table's reader."""
+"""What these outcomes mean, for a table's reader."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +69,9 @@ class EpisodeJob:
 
     Attributes:
         object: name of a shipped object, or an object file.
-        seed: of everything random.
-        object_hash: of the object's file where it is not a shipped one; empty otherwise.
-        task: one of TASKS.
+        seed: seed of everything random.
+        object_hash: hash of the object's file where it is not a shipped one; empty otherwise.
+        task: name of the task, one of TASKS.
         scenario: all else, as YAML.
     """
 
@@ -66,7 +82,7 @@ class EpisodeJob:
     scenario: str = field(default="", compare=False)
 
     def describe(self) -> str:
-        """In a few words."""
+        """Says in a few words which episode it is."""
         return f"{Path(self.object).stem}, seed {self.seed}"
 
 
@@ -75,15 +91,16 @@ class Episode:
     """What came of an episode.
 
     Attributes:
-        object: as the job has it.
-        seed: likewise.
-        status: of the run, or REFUSED or BROKEN.
+        object: name of a shipped object, or an object file.
+        seed: seed of everything random.
+        status: status of the run, or REFUSED or BROKEN.
         message: the status in a sentence.
         outcome: the task's `done`, DROPPED (off the table), NOT_LIFTED, or GAVE_UP for anything
             else.
-        pushes: made.
-        pokes: of them to learn only; None where the task does not tell them apart.
-        slides: of them toward the edge; likewise.
+        pushes: number of pushes that were made.
+        pokes: number of those that were made to learn only; None where the task does not tell them
+            apart.
+        slides: number of those towards the edge; None where the task does not tell them apart.
         raised: how far the object's lowest point was above the table at the end, m; None where it
             is not lifted.
         center_of_mass_error: of the last estimate, m; None where nothing was learned.
@@ -106,7 +123,10 @@ class Episode:
 
 
 def run_episode(job: EpisodeJob) -> Episode:
-    """Runs an episode. What the package refuses, and whatever else goes wrong in it, is how it ended."""
+    """Runs an episode.
+
+    What the package refuses, and whatever else goes wrong in it, is how the episode ended.
+    """
     begin = perf_counter()
     try:
         scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
@@ -116,14 +136,26 @@ def run_episode(job: EpisodeJob) -> Episode:
         record = task.run()
     except GridPushError as error:
         return Episode(
-            job.object, job.seed, REFUSED, str(error), GAVE_UP, wall=perf_counter() - begin
+            object=job.object,
+            seed=job.seed,
+            status=REFUSED,
+            message=str(error),
+            outcome=GAVE_UP,
+            wall=perf_counter() - begin,
         )
     except Exception as error:
         *_, last = traceback.extract_tb(error.__traceback__)
         message = (
             f"{type(error).__name__} in {Path(last.filename).name}, line {last.lineno}: {error}"
         )
-        return Episode(job.object, job.seed, BROKEN, message, GAVE_UP, wall=perf_counter() - begin)
+        return Episode(
+            object=job.object,
+            seed=job.seed,
+            status=BROKEN,
+            message=message,
+            outcome=GAVE_UP,
+            wall=perf_counter() - begin,
+        )
     if record.status == TaskStatus.INTERRUPTED:
         raise KeyboardInterrupt
     fell = bool(np.isnan(task.read("object.pose_true")).any())
@@ -134,16 +166,26 @@ def run_episode(job: EpisodeJob) -> Episode:
 
 
 def _make_episode(job: EpisodeJob, record: TaskRecord, outcome: str, wall: float) -> Episode:
-    pokes = slides = raised = error = None
+    """Makes an episode of what came of its run."""
+    episode = Episode(
+        object=job.object,
+        seed=job.seed,
+        status=str(record.status),
+        message=record.message,
+        outcome=outcome,
+        pushes=len(record.log),
+        duration=record.duration,
+        wall=wall,
+    )
     if isinstance(record, PreGraspRecord):
-        pokes, slides = record.last.pokes, record.last.slides
         raised = None if np.isnan(record.raised) else record.raised
+        episode = replace(
+            episode, pokes=record.last.pokes, slides=record.last.slides, raised=raised
+        )
     if record.estimates:
         error = calc_center_error(record, record.estimates[-1].params)
-    return Episode(
-        job.object, job.seed, str(record.status), record.message, outcome, len(record.log), pokes, slides, raised,
-        error, record.duration, wall,
-    )  # fmt: skip
+        episode = replace(episode, center_of_mass_error=error)
+    return episode
 
 
 @dataclass(frozen=True)
@@ -151,9 +193,9 @@ class Campaign:
     """The episodes of a campaign.
 
     Attributes:
-        task: one of TASKS.
-        folder: of the campaign, where its scenario lies.
-        episodes: all, by object and seed.
+        task: name of the task, one of TASKS.
+        folder: folder of the campaign, where its scenario lies.
+        episodes: all episodes, by object and seed.
     """
 
     task: str
@@ -162,12 +204,12 @@ class Campaign:
 
     @property
     def done(self) -> str:
-        """What an episode came to that ended as it should."""
+        """The outcome of an episode that ended as it should."""
         return str(TASKS[self.task].done)
 
     @property
     def ends(self) -> list[str]:
-        """What episodes came to, for the table's columns: "not lifted" only where one did."""
+        """The outcomes, for the table's columns; NOT_LIFTED only where an episode had it."""
         lifted = all(episode.outcome != NOT_LIFTED for episode in self.episodes)
         return (
             [self.done, DROPPED, GAVE_UP] if lifted else [self.done, DROPPED, NOT_LIFTED, GAVE_UP]
@@ -175,11 +217,11 @@ class Campaign:
 
     @property
     def failures(self) -> list[Episode]:
-        """Those that did not."""
+        """The episodes that did not end as they should."""
         return [episode for episode in self.episodes if episode.outcome != self.done]
 
     def make_replay(self, episode: Episode) -> str:
-        """The command that runs an episode again, and writes its recording and report."""
+        """Makes the command that runs an episode again, and writes its recording and report."""
         out = self.folder / REPLAYS / f"{Path(episode.object).stem}-{episode.seed}"
         words = ["gridpush", "demo", "--task", self.task, "--scenario", str(self.folder / SCENARIO)]
         return shlex.join(
@@ -187,7 +229,11 @@ class Campaign:
         )
 
     def count(self) -> Iterator[tuple[str, list[Episode], dict[str, Share]]]:
-        """For each object, and for "all" where there are several: its episodes, and how many ended in what way."""
+        """Counts outcomes by object, and of all objects where there are several.
+
+        Yields:
+            Each object's name, its episodes, and how many of them had each outcome.
+        """
         names = list(dict.fromkeys(episode.object for episode in self.episodes))
         groups = [
             (name, [episode for episode in self.episodes if episode.object == name])
@@ -200,7 +246,10 @@ class Campaign:
             yield name, group, {end: Share.of(ends.count(end), len(ends)) for end in self.ends}
 
     def tabulate(self) -> Table:
-        """A row an object and one of all; a note for each failure, with its reason and its replay."""
+        """Makes a row for each object and one of all, and notes on each failure.
+
+        They say why an episode failed, and how it is run again.
+        """
         rows: list[tuple[Value, ...]] = []
         averaged = [name for name, (key, _) in AVERAGED.items() if _list_known(self.episodes, key)]
         for name, group, shares in self.count():
@@ -222,13 +271,14 @@ class Campaign:
             " The rest: means of all episodes in which it was found."
         ]
         for failure in self.failures:
-            reason = f"{Path(failure.object).stem}, seed {failure.seed}: {failure.status}. {failure.message}"
-            notes += [reason, self.make_replay(failure)]
+            name = Path(failure.object).stem
+            notes.append(f"{name}, seed {failure.seed}: {failure.status}. {failure.message}")
+            notes.append(self.make_replay(failure))
         columns = ("object", "episodes", *self.ends, *averaged)
         return Table(f"Episodes of {self.task} in the station", columns, rows, notes)
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for machines, in SI units."""
+        """Returns outcomes by object and all failures for machines, in SI units."""
         objects = [
             {"object": name, **{end: asdict(share) for end, share in shares.items()}}
             for name, _, shares in self.count()
@@ -254,7 +304,10 @@ def _list_known(episodes: Sequence[Episode], key: str) -> list[float]:
 
 
 def describe_settings(task: str, scenario: PushScenario) -> dict[str, Any]:
-    """All that makes a campaign's episodes what they are, but object and seed, by its place; for `open_results`."""
+    """Describes all that a campaign's episodes depend on, but object and seed, by its place.
+
+    It is what `open_results` compares.
+    """
     own = {"object", "seed", "directives"}
     settings = {"task": task, **_flatten("scenario", scenario.model_dump(exclude=own))}
     directives = yaml_dump_typed(
@@ -274,22 +327,26 @@ def _flatten(place: str, value: Any) -> dict[str, Any]:
 
 
 def run(
-    task: str, scenario: PushScenario, objects: dict[str, str], seeds: Sequence[int], folder: Path,
+    task: str,
+    scenario: PushScenario,
+    objects: dict[str, str],
+    seeds: Sequence[int],
+    folder: Path,
     execution: Execution = QUIET,
-) -> Campaign:  # fmt: skip
+) -> Campaign:
     """Runs the episodes that are not known yet.
 
     Args:
-        task: one of TASKS.
-        scenario: of all of them; its object and seed do not matter.
+        task: name of the task, one of TASKS.
+        scenario: scenario of all episodes; its object and seed do not matter.
         objects: names of shipped objects or object files, with the hash of the file of those that
             are not shipped.
-        seeds: of the episodes with each.
-        folder: of the campaign, where the scenario lies.
-        execution: how they are run.
+        seeds: seeds of the episodes with each object.
+        folder: folder of the campaign, where the scenario lies.
+        execution: how the episodes are run.
 
     Returns:
-        All of them.
+        All episodes, those that were known before among them.
 
     Raises:
         GridPushError: there is no object or no seed; see `run_jobs`.
@@ -298,7 +355,7 @@ def run(
         raise GridPushError(f"{'seeds' if objects else 'objects'}: none; expected at least one")
     text = format_scenario(scenario)
     jobs = [
-        EpisodeJob(name, seed, digest, task, text)
+        EpisodeJob(object=name, seed=seed, object_hash=digest, task=task, scenario=text)
         for seed in seeds
         for name, digest in objects.items()
     ]

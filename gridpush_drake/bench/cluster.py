@@ -1,4 +1,6 @@
-"""Runs jobs on the workers of a Dask cluster that is there already; `distributed` is imported where one is used.
+"""Runs jobs on the workers of a Dask cluster that is there already.
+
+`distributed`, an extra, is imported where a cluster is used.
 
 The cluster's scheduler hands out the jobs, and those of a worker that was lost to another one.
 Workers must have the same sources of this package; a worker does one job at a time, so that one
@@ -14,21 +16,28 @@ from queue import Empty, Queue
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
-from gridpush_drake.bench.jobs import REPORT_EVERY, Found, LostJobsError, hash_sources
+from gridpush_drake.bench.executor import REPORT_EVERY, Found, LostJobsError
+from gridpush_drake.bench.results import hash_sources
 from gridpush_drake.errors import GridPushError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 CONNECT_WITHIN = 5.0
-"""s that a scheduler has to answer."""
+"""Time that a scheduler has to answer, s."""
 
 ADDRESS = "the address of a Dask scheduler that runs, such as tcp://host:8786"
+"""What is expected where no cluster is found, for errors."""
 
 
 @contextmanager
 def open_cluster(address: str) -> "Iterator[DaskCluster]":
-    """Connects to the cluster of a scheduler's address; in the end, jobs that it has not done are dropped.
+    """Connects to the cluster of a scheduler.
+
+    In the end, jobs that the cluster has not done are dropped.
+
+    Args:
+        address: address of the scheduler, such as tcp://host:8786.
 
     Raises:
         GridPushError: `distributed` is not installed, or no scheduler answers within
@@ -77,16 +86,18 @@ class DaskCluster:
     """An `Executor` of jobs on a cluster.
 
     Attributes:
-        address: of its scheduler.
+        address: address of its scheduler.
     """
 
     def __init__(self, address: str, client: "Client") -> None:
-        self.address, self._client = address, client
+        """Takes a client that is connected to the scheduler of an address."""
+        self.address = address
+        self._client = client
 
     def run(
         self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
     ) -> Iterator[Found]:
-        """Runs a function on numbered jobs; yields their results as they come, and None now and then without.
+        """Runs a function on numbered jobs; see `Executor.run`.
 
         Raises:
             LostJobsError: jobs lost more workers than the cluster allows, which is said when all
@@ -101,7 +112,8 @@ class DaskCluster:
         numbers = {future.key: i for future, (i, _) in zip(futures, jobs, strict=True)}
         for future in futures:
             future.add_done_callback(done.put)
-        given_up, why = list[int](), ""
+        given_up = list[int]()
+        why = ""
         for _ in jobs:
             while True:
                 try:
@@ -119,7 +131,7 @@ class DaskCluster:
             raise LostJobsError(given_up, why)
 
     def _take(self, future: "Future") -> Any:
-        """A finished job's result; the scheduler need not keep it any longer."""
+        """Takes a finished job's result, which the scheduler need not keep any longer."""
         from distributed.client import FutureCancelledError
 
         try:
@@ -145,7 +157,7 @@ _TURN = Lock()
 
 
 def _do(function: Callable[[Any], Any], job: Any, program: str) -> Any:
-    """On a worker: does a job, where the program is the same; the worker's threads take turns."""
+    """Does a job on a worker, if it has the same program; a worker's threads take turns."""
     if _find_program() != program:
         raise GridPushError(
             f"--dask: the worker on {socket.gethostname()} has other sources; expected the same "

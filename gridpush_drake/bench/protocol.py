@@ -188,7 +188,14 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """An object with one mass set as the identifier sees it (one part, no prior but the defaults), pushed ten times."""
+    """An object with one mass set, pushed ten times, as the identifier sees it.
+
+    It is of one part, and nothing is known of it but the defaults.
+
+    Attributes:
+        obj: the object.
+        log: the pushes.
+    """
 
     obj: GridObject
     log: PushLog
@@ -316,8 +323,8 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
 def make_pushes(obj: GridObject, columns: int) -> list[Push]:
     """Makes the ten pushes of an object at the pose (0, 0, 0).
 
-    The first ones go along -y onto the upper side, the others along +y onto the lower side. The disc
-    touches the outline when they begin.
+    The first ones go along -y onto the upper side, the others along +y onto the lower side. The
+    disc touches the outline when they begin.
 
     Args:
         obj: the object.

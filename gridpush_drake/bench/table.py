@@ -142,7 +142,7 @@ class Table:
     def __rich_console__(
         self, console: "rich.console.Console", options: "rich.console.ConsoleOptions"
     ) -> "Iterator[rich.console.RenderableType]":
-        """Shows the table on a terminal, in as many parts below each other as its width asks for."""
+        """Shows the table on a terminal, in as many parts as its width asks for."""
         parts = self.split(options.max_width)
         for i, part in enumerate(parts):
             yield self._to_rich(part, options.max_width, title=self.title if i == 0 else "")

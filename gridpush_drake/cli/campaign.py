@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
-from gridpush_drake.bench.jobs import Results, hash_content, open_results
+from gridpush_drake.bench.results import Results, hash_content, open_results
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line, print_table
 from gridpush_drake.errors import GridPushError, ObjectError

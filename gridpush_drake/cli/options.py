@@ -13,7 +13,8 @@ from typing import Annotated, Literal
 import typer
 
 from gridpush_drake.bench.cluster import open_cluster
-from gridpush_drake.bench.jobs import Execution, Results
+from gridpush_drake.bench.jobs import Execution
+from gridpush_drake.bench.results import Results
 from gridpush_drake.cli.console import count_noun, print_notice, work_progress
 from gridpush_drake.cli.kernels import compile_all
 from gridpush_drake.dynamics.physics import Physics

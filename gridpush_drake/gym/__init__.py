@@ -1,11 +1,11 @@
-"""Pushing as reinforcement learning sees it: Gymnasium environments in which the project's own simulator moves objects.
+"""Pushing as reinforcement learning sees it: Gymnasium environments of the project's simulator.
 
 Importing this package registers, for `gymnasium.make` and `gymnasium.make_vec`,
 
     gridpush/PushToGoal-v0    push an object of hidden masses to a goal pose
     gridpush/SlideToEdge-v0   push it over the table's edge so far that it can be grasped; falling
-    ends the episode gridpush/Explore-v0       poke it so that its motion under other pushes can be
-    foretold
+                              ends the episode
+    gridpush/Explore-v0       poke it so that its motion under other pushes can be foretold
 
 It needs `pip install 'gridpush-drake[gym]'`.
 """

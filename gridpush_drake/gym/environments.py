@@ -1,4 +1,6 @@
-"""The environments: `PushEnvironment`, one episode, and `PushVectorEnvironment`, many that are simulated together.
+"""The environments: `PushEnvironment`, one episode, and `PushVectorEnvironment`, many at once.
+
+The episodes of a vector environment are simulated together.
 
 The i-th of a vector environment that is seeded with s does what an environment seeded with s + i
 does, bit for bit.
@@ -20,15 +22,20 @@ from gridpush_drake.gym.episode import Episode, GameOptions, PushGame
 from gridpush_drake.gym.games import GAMES
 from gridpush_drake.gym.rendering import draw_scene
 
-CAMERA_SIZE, PICTURE_SIZE = 96, 480
-"""Pixels along each side of what the camera sees, and of what `render` gives."""
+CAMERA_SIZE = 96
+"""Side of what the camera sees, pixels."""
+
+PICTURE_SIZE = 480
+"""Side of what `render` gives, pixels."""
 
 FPS = 2
-"""Pushes a second, of a film of pictures."""
+"""Number of pushes a second in a film of pictures."""
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FPS}
+"""What the environments tell Gymnasium of their pictures."""
 
 Observation = dict[str, NDArray[Any]]
+"""What a player sees, by name."""
 
 
 def register_environments() -> None:
@@ -44,7 +51,15 @@ def register_environments() -> None:
 
 
 def make_game(game: str, options: dict[str, Any]) -> PushGame:
-    """Makes a game by its name, of GAMES, with fields of `GameOptions`. Raises PlanningError for another name."""
+    """Makes a game.
+
+    Args:
+        game: its name, one of GAMES.
+        options: fields of `GameOptions`.
+
+    Raises:
+        PlanningError: there is no such game.
+    """
     if game not in GAMES:
         raise PlanningError(f"game: {game!r}; expected one of {', '.join(GAMES)}")
     kind = GAMES[game]
@@ -52,10 +67,17 @@ def make_game(game: str, options: dict[str, Any]) -> PushGame:
 
 
 class _View:
-    """What is seen of a game's episodes: its space, and observations in their form; with "rgb" where `camera`."""
+    """What is seen of a game's episodes.
+
+    Attributes:
+        space: the space of an observation.
+    """
 
     def __init__(self, game: PushGame, camera: bool) -> None:
-        self._game, self._camera, self._spaces = game, camera, game.make_spaces()
+        """Takes a game, and whether there is a camera, whose picture is "rgb"."""
+        self._game = game
+        self._camera = camera
+        self._spaces = game.make_spaces()
         if camera:
             self._spaces["rgb"] = Box(
                 0, np.iinfo(np.uint8).max, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8
@@ -64,7 +86,7 @@ class _View:
         self.space = cast(Space[Observation], Dict(cast(dict[str, Space[Any]], self._spaces)))
 
     def observe(self, episodes: Sequence[Episode]) -> Observation:
-        """What is seen of each episode, one above the other."""
+        """Returns what is seen of each episode, one above the other."""
         seen = [self._game.observe(episode) for episode in episodes]
         if self._camera:
             for values, episode in zip(seen, episodes, strict=True):
@@ -87,13 +109,15 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
 
         pose          (4,) x, y, cosine and sine of theta of the object's body frame
         outline       (256,) 64 places, at actions -1, -1 + 2/64, ...: point and inward normal (4
-        each), body frame occupancy     (48, 48, 1) 255 where the object is, 1 cm a pixel, about its
-        cells' centroid last_action   (3,) zeros before the first push last_motion   (3,) by which
-        it moved the object, in the object's frame before, m and rad table         (2,) half of the
-        sides along x and y; its middle is the world's origin goal          (4,) as the pose
-        (PushToGoal) estimate      (3,) the learner's center of friction, body frame, and its
-        standard deviation (Explore) rgb           (96, 96, 3) the scene from above, where `camera`
-        is set
+                      each), body frame
+        occupancy     (48, 48, 1) 255 where the object is, 1 cm a pixel, about its cells' centroid
+        last_action   (3,) zeros before the first push
+        last_motion   (3,) by which it moved the object, in the object's frame before, m and rad
+        table         (2,) half of the sides along x and y; its middle is the world's origin
+        goal          (4,) as the pose (PushToGoal)
+        estimate      (3,) the learner's center of friction, body frame, and its standard deviation
+                      (Explore)
+        rgb           (96, 96, 3) the scene from above, where `camera` is set
 
     `info` has "score", the game's own measure in m (mean distance to the goal; how far a part hangs
     over; held-out error), and "is_success".
@@ -121,7 +145,8 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
                 masses.
             options: fields of `GameOptions`.
         """
-        self.game, self.render_mode = make_game(game, options), render_mode
+        self.game = make_game(game, options)
+        self.render_mode = render_mode
         self._view = _View(self.game, camera)
         self.observation_space = self._view.space
         self.action_space = Box(-1.0, 1.0, (3,), np.float32)
@@ -145,7 +170,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
         return self._observe(), float(turn.reward), turn.terminated, cut_off, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """(PICTURE_SIZE, PICTURE_SIZE, 3) the scene from above, cells colored by their hidden masses."""
+        """Draws the scene from above (PICTURE_SIZE, PICTURE_SIZE, 3), with the hidden masses."""
         if self.render_mode is None or self.episode is None:
             return None
         return draw_scene(self.game, self.episode, PICTURE_SIZE, show_hidden=True)
@@ -174,8 +199,19 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         camera: bool = False,
         **options: Any,
     ) -> None:
-        """Makes the environment; `num_envs` is how many episodes there are, the rest as of `PushEnvironment`."""
-        self.num_envs, self.game, self.render_mode = num_envs, make_game(game, options), render_mode
+        """Makes the environment of a game of GAMES.
+
+        Args:
+            num_envs: number of episodes.
+            game: the game's name.
+            render_mode: "rgb_array", or None for no pictures.
+            camera: whether the observation has "rgb", the scene seen from above, which shows no
+                masses.
+            options: fields of `GameOptions`.
+        """
+        self.num_envs = num_envs
+        self.game = make_game(game, options)
+        self.render_mode = render_mode
         self.metadata = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
         self._view = _View(self.game, camera)
         self.single_observation_space = self._view.space
@@ -218,10 +254,9 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Makes one push in each episode that is not over."""
-        rewards, (terminated, cut_off, won) = (
-            np.zeros(self.num_envs),
-            np.zeros((3, self.num_envs), dtype=bool),
-        )
+        rewards = np.zeros(self.num_envs)
+        terminated, cut_off, won = np.zeros((3, self.num_envs), dtype=bool)
+        # Episodes that are over begin anew, and do not heed their actions.
         for i in np.flatnonzero(self._over):
             self.episodes[i] = self.game.begin(self._generators[i])
         going_on = np.flatnonzero(~self._over)
@@ -229,12 +264,10 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             [self.episodes[i] for i in going_on], [np.asarray(actions[i]) for i in going_on]
         )
         for i, turn in zip(going_on, turns, strict=True):
-            self.episodes[i], rewards[i], terminated[i], won[i] = (
-                turn.episode,
-                turn.reward,
-                turn.terminated,
-                turn.won,
-            )
+            self.episodes[i] = turn.episode
+            rewards[i] = turn.reward
+            terminated[i] = turn.terminated
+            won[i] = turn.won
             cut_off[i] = not turn.terminated and self.game.is_cut_off(turn.episode)
         self._over = terminated | cut_off
         return self._view.observe(self.episodes), rewards, terminated, cut_off, self._inform(won)

@@ -1,4 +1,4 @@
-"""An episode: one hidden object, pushed a number of times; and the game that says what pushes are worth.
+"""An episode, in which one hidden object is pushed; and the game that says what pushes are worth.
 
 A game holds what never changes, an episode all that does. `play` makes one push in each of many
 episodes, all of them simulated together; an environment is one episode, a vector environment many.
@@ -34,19 +34,25 @@ OBJECTS = (
     "spring_clamp",
     "toothpaste_tube",
 )
-"""One of them is drawn for each episode."""
+"""Shipped objects of which one is drawn for each episode."""
 
-MASS_RANGE, FRICTION_RANGE, CONTACT_FRICTION_RANGE = (0.1, 5.0), (0.3, 0.4), (0.35, 0.65)
-"""What the parts' masses (kg a cell) and frictions, and the finger's friction, are drawn from."""
+MASS_RANGE = (0.1, 5.0)
+"""Least and greatest mass of a cell, kg; one is drawn for each part."""
+
+FRICTION_RANGE = (0.3, 0.4)
+"""Least and greatest friction of a part against the table."""
+
+CONTACT_FRICTION_RANGE = (0.35, 0.65)
+"""Least and greatest friction of the finger on the object."""
 
 TIP_STEP = 0.002
-"""m that the finger moves in a step of the simulation."""
+"""Distance that the finger moves in a step of the simulation, m."""
 
 OBSERVATIONS = 4
-"""Poses that are seen during a push, after the first, its end among them."""
+"""Number of poses that are seen during a push after the first one, its end among them."""
 
 ROOM = 1.0
-"""m beyond the table's edge that the space of poses reaches."""
+"""Distance beyond the table's edge that the space of poses reaches, m."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +61,10 @@ class GameOptions:
 
     Attributes:
         objects: names of shipped objects, or objects; one is drawn for each episode.
-        max_pushes: after which an episode is cut off.
+        max_pushes: number of pushes after which an episode is cut off.
         position_std: standard deviation of seen positions, per axis, m.
-        angle_std: of seen angles, rad.
-        workers: threads that simulate; no result depends on it.
+        angle_std: standard deviation of seen angles, rad.
+        workers: number of threads that simulate; no result depends on it.
 
     Raises:
         PlanningError: a number is out of range, or there is no object.
@@ -87,24 +93,27 @@ class GameOptions:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """Where an episode stands. `hidden`, `true_pose` and `score` are the truth, which no player is shown.
+    """How an episode stands.
+
+    No player is shown `hidden`, `true_pose`, `score`, `parts` and `motion`, which are the truth.
 
     Attributes:
-        shape: of the object.
+        shape: the object as a player knows it.
         hidden: its true masses and frictions.
         rng: draws the noise.
-        true_pose: (3,) q_W of the object, m and rad.
-        pose: (3,) as it was last seen.
-        score: what the game is about, see there; NaN before it was measured.
-        last_action: (3,) zeros before the first.
+        true_pose: (3,) true pose q_W of the object, m and rad.
+        pose: (3,) pose as it was last seen, m and rad.
+        score: the game's score, see `PushGame.measure`, m; NaN before it was measured.
+        last_action: (3,) the last action; zeros before the first.
         last_motion: (3,) by which the last push was seen to move the object, in its own frame
             before, m and rad.
         pushes: what was seen of every push, in order.
         fallen: whether the object fell off the table.
-        goal: (3,) q_W, m and rad; None in games without one.
-        parts: any of which is to hang over; hidden, for they tell where the center of mass is.
-        model: what a learner holds possible; None in games without one.
-        held_out: the pushes that it is tested on, from the pose (0, 0, 0).
+        goal: (3,) goal pose q_W, m and rad; None in games without one.
+        parts: graspable parts, any of which is to hang over the edge; hidden, for they tell where
+            the center of mass is.
+        model: what the game's learner holds possible; None in games without one.
+        held_out: pushes that the learner is tested on, from the pose (0, 0, 0).
         motion: how the last push truly moved the object; None before the first, and where the
             object was put elsewhere since.
     """
@@ -127,7 +136,7 @@ class Episode:
 
     @property
     def log(self) -> PushLog:
-        """The pushes, as a learner takes them."""
+        """The pushes so far, as a learner takes them."""
         return PushLog(self.pushes)
 
 
@@ -136,9 +145,9 @@ class Turn:
     """What came of one push.
 
     Attributes:
-        episode: after it.
-        reward: for it.
-        won: whether the aim is reached, which ends the episode.
+        episode: the episode after it.
+        reward: its reward.
+        won: whether the game's aim is reached, which ends the episode.
     """
 
     episode: Episode
@@ -155,10 +164,10 @@ class PushGame:
     """What is drawn, seen and rewarded; a game is a subclass.
 
     Attributes:
-        table: its sides along x and y, m; the middle is the world's origin.
-        defaults: options that the game has other defaults for.
+        table: sides of the table along x and y, m; its middle is the world's origin.
+        defaults: fields of `GameOptions` for which the game has other defaults.
         options: what an episode is drawn from.
-        shapes: of the objects.
+        shapes: the objects as a player knows them.
         surface: the table.
     """
 
@@ -194,11 +203,11 @@ class PushGame:
         return replace(moved, score=self.measure(moved))
 
     def make_own_spaces(self) -> dict[str, Box]:
-        """What this game adds to the observation."""
+        """Makes the spaces of what this game adds to the observation."""
         return {}
 
     def observe_own(self, episode: Episode) -> dict[str, Array]:
-        """The values of that."""
+        """Returns what this game adds to the observation."""
         return {}
 
     def draw_object(self, rng: np.random.Generator) -> tuple[KnownShape, CellParameters]:
@@ -209,12 +218,12 @@ class PushGame:
         return shape, replace(hidden, contact_friction=float(rng.uniform(*CONTACT_FRICTION_RANGE)))
 
     def add_noise(self, poses: Array, rng: np.random.Generator) -> Array:
-        """Poses (..., 3) as they are seen."""
+        """Draws poses (..., 3) as they are seen, m and rad."""
         std = (self.options.position_std, self.options.position_std, self.options.angle_std)
         return np.asarray(poses + np.array(std) * rng.standard_normal(np.shape(poses)))
 
     def make_spaces(self) -> dict[str, Box]:
-        """Of the observation; lengths in m, angles as cosine and sine."""
+        """Makes the spaces of the observation; lengths in m, angles as cosine and sine."""
         far = (self._half + ROOM).astype(np.float32)
         limit = np.array([*far, 1.0, 1.0], dtype=np.float32)
         step = np.array([*(2 * far), np.pi], dtype=np.float32)
@@ -230,7 +239,7 @@ class PushGame:
         }
 
     def observe(self, episode: Episode) -> dict[str, Any]:
-        """What a player sees."""
+        """Returns what a player sees."""
         return {
             "pose": flatten_pose(episode.pose),
             "outline": episode.shape.outline.ravel(),
@@ -242,9 +251,11 @@ class PushGame:
         }
 
     def play(self, episodes: Sequence[Episode], actions: Sequence[Array]) -> list[Turn]:
-        """Makes one push in each of the episodes, none of them over, all simulated in one batch.
+        """Makes one push in each of the episodes, all simulated in one batch.
 
-        Actions are (3,) for each, see `KnownShape.make_push`.
+        Args:
+            episodes: the episodes, none of them over.
+            actions: (3,) the action in each, see `KnownShape.make_push`.
         """
         pairs = list(zip(episodes, actions, strict=True))
         pushes = [episode.shape.make_push(action, episode.pose) for episode, action in pairs]
@@ -264,8 +275,10 @@ class PushGame:
         ]
 
     def _go_on(self, episode: Episode, action: Array, push: Push, motion: Motion) -> Episode:
-        """The episode after a push, not yet judged."""
-        poses, fallen = motion.poses, bool(motion.tips.any())
+        """Returns an episode after a push, not yet judged."""
+        # The motion ends where the object begins to tip.
+        poses = motion.poses
+        fallen = bool(motion.tips.any())
         if fallen:
             poses = poses[: int(np.argmax(motion.tips)) + 1]
         rows = np.unique(np.rint(np.linspace(0, len(poses) - 1, OBSERVATIONS + 1)).astype(int))[1:]
@@ -274,27 +287,37 @@ class PushGame:
         if not on_table:
             at_rest = calc_loads(episode.shape.obj, episode.hidden, poses[-1], self.surface.corners)
             fallen = fallen or at_rest is None
-        name = f"push_{len(episode.pushes) + 1}"
         observed = ObservedPush(
-            name, push, episode.pose, motion.times[rows], seen, overhang=not on_table
+            name=f"push_{len(episode.pushes) + 1}",
+            push=push,
+            pose=episode.pose,
+            t_observed=motion.times[rows],
+            poses_observed=seen,
+            overhang=not on_table,
         )
+
+        # By how much the object was seen to move, in its own frame before the push.
         pose = seen[-1] if len(seen) else self.add_noise(poses[-1], episode.rng)
         change = pose - episode.pose
         moved = np.append(rotate(-episode.pose[2], change[:2]), wrap_angle(change[2]))
         return replace(
-            episode, true_pose=poses[-1].copy(), pose=pose, fallen=fallen,
-            last_action=np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0), last_motion=moved,
+            episode,
+            true_pose=poses[-1].copy(),
+            pose=pose,
+            fallen=fallen,
+            last_action=np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0),
+            last_motion=moved,
             pushes=(*episode.pushes, observed),
             motion=WorldMotion(
                 times=motion.times[: len(poses)], poses=poses, fell=fallen, overhang=not on_table
             ),
-        )  # fmt: skip
+        )
 
     def is_cut_off(self, episode: Episode) -> bool:
-        """Whether all pushes were made."""
+        """Says whether all pushes of an episode were made."""
         return len(episode.pushes) >= self.options.max_pushes
 
 
 def flatten_pose(pose: Array) -> Array:
-    """(4,) x and y, m, cosine and sine of theta, of a pose (3,)."""
+    """Returns x and y, m, and cosine and sine of theta (4,) of a pose (3,)."""
     return np.array([pose[0], pose[1], np.cos(pose[2]), np.sin(pose[2])])

@@ -6,6 +6,7 @@ table.
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -25,29 +26,43 @@ from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-PER_METER, PER_METER_FORETOLD = 10.0, 100.0
-"""Reward for a meter, towards the goal or over the edge, and of held-out error."""
+PER_METER = 10.0
+"""Reward for a meter towards the goal, or over the edge."""
 
-MARGIN, MIN_ERROR = 0.1, 0.1
-"""m inside the edge that an object with a goal lies, there and at the beginning; and its mean cell
-error then, m."""
+PER_METER_FORETOLD = 100.0
+"""Reward for a meter less of held-out error."""
+
+MARGIN = 0.1
+"""Least distance inside the table's edge of an object with a goal, at the beginning and at the
+goal, m."""
+
+MIN_ERROR = 0.1
+"""Least mean cell error to the goal at the beginning, m."""
 
 REACHED = 0.02
-"""m, mean cell error: the paper's."""
+"""Mean cell error below which the goal is reached, m; the paper's."""
 
-OFFSET, MAX_ARM = 0.05, 0.06
-"""m, at most, of an object to be slid from the table's middle at the beginning, along each axis,
-and of a part to be grasped from the center of mass."""
+OFFSET = 0.05
+"""Greatest distance from the table's middle, along each axis, of an object that is to be slid, at
+the beginning, m."""
 
-HELD_OUT, HELD_OUT_DISTANCE = 6, 0.3
-"""Pushes that the learner is tested on, and how far, as an action: nine centimeters or so."""
+MAX_ARM = 0.06
+"""Greatest distance of a part that is to be grasped from the center of mass, m."""
+
+HELD_OUT = 6
+"""Number of pushes that the learner is tested on."""
+
+HELD_OUT_DISTANCE = 0.3
+"""Length of these pushes as an action: nine centimeters or so."""
 
 ITERATIONS = 2
-"""Of the filter's step."""
+"""Number of iterations of the filter's step."""
 
 
 class PushToGoal(PushGame):
-    """`gridpush/PushToGoal-v0`: an object of hidden masses is pushed to a goal pose on a large table.
+    """`gridpush/PushToGoal-v0`: an object of hidden masses is pushed to a goal pose.
+
+    The table is large.
 
     Its score is the mean distance of the cells from where they are at the goal, m (the paper's
     ADD). Reward: the score's decrease in decimeters, and 1 for coming within 2 cm, which ends the
@@ -60,11 +75,20 @@ class PushToGoal(PushGame):
         """Draws an object, where it lies and where it should."""
         shape, hidden = self.draw_object(rng)
         start = self._draw_pose(shape, rng)
-        goal, error = start, 0.0
+        goal = start
+        error = 0.0
         while error < MIN_ERROR:
             goal = self._draw_pose(shape, rng)
             error = float(calc_goal_error(shape.obj, start, goal))
-        return Episode(shape, hidden, rng, start, self.add_noise(start, rng), error, goal=goal)
+        return Episode(
+            shape=shape,
+            hidden=hidden,
+            rng=rng,
+            true_pose=start,
+            pose=self.add_noise(start, rng),
+            score=error,
+            goal=goal,
+        )
 
     def measure(self, episode: Episode) -> float:
         """Calculates the mean distance of the cells from where they are at the goal, m."""
@@ -72,24 +96,24 @@ class PushToGoal(PushGame):
         return float(calc_goal_error(episode.shape.obj, episode.true_pose, episode.goal))
 
     def judge(self, before: Episode, after: Episode) -> Turn:
-        """By how much nearer the goal is."""
+        """Rewards by how much nearer the goal is."""
         error = self.measure(after)
         won = error < REACHED and not after.fallen
         reward = PER_METER * (before.score - error) + won - after.fallen
         return Turn(replace(after, score=error), reward, won)
 
     def make_own_spaces(self) -> dict[str, Box]:
-        """The goal, as the pose."""
+        """Makes the space of the goal, in the form of the pose."""
         limit = np.array([*self._half, 1.0, 1.0], dtype=np.float32)
         return {"goal": Box(-limit, limit)}
 
     def observe_own(self, episode: Episode) -> dict[str, Array]:
-        """The goal, as the pose."""
+        """Returns the goal, in the form of the pose."""
         assert episode.goal is not None
         return {"goal": flatten_pose(episode.goal)}
 
     def _draw_pose(self, shape: KnownShape, rng: np.random.Generator) -> Array:
-        """A pose (3,) wholly on the table."""
+        """Draws a pose (3,) in which the object is wholly on the table."""
         while True:
             pose = np.append(rng.uniform(-self._half, self._half), rng.uniform(-np.pi, np.pi))
             if self.surface.contains_cells(shape.obj, pose, MARGIN):
@@ -97,7 +121,7 @@ class PushToGoal(PushGame):
 
 
 class SlideToEdge(PushGame):
-    """`gridpush/SlideToEdge-v0`: an object is pushed over the table's edge, so far that it can be grasped.
+    """`gridpush/SlideToEdge-v0`: an object is pushed over the table's edge, to be grasped.
 
     Graspable are its narrow parts near the true center of mass, where it does not turn in the
     gripper. Its score is how far the part that is farthest out hangs over the edge, m; negative
@@ -105,10 +129,15 @@ class SlideToEdge(PushGame):
     decimeters, and 1 when a part is out, which ends the episode.
     """
 
-    table, defaults = (0.9, 0.7), {"max_pushes": 30}
+    table = (0.9, 0.7)
+    defaults: ClassVar[dict[str, Any]] = {"max_pushes": 30}
 
     def __init__(self, options: GameOptions | None = None) -> None:
-        """Takes what an episode is drawn from. Raises PlanningError where an object has no graspable part."""
+        """Takes what an episode is drawn from.
+
+        Raises:
+            PlanningError: an object has no graspable part.
+        """
         super().__init__(options)
         for shape in self.shapes:
             if not shape.grasp_parts:
@@ -117,7 +146,10 @@ class SlideToEdge(PushGame):
                 )
 
     def begin(self, rng: np.random.Generator) -> Episode:
-        """Draws an object and where it lies, in the table's middle; again where it cannot be grasped near enough."""
+        """Draws an object, and where it lies near the table's middle.
+
+        It is drawn again where it cannot be grasped near enough to its center of mass.
+        """
         while True:
             shape, hidden = self.draw_object(rng)
             center = hidden.center_of_mass(shape.obj)
@@ -128,14 +160,22 @@ class SlideToEdge(PushGame):
                 break
         start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
         score = float(calc_overhangs(near, start, self.surface).max())
-        return Episode(shape, hidden, rng, start, self.add_noise(start, rng), score, parts=near)
+        return Episode(
+            shape=shape,
+            hidden=hidden,
+            rng=rng,
+            true_pose=start,
+            pose=self.add_noise(start, rng),
+            score=score,
+            parts=near,
+        )
 
     def measure(self, episode: Episode) -> float:
         """Calculates how far the part that is farthest out hangs over the edge, m."""
         return float(calc_overhangs(episode.parts, episode.true_pose, self.surface).max())
 
     def judge(self, before: Episode, after: Episode) -> Turn:
-        """By how much farther out a part is."""
+        """Rewards by how much farther out a part is."""
         overhang = self.measure(after)
         won = overhang >= 0 and not after.fallen
         reward = PER_METER * (overhang - before.score) + won - after.fallen
@@ -143,7 +183,9 @@ class SlideToEdge(PushGame):
 
 
 class Explore(PushGame):
-    """`gridpush/Explore-v0`: an object is pushed so that its motion can be foretold, out of any edge's reach.
+    """`gridpush/Explore-v0`: an object is pushed so that its motion can be foretold.
+
+    No edge is within reach.
 
     After every push a learner that is the same for all players takes in where the object was seen
     to end (`learn`). Its score is the held-out error: how far, on average, the learner puts the
@@ -151,15 +193,14 @@ class Explore(PushGame):
     in centimeters.
     """
 
-    table, defaults = (4.0, 4.0), {"max_pushes": 8}
+    table = (4.0, 4.0)
+    defaults: ClassVar[dict[str, Any]] = {"max_pushes": 8}
 
     def begin(self, rng: np.random.Generator) -> Episode:
         """Draws an object, and the pushes that the learner is tested on."""
         shape, hidden = self.draw_object(rng)
-        start, places = (
-            np.append(np.zeros(2), rng.uniform(-np.pi, np.pi)),
-            rng.uniform(-1.0, 1.0, (HELD_OUT, 2)),
-        )
+        start = np.append(np.zeros(2), rng.uniform(-np.pi, np.pi))
+        places = rng.uniform(-1.0, 1.0, (HELD_OUT, 2))
         pushes = [
             shape.make_push(np.append(place, HELD_OUT_DISTANCE), np.zeros(3)) for place in places
         ]
@@ -177,23 +218,23 @@ class Explore(PushGame):
         model = _make_prior(shape)
         error = _calc_held_out_error(model, held_out)
         return Episode(
-            shape,
-            hidden,
-            rng,
-            start,
-            self.add_noise(start, rng),
-            error,
+            shape=shape,
+            hidden=hidden,
+            rng=rng,
+            true_pose=start,
+            pose=self.add_noise(start, rng),
+            score=error,
             model=model,
             held_out=held_out,
         )
 
     def measure(self, episode: Episode) -> float:
-        """Calculates how far, on average, the learner puts the cells from where they truly end, m."""
+        """Calculates how far, on average, the learner puts cells from where they truly end, m."""
         assert episode.model is not None
         return _calc_held_out_error(episode.model, episode.held_out)
 
     def judge(self, before: Episode, after: Episode) -> Turn:
-        """By how much better the learner foretells."""
+        """Rewards by how much better the learner foretells."""
         assert before.model is not None
         model = learn(before.model, after.pushes[-1])
         error = _calc_held_out_error(model, after.held_out)
@@ -201,21 +242,24 @@ class Explore(PushGame):
         return Turn(replace(after, score=error, model=model), reward)
 
     def make_own_spaces(self) -> dict[str, Box]:
-        """What the learner says of the center of friction: x and y, body frame, and the deviation least known, m."""
+        """Makes the space of what the learner says of the center of friction.
+
+        That is x and y, body frame, and the greatest standard deviation, m.
+        """
         return {"estimate": Box(-1.0, 1.0, (3,))}
 
     def observe_own(self, episode: Episode) -> dict[str, Array]:
-        """The values of that."""
+        """Returns what the learner says of the center of friction."""
         model = episode.model
         assert model is not None
-        F, posterior = make_center_functional(model), model.require_posterior()
+        F = make_center_functional(model)
+        posterior = model.require_posterior()
         center = posterior.calc_share() @ model.obj.p_BC
         return {"estimate": np.append(center, calc_worst_std(F @ posterior.covariance @ F.T))}
 
 
-@threadpool_limits.wrap(
-    limits=1, user_api="blas"
-)  # small matrices: threads only cost, and reorder sums
+# the matrices are small: threads only cost time, and reorder sums
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
     """Takes in where a push was seen to end; gives the same model where the push told nothing.
 
@@ -230,12 +274,14 @@ def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
     before = model.require_posterior()
     end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
     problem = PushProblem(model.obj, PushLog((end,)), model.params, model.physics)
-    mean, S = before.mean, before.covariance
+    mean = before.mean
+    S = before.covariance
     for _ in range(ITERATIONS):
         linear = problem.linearize(mean)
-        J, r = linear.by_z[0], linear.residuals[0]
+        J = linear.by_z[0]
+        r = linear.residuals[0]
         if not J.any():
-            return model
+            return model  # the push did not move the object
         R = NoiseModel().calc_covariance(linear.by_inputs[0], NoiseScale())
         gain = np.linalg.solve(J @ S @ J.T + R, J @ S).T
         mean = before.mean - gain @ (r + J @ (before.mean - mean))
@@ -251,11 +297,11 @@ def _calc_held_out_error(model: UncertainModel, held_out: PushLog) -> float:
 
 @lru_cache(maxsize=32)
 def _make_prior(shape: KnownShape) -> UncertainModel:
-    """What is held possible before any push."""
+    """Makes what is held possible before any push."""
     return UncertainModel.of_prior(shape.obj)
 
 
 GAMES: dict[str, type[PushGame]] = {
     game.__name__: game for game in (PushToGoal, SlideToEdge, Explore)
 }
-"""By the environment's name."""
+"""The games by their environments' names."""

@@ -1,4 +1,6 @@
-"""What a player knows of an object beforehand: its shape, as arrays whose sizes are the same for every object.
+"""What a player knows of an object beforehand: its shape.
+
+It is given as arrays whose sizes are the same for every object.
 
 A place on the outline is a share of its reachable length (`planning.contact.reachable_outline`),
 from 0 to 1, so that the finger fits at every place.
@@ -23,11 +25,16 @@ from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, find_grasp_parts
 
 PLACES = 64
-"""On the outline, that are observed."""
+"""Number of places on the outline that are observed."""
 
-PIXELS, WINDOW, OCCUPIED = 48, 0.48, 255
-"""Of the occupancy picture along each side, the side's length, m, and the value of a pixel within
-the object."""
+PIXELS = 48
+"""Number of pixels of the occupancy picture along each side."""
+
+WINDOW = 0.48
+"""Length of the picture's side, m."""
+
+OCCUPIED = 255
+"""Value of a pixel within the object."""
 
 FINGER = ContactOptions(distance_range=(0.01, 0.15))
 """The finger and the pushes that it can make."""
@@ -53,18 +60,24 @@ class KnownShape:
 
     @cached_property
     def reachable(self) -> ReachableOutline:
-        """Where the finger can touch."""
+        """The part of the outline that the finger can touch."""
         return find_reachable_outline(self.obj, FINGER.radius, FINGER.clearance)
 
     @cached_property
     def outline(self) -> Array:
-        """(PLACES, 4) the points at the shares 0, 1/PLACES, ..., m, and the inward unit normals there, body frame."""
+        """Points at the shares 0, 1/PLACES, ..., m, and inward unit normals there (PLACES, 4).
+
+        They are in the body frame.
+        """
         s, piece = self.reachable.locate(np.arange(PLACES) / PLACES)
         return np.column_stack([self.reachable.point(s, piece), -self.reachable.normal[piece]])
 
     @cached_property
     def occupancy(self) -> NDArray[np.uint8]:
-        """(PIXELS, PIXELS, 1) OCCUPIED where a cell is, about the cells' centroid; rows along -y, columns along x."""
+        """Picture (PIXELS, PIXELS, 1) of the cells about their centroid, OCCUPIED where one is.
+
+        Its rows go along -y, and its columns along x, of the body frame.
+        """
         along = WINDOW * ((np.arange(PIXELS) + 0.5) / PIXELS - 0.5)
         pixels = np.stack(np.meshgrid(along, -along), axis=-1).reshape(-1, 2) + self.obj.p_BC.mean(
             axis=0
@@ -75,7 +88,7 @@ class KnownShape:
 
     @cached_property
     def grasp_parts(self) -> tuple[GraspPart, ...]:
-        """Where the gripper can take it."""
+        """The parts of the object that the gripper can take."""
         return tuple(find_grasp_parts(self.obj))
 
     def make_push(self, action: Array, pose: Array) -> Push:
@@ -96,24 +109,33 @@ class KnownShape:
         low, high = FINGER.angle_range
         least, greatest = FINGER.distance_range
         return Push.on_outline(
-            self.obj, float(s), low + (high - low) * angle, least + (greatest - least) * distance,
-            radius=FINGER.radius, speed=FINGER.speed, pose=pose, clearance=FINGER.clearance,
-        )  # fmt: skip
+            self.obj,
+            float(s),
+            low + (high - low) * angle,
+            least + (greatest - least) * distance,
+            radius=FINGER.radius,
+            speed=FINGER.speed,
+            pose=pose,
+            clearance=FINGER.clearance,
+        )
 
     def find_action(self, push: Push, pose: Array) -> NDArray[np.float32]:
-        """Finds the action (3,) that comes nearest to a straight push of an object seen at a pose (3,).
+        """Finds the action (3,) that comes nearest to a push of an object seen at a pose (3,).
 
         `make_push` of it gives that push again where it touches the outline as `Push.on_outline`
         would have it, with the finger's radius and clearance, and its direction and distance are
         among those that can be made.
         """
-        reach, normal = self.reachable, self.reachable.normal
-        start = (
-            transform_back(pose, push.start[None])[0] - (FINGER.radius + FINGER.clearance) * normal
-        )
+        # The piece of the outline that is nearest to the finger's surface.
+        reach = self.reachable
+        normal = reach.normal
+        away = (FINGER.radius + FINGER.clearance) * normal
+        start = transform_back(pose, push.start[None])[0] - away
         along = np.clip(((start - reach.origin) * reach.tangent).sum(axis=1), reach.low, reach.high)
         off = np.linalg.norm(reach.origin + along[:, None] * reach.tangent - start, axis=1)
         piece = int(off.argmin())
+
+        # The push's direction from the inward normal there.
         heading = np.arctan2(push.velocity[1], push.velocity[0]) - pose[2]
         inwards = np.arctan2(-normal[piece, 1], -normal[piece, 0])
         angle = (heading - inwards + np.pi) % (2 * np.pi) - np.pi

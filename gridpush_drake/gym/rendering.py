@@ -7,34 +7,56 @@ from PIL import Image, ImageDraw
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.gym.episode import Episode, PushGame
 
-VIEW, ROOM = 1.0, 0.1
-"""m: how much of a large table is seen at least, and beyond the edge of a small one."""
+VIEW = 1.0
+"""Half the side of the picture of a large table, m."""
 
-SMOOTHING, LINE = 3, 0.004
-"""Pixels drawn for each pixel of the picture, along each side, and width of lines, m."""
+ROOM = 0.1
+"""Width of the floor that is seen around a small table, m."""
 
-FLOOR, WOOD, PLAIN, GOAL, TIP = (
-    (70, 72, 76),
-    (222, 205, 176),
-    (96, 120, 160),
-    (40, 140, 60),
-    (200, 40, 40),
-)
-"""Colors of what is below the table, the table, the object, its goal, and the last push; RGB."""
+SMOOTHING = 3
+"""Number of pixels that are drawn for each pixel of the picture, along each side."""
 
-LIGHT, HEAVY = np.array([196, 214, 240]), np.array([120, 20, 60])
-"""Of the lightest and the heaviest cell."""
+LINE = 0.004
+"""Width of lines, m."""
+
+FLOOR = (70, 72, 76)
+"""Color of what is below the table, RGB from 0 to 255."""
+
+WOOD = (222, 205, 176)
+"""Color of the table, RGB from 0 to 255."""
+
+PLAIN = (96, 120, 160)
+"""Color of the object where its masses are not shown, RGB from 0 to 255."""
+
+GOAL = (40, 140, 60)
+"""Color of the goal, RGB from 0 to 255."""
+
+TIP = (200, 40, 40)
+"""Color of the last push, RGB from 0 to 255."""
+
+LIGHT = np.array([196, 214, 240])
+"""Color of the lightest cell (3,), RGB from 0 to 255."""
+
+HEAVY = np.array([120, 20, 60])
+"""Color of the heaviest cell (3,), RGB from 0 to 255."""
 
 
 def draw_scene(game: PushGame, episode: Episode, size: int, show_hidden: bool) -> NDArray[np.uint8]:
-    """Draws the table, the object, its goal and the finger's last path; with the cells' hidden masses where asked.
+    """Draws the table, the object, its goal and the finger's last path.
+
+    Args:
+        game: the game.
+        episode: the episode that is drawn.
+        size: side of the picture, pixels.
+        show_hidden: whether cells are colored by their hidden masses.
 
     Returns:
         (size, size, 3) RGB; x to the right and y up.
     """
-    corners, obj = game.surface.corners, episode.shape.obj
+    corners = game.surface.corners
+    obj = episode.shape.obj
     half = min(np.abs(corners).max() + ROOM, VIEW)
-    # a table larger than the view is seen about the object
+    # A table larger than the view is seen about the object.
     middle = np.zeros(2) if half < VIEW else episode.true_pose[:2]
     scale = SMOOTHING * size / (2 * half)
     image = Image.new("RGB", (SMOOTHING * size,) * 2, FLOOR)
@@ -56,12 +78,14 @@ def draw_scene(game: PushGame, episode: Episode, size: int, show_hidden: bool) -
     if episode.pushes:
         push = episode.pushes[-1].push
         brush.line(place(push.xy), fill=TIP, width=max(1, round(LINE * scale)))
-        (x, y), radius = place(push.xy[-1:])[0], push.radius * scale
+        radius = push.radius * scale
+        x, y = place(push.xy[-1:])[0]
         brush.ellipse((x - radius, y - radius, x + radius, y + radius), fill=TIP)
     return np.asarray(image.reduce(SMOOTHING))
 
 
 def _color_cells(episode: Episode, show_hidden: bool) -> list[tuple[int, int, int]]:
+    """Chooses the color of each cell."""
     mass = np.log(episode.hidden.mass)
     if not show_hidden:
         return [PLAIN] * len(mass)

@@ -26,7 +26,9 @@ from gridpush_drake.bench.campaign import (
     run,
     run_episode,
 )
-from gridpush_drake.bench.jobs import Execution, LostJobsError, open_results
+from gridpush_drake.bench.executor import LostJobsError
+from gridpush_drake.bench.jobs import Execution
+from gridpush_drake.bench.results import open_results
 from gridpush_drake.cli.demo import demo
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.station.scenario import PushScenario

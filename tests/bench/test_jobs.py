@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 
 from gridpush_drake.bench import campaign, drake, paper, perception, planning, plant, real
-from gridpush_drake.bench.jobs import Execution, check_known, open_results, run_jobs
+from gridpush_drake.bench.jobs import Execution, check_known, run_jobs
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.planning import Decision, Run
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.pregrasp.experiments import ExplorationScore, SlideScore, Trace
 from gridpush_drake.bench.pregrasp.world import Outcome
+from gridpush_drake.bench.results import open_results
 from gridpush_drake.errors import GridPushError, OutputError
 
 STARTED_WITHIN, ENDED_WITHIN = 240.0, 6.0
@@ -161,7 +162,7 @@ def test_other_settings_are_refused_or_begun_anew(tmp_path, monkeypatch):
     assert results.lines == {}
     run_jobs(double, jobs, describe, Execution(0, None, results))
     assert len(open_results(path, "doubling", {"seed": 1}).lines) == 1
-    monkeypatch.setattr("gridpush_drake.bench.jobs.hash_sources", lambda: "another")
+    monkeypatch.setattr("gridpush_drake.bench.results.hash_sources", lambda: "another")
     with pytest.raises(GridPushError, match="program"):
         open_results(path, "doubling", {"seed": 1})
 

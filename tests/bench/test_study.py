@@ -11,7 +11,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from gridpush_drake.bench.jobs import Execution, make_key, open_results
+from gridpush_drake.bench.jobs import Execution
+from gridpush_drake.bench.results import make_key, open_results
 from gridpush_drake.bench.study import Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import Table, mean_of
 from gridpush_drake.cli.bench.command import describe_settings, make_command

@@ -113,7 +113,7 @@ def make_planning_tables():
     ]
     return [
         planning.tabulate_decisions(decisions, NAMES),
-        planning.tabulate_runs(runs, NAMES, modes, 25),
+        planning.tabulate_runs(runs, NAMES, modes),
     ]
 
 
@@ -151,7 +151,7 @@ def make_pregrasp_tables():
         pregrasp.tabulate_objects(slides, NAMES, methods[0]),
         pregrasp.tabulate_exploration(pokes),
         pregrasp.tabulate_exploration_by_object(pokes, NAMES),
-        grasp.tabulate(grasps, NAMES),
+        grasp.tabulate_episodes(grasps, NAMES),
     ]
 
 

@@ -225,7 +225,7 @@ class MujocoEdgeWorld(MujocoWorld):
 
     @property
     def truth(self) -> WorldTruth:
-        """What is true of the body now, for judges only; it stays if it does for a REST_TIME more."""
+        """What is true of the body now, for judges only; it stays if it does for REST_TIME."""
         return replace(super().truth, stays=self._would_stay())
 
     def _would_stay(self) -> bool:

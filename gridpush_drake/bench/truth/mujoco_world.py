@@ -299,7 +299,7 @@ class MujocoWorld(TrackedWorld):
 
     @property
     def truth(self) -> WorldTruth:
-        """What is true of the body now, for judges only; it stays unless it tilts by FALLEN_TILT."""
+        """What is true of the body now, for judges only; it stays unless it tilts too far."""
         tilt = self._read_tilt()
         return replace(super().truth, tilt=tilt, stays=tilt < FALLEN_TILT)
 
@@ -356,7 +356,7 @@ class MujocoWorld(TrackedWorld):
                 getattr(self._data, name)[:] = getattr(before, name)
 
     def _read_pose(self, near: float | None = None) -> Array:
-        """Reads q of B in W (3,), m and rad, with the angle nearest to `near` where that is given."""
+        """Reads q of B in W (3,), m and rad; its angle is the one nearest to `near`, if given."""
         pose = _calc_poses(self._data.qpos[None, :7])[0]
         if near is not None:
             pose[2] = np.unwrap([near, pose[2]])[1]

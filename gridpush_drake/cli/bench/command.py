@@ -11,7 +11,8 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from gridpush_drake.bench.jobs import Execution, open_results
+from gridpush_drake.bench.jobs import Execution
+from gridpush_drake.bench.results import open_results
 from gridpush_drake.bench.study import Study
 from gridpush_drake.bench.table import Table
 from gridpush_drake.cli import options
