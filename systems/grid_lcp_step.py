@@ -166,7 +166,7 @@ def GridLcpStep_(T: Any) -> Any:
     """The class of a scalar type."""
     differentiates = T is AutoDiffXd
 
-    class Impl(LeafSystem_[T]):  # type: ignore[misc]
+    class Impl(LeafSystem_[T]):
         """A pushed grid object as a difference equation, q[n+1] = f(q[n], u[n]; p).
 
         .. pydrake_system::

@@ -14,6 +14,7 @@ from gridpush_drake.files import make_folder_beside, output_folder
 from gridpush_drake.station.camera import check_renderer
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
+from gridpush_drake.station.run_recorder import RunRecorder
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene import use_object
 from gridpush_drake.station.task_kind import TaskKind, write_files
@@ -114,6 +115,7 @@ def demo(
             show_default="the first free one from 7000",
         ),
     ] = None,
+    record_file: options.Record = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
@@ -147,22 +149,29 @@ def demo(
 
     # Everything that can be refused is refused now, before minutes are spent
     with output_folder(out):
-        options.check_outputs(force, *(out / name for name in chosen.files))
+        options.check_outputs(force, *(out / name for name in chosen.files), record_file)
+        recorder = None if record_file is None else RunRecorder()
         page = LivePage(port)
         options.compile_kernels()
         print_notice(f"Watch it at {page.url}")
         if open_browser:
             typer.launch(page.url)
         with count_progress("the robot", chosen.count_steps(scenario)) as report_step:
-            record = chosen.run(resolved, page, realtime_rate, report_step)
+            observe = None if recorder is None else recorder.note
+            record = chosen.run(resolved, page, realtime_rate, report_step, observe)
         folder = _find_place(out, chosen, force)
         print_notice(f"Writing to {folder} ...")
         written = write_files(chosen, folder, scenario, record, page.meshcat, force)
+        if recorder is not None and record_file is not None:
+            recorder.write(record_file, record, force)
     summary = chosen.summarize(record)
     if json:
-        print_json({**summary, "written": [str(path) for path in written]})
+        files = written if record_file is None else [*written, record_file]
+        print_json({**summary, "written": [str(path) for path in files]})
     else:
         print_summary(chosen, summary, written)
+        if record_file is not None:
+            print_line(f"The run is recorded in {record_file}.")
     report = folder / chosen.files[0]
     if open_browser and report in written:
         typer.launch(str(report.resolve()))

@@ -74,6 +74,15 @@ PNG = expect_ending(".png")
 HTML = expect_ending(".html", ".htm")
 """Callback of an option that names a page to be written."""
 
+Record = Annotated[
+    Path | None,
+    typer.Option(
+        "--record",
+        metavar="FILE.mcap",
+        help="Write the run as an MCAP file with standard ROS 2 messages, for Foxglove, too.",
+    ),
+]
+
 Force = Annotated[
     bool,
     typer.Option(

@@ -45,6 +45,7 @@ from gridpush_drake.station.links.link_bus import LinkBus
 from gridpush_drake.station.links.ros2 import Ros2Role
 from gridpush_drake.station.links.ros2_estimate import Ros2Estimate
 from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.run_recorder import RunRecorder
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import StationTask
 from gridpush_drake.station.task_kind import TaskKind, write_files
@@ -101,6 +102,7 @@ def robot(
             "missing.",
         ),
     ] = Path("gridpush_robot"),
+    record_file: options.Record = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
@@ -127,7 +129,8 @@ def robot(
         )
     if go:
         make_folder(out)
-        options.check_outputs(force, *(out / name for name in (*chosen.files, LOG)))
+        outputs = [out / name for name in (*chosen.files, LOG)]
+        options.check_outputs(force, *outputs, record_file)
     with closing(open_link(Ros2Role.CONTROL, resolved, ros2, lcm)) as network:
         link = HardwareLink(
             network.bus,
@@ -149,8 +152,12 @@ def robot(
             _look(station_task, link, json)
             return
         with _stopping(link) as asked:
-            record = _run(station_task, link, network)
+            recorder = None if record_file is None else RunRecorder()
+            record = _run(station_task, link, network, recorder)
             summary = _report(chosen, scenario, record, link, out, force, json)
+            if recorder is not None and record_file is not None:
+                recorder.write(record_file, record, force)
+                print_notice(f"The run is recorded in {record_file}.")
     if summary["status"] == "interrupted":
         raise typer.Exit(SIGNALED + asked.number if asked.number else EXIT_INTERRUPTED)
     if not summary.get("done", summary["status"] == "finished"):
@@ -202,7 +209,12 @@ def _stopping(link: HardwareLink) -> Iterator[StopRequest]:
             signal.signal(number, handler)
 
 
-def _run(task: StationTask[Any], link: HardwareLink, network: OpenedLink) -> Any:
+def _run(
+    task: StationTask[Any],
+    link: HardwareLink,
+    network: OpenedLink,
+    recorder: RunRecorder | None,
+) -> Any:
     """Lets the arm move until the task ends or is stopped; returns the task's record."""
     estimate = None if network.ros is None else Ros2Estimate(network.ros, task, link)
     with count_progress("the robot", 1) as report:
@@ -212,6 +224,8 @@ def _run(task: StationTask[Any], link: HardwareLink, network: OpenedLink) -> Any
         def show(status: Any, logged: int) -> None:
             if estimate is not None:
                 estimate.publish()
+            if recorder is not None:
+                recorder.note(task)
             report(f"{status.phase}, {logged} pushes logged", f"{context().get_time():.0f} s")
 
         return task.run(progress=show, drive=link)

@@ -64,7 +64,7 @@ def _make_tensor(value: Any) -> Any:
     return torch.tensor(value, dtype=torch.float64)
 
 
-class _Simulate(torch.autograd.Function):  # type: ignore[misc, name-defined]
+class _Simulate(torch.autograd.Function):  # type: ignore[name-defined]
     """The push, its blocks of derivatives beside it; only the poses are differentiable."""
 
     @staticmethod

@@ -222,7 +222,7 @@ def MakeRosRobot(resolved: ResolvedScenario, camera: Camera | None = None) -> Ro
     robot, plant = resolved.robot, resolved.scene.plant
     instances = GetRobotInPlant(plant, robot)
     spoken = robot.arm.ros2
-    own = _list_joints(plant, instances.arm)
+    own = list_joints(plant, instances.arm)
     joints = tuple(spoken.joints or own)
     if len(joints) != len(own):
         raise StationError(
@@ -247,7 +247,8 @@ def MakeRosRobot(resolved: ResolvedScenario, camera: Camera | None = None) -> Ro
     )
 
 
-def _list_joints(plant: Any, instance: ModelInstanceIndex) -> list[str]:
+def list_joints(plant: Any, instance: ModelInstanceIndex) -> list[str]:
+    """Names of a model's moving joints, in the order of its positions."""
     joints = [plant.get_joint(index) for index in plant.GetJointIndices(instance)]
     moving = [joint for joint in joints if joint.num_positions() == 1]
     return [joint.name() for joint in sorted(moving, key=lambda joint: joint.position_start())]
@@ -259,7 +260,7 @@ def _find_gripper_joints(plant: Any, instance: ModelInstanceIndex, measures: Any
         names = tuple(measures.ros2_joints)
         closed, wide = np.array(list(measures.ros2_joints.values()), float).T
         return GripperJoints(names, closed, wide, measures.opening)
-    names = tuple(_list_joints(plant, instance))
+    names = tuple(list_joints(plant, instance))
     half = measures.opening / 2
     lower = np.array([plant.GetJointByName(n, instance).position_lower_limit() for n in names])
     return GripperJoints(
