@@ -1,19 +1,20 @@
-"""`HardwareLink`: between a `HardwareStation` and the LCM that its robot is on; it moves the station's time on.
+"""`HardwareLink`: connects a `HardwareStation` with its robot, and moves the station's time on.
 
-The station's time is the robot's: with every status it goes on by what has passed between two of
-them, as `drake-iiwa-driver` and Drake's own controllers have it. Where none comes it stands still,
-and no command goes out: the robot's driver brings the arm to rest. Where the robot's clock turns
-out to have gone on meanwhile by more than a status may be old, or nothing comes for long, the guard
-is told, and the arm is stopped for good. Where the robot's clock stood still, too, a twin's on a
-busy computer, nothing is amiss. Where the controller itself was late by more than a period, its
-time has stood still for that long, and nothing is made up for: it becomes slower, and hurries
-never.
+The station's time is the robot's. With every status it goes on by the time between this status and
+the one before, as in `drake-iiwa-driver` and Drake's own controllers. While no status comes, the
+station's time stands still and no command goes out; the robot's driver then brings the arm to rest.
+
+* If it turns out that the robot's clock went on meanwhile by more than a status may be old, or if
+  nothing comes for long, the guard is told, and the arm is stopped for good.
+* If the robot's clock stood still, too, as a twin's does on a busy computer, nothing is wrong.
+* If the controller itself was late by more than a period, its time has stood still for that long.
+  It goes on from there: the motion is delayed, and never made up for by hurrying.
 
 Messages in both directions pass through here. What comes in passes a `Channel`: a message that
-cannot be used is left out and counted, so that the station's systems never see one. Where the
-robot's clock jumps, the arm is stopped for good, as over a robot that is not heard of. Whatever
-fails in the loop, `finish` brings the arm to rest: by the guard where that still works, else by
-itself from the last commands. Until `armed`, no command goes out.
+cannot be used is left out and counted, so that the station's systems never see one. If the robot's
+clock jumps, the arm is stopped for good, as if the robot were silent. Whatever fails in the loop,
+`finish` brings the arm to rest: by the guard if that still works, else by itself from the last
+commands. Until `armed`, no command goes out.
 """
 
 import re
@@ -55,29 +56,37 @@ from gridpush_drake.systems.arm_path import brake
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
-"""LCM's network where nobody names another one: this computer only."""
+"""The LCM network if no other is named: on this computer only."""
 
 URL = re.compile(r"udpm://(22[4-9]|23\d)\.(\d{1,3})\.(\d{1,3})\.(\d{1,3}):(\d{1,5})(\?ttl=\d+)?")
+"""Form of an LCM network's URL: a multicast address and a port."""
 
-MAX_BYTE, MAX_PORT = 255, 65535
+MAX_BYTE = 255
+"""Greatest part of an address."""
+
+MAX_PORT = 65535
+"""Greatest number of a port."""
 
 PATIENCE = 5.0
 """Longest time that the first status, and the first pose of the object, are waited for, s."""
 
+MILLISECONDS = 1e3
+"""Milliseconds in a second."""
+
 LISTENING_TIME = 0.3
-"""Time during which statuses come before the first command goes out, s. A driver that has just started
-takes an earlier command for one that was meant for another driver, and ends."""
+"""Time during which statuses come before the first command goes out, s. A driver that has just
+started takes an earlier command for one that was meant for another driver, and ends."""
 
 LARGEST_CATCH_UP = ARM_PERIOD
-"""Longest time by which the station's time may leap to keep up with the robot's, s. If it is further
-behind, it stays behind."""
+"""Longest time by which the station's time may leap to keep up with the robot's, s. If it is
+further behind, it stays behind."""
 
 LATE_PERIOD = 0.01
 """A command that goes out longer than this after the last one counts as late, s."""
 
 MAX_POLL_TIME = 0.005
-"""Longest time that one poll for LCM messages should take, s. If a poll takes longer, our own process was
-suspended, and the time beyond does not count as the robot's silence."""
+"""Longest time that one poll for LCM messages should take, s. If a poll takes longer, our own
+process was suspended, and the time beyond does not count as the robot's silence."""
 
 SILENCE = 1.0
 """If no status of the robot comes for this long, the arm is stopped for good, s."""
@@ -86,17 +95,22 @@ NOTED = 10
 """The log tells when a pause happened for the first so many of each kind; all are counted."""
 
 STOPPING_TIME = 2.0
-"""Time within which any arm has braked, and was measured at rest or not, s; beside the time for which
-it goes back after a collision."""
+"""Time within which any arm has braked, and was measured at rest or not, s; beside the time for
+which it goes back after a collision."""
 
 ROUNDING = 1e-9
 """Times that differ by less than this are the same, s."""
 
 HALF = 0.5
+"""Share of a period after each status at which the station's time is, see `_receive`."""
 
 
 def open_lcm(url: str) -> DrakeLcm:
-    """Opens LCM. Raises StationError where the URL is not one of LCM, or no network is there for it."""
+    """Opens an LCM network.
+
+    Raises:
+        StationError: the URL is not one of LCM, or the computer has no network for it.
+    """
     match = URL.fullmatch(url)
     good = (
         match
@@ -121,13 +135,13 @@ class LinkReport:
         steps: number of commands that were made.
         worst_period: longest time between two commands, s.
         late: number of commands that came later than `LATE_PERIOD` after the last one.
-        pauses: how often the controller itself was late by more than a status may be old.
-        silences: how often the robot itself paused for as long, and went on.
+        pauses: number of times that the controller was late by more than a status may be old.
+        silences: number of times that the robot paused for as long, and went on.
         force: greatest force on the finger's tip, N.
-        left_out: number of messages that could not be used, by why.
-        events: (s, text) what happened when, by the station's time.
+        left_out: number of messages that could not be used, by the reason.
+        events: the station's time, s, and a text, for whatever happened.
         causes: what went wrong with the link or the controller, each as a sentence.
-        traces: where in the program each failure of the controller arose.
+        traces: for each failure of the controller, where in the program it arose.
     """
 
     steps: int = 0
@@ -147,16 +161,17 @@ class LinkReport:
         return self.late / max(self.steps, 1)
 
     def note_period(self, period: float) -> None:
-        """Counts a command that came so long, s, after the last one."""
+        """Counts a command that came a period, s, after the last one."""
         self.steps += 1
         self.worst_period = max(self.worst_period, period)
         self.late += period > LATE_PERIOD
 
     def describe(self) -> str:
-        """The report in a sentence."""
+        """Returns the report in words."""
         text = (
-            f"{self.steps} commands, the longest period {1e3 * self.worst_period:.1f} ms, "
-            f"{100 * self.late_share:.2f} % over {1e3 * LATE_PERIOD:.0f} ms; "
+            f"{self.steps} commands, "
+            f"the longest period {MILLISECONDS * self.worst_period:.1f} ms, "
+            f"{100 * self.late_share:.2f} % over {MILLISECONDS * LATE_PERIOD:.0f} ms; "
             f"at most {self.force:.1f} N on the finger's tip"
         )
         if self.pauses:
@@ -169,10 +184,12 @@ class LinkReport:
 
 
 class HardwareLink:
-    """Passes messages between a station and its robot, and moves the station's time on; a `Drive` for tasks.
+    """Passes messages between a station and its robot, and moves the station's time on.
+
+    It is the `Drive` of a task with a real robot.
 
     Attributes:
-        bus: the station's own LCM.
+        bus: the station's own LCM, within this process.
         report: an account of how the loop went.
         armed: whether commands go out.
     """
@@ -191,22 +208,26 @@ class HardwareLink:
         """Listens from now on.
 
         Args:
-            lcm: that the robot is on.
-            arm: the robot: how many joints it has, what its driver speaks, and whether there is a
-                gripper.
-            realtime_rate: how many of the robot's seconds pass in one, where it is a twin that goes
-                slower.
-            clock_jump: how far a message may be ahead of its sender's clock, s; beyond it the
-                message is left out.
+            lcm: the network that the robot is on.
+            arm: the robot, whose joints, driver and gripper say which messages there are.
+            realtime_rate: number of the robot's seconds in a second; other than 1 for a twin that
+                is slower.
+            clock_jump: a message that is further ahead of its sender's clock than this is left out,
+                s.
             robot: moves a twin in the same process on by `ARM_PERIOD`. None for a robot that moves
                 by itself.
-            clock: by which messages arrive, in the robot's seconds; the computer's, times
-                `realtime_rate`, where None. A twin in the same process needs a clock that goes on by
-                `ARM_PERIOD` whenever it is moved.
-            names: of the channels in messages to the user, where the network calls them otherwise.
+            clock: returns the time by which messages arrive, in the robot's seconds; None for the
+                computer's clock times `realtime_rate`. A twin in the same process needs a clock
+                that goes on by `ARM_PERIOD` whenever the twin is moved.
+            names: names of the channels in messages to the user, by their LCM names, if the network
+                calls them otherwise.
         """
-        self.bus, self.report, self.armed = DrakeLcm("memq://"), LinkReport(), False
-        self._lcm, self._rate, self._robot = lcm, realtime_rate, robot
+        self.bus = DrakeLcm("memq://")
+        self.report = LinkReport()
+        self.armed = False
+        self._lcm = lcm
+        self._rate = realtime_rate
+        self._robot = robot
         self._names = names or {}
         self._clock = clock or self._read_clock
         self._joints = len(arm.arm.posture)
@@ -215,7 +236,7 @@ class HardwareLink:
         self._arm = self._make_channel(
             self._messages.status, self._messages.status_type, clock_jump, self._find_arm_fault
         )
-        # whoever tracks the object speaks of the robot's time
+        # The times in messages about the object are by the robot's clock.
         self._object = self._make_channel(
             OBJECT_STATUS, lcmt_planar_manipuland_status, clock_jump, reference=self._arm.clock
         )
@@ -232,21 +253,33 @@ class HardwareLink:
         for name in (self._messages.command, GRIPPER_COMMAND):
             self.bus.Subscribe(name, self._make_collector(name))
         self._station: HardwareStation | None = None
-        self._stop, self._silent = 0.0, False
-        self._stepped = self._listened = 0.0  # when that was done last, by the computer's clock, s
-        self._told = 0.0  # the station's time at the last step, s
-        self._waited = 0.0  # since the robot's last status, s
-        self._base = 0.0  # the robot's time when the station's was 0, s
+        # What is on the station's port `stop`, and whether the robot is taken for silent.
+        self._stop = 0.0
+        self._silent = False
+        # When a command last went out, and when messages were last listened to, by the computer's
+        # clock, s.
+        self._stepped = 0.0
+        self._listened = 0.0
+        # The station's time at the last step; the time since the robot's last status; and the
+        # robot's time when the station's was 0; all in s.
+        self._told = 0.0
+        self._waited = 0.0
+        self._base = 0.0
+        # The guard's last status.
         self._said = GuardStatus()
 
     def wait(self, patience: float = PATIENCE) -> None:
-        """Waits until robot and object have been heard of for long enough, by clocks that do not jump.
+        """Waits until messages of robot and object have come for long enough, without clock jumps.
+
+        Args:
+            patience: longest time to wait, s.
 
         Raises:
-            StationError: they were not within the time, s, or speak of another robot; the message
-                says which messages came and why they could not be used.
+            StationError: they have not come within this time, or are of another robot. The error
+                says which messages came, and why they could not be used.
         """
-        begin = first = monotonic()
+        begin = monotonic()
+        first = begin
         changes = self._count_clock_changes()
         while True:
             self._listen()
@@ -255,7 +288,8 @@ class HardwareLink:
                 raise StationError(self._rename(self._another_robot))
             silent = [channel for channel in self._channels.values() if channel.data is None]
             if silent or self._count_clock_changes() != changes:
-                first, changes = now, self._count_clock_changes()
+                first = now
+                changes = self._count_clock_changes()
             if self._robot is not None and not silent:
                 return
             if now - first > LISTENING_TIME / self._rate:
@@ -264,8 +298,8 @@ class HardwareLink:
                 break
         if not silent:
             raise StationError(
-                f"within {patience:g} s the clocks of robot, gripper and tracker jumped {changes} times; "
-                "expected one sender on each channel"
+                f"within {patience:g} s the clocks of robot, gripper and tracker jumped "
+                f"{changes} times; expected one sender on each channel"
             )
         who = "nobody says how the gripper is"
         if silent[0] is self._arm:
@@ -291,7 +325,7 @@ class HardwareLink:
         self._stop = BY_USER
 
     def begin(self, diagram: Diagram, station: Any, context: Context) -> None:
-        """Writes the robot's status into a fresh Context of the Diagram that the station is in; see `Drive`."""
+        """Writes the robot's status into a fresh Context of the station's Diagram; see `Drive`."""
         self._station, self._stop, self._said, self._silent = station, 0.0, GuardStatus(), False
         self.report.causes.clear()
         self._sent.clear()
@@ -312,7 +346,7 @@ class HardwareLink:
             self._step(simulator)
 
     def fail(self, error: BaseException) -> None:
-        """Notes that the loop has failed; `finish` then brings the arm to rest all the same. See `Drive`."""
+        """Notes that the loop has failed; `finish` still brings the arm to rest. See `Drive`."""
         text = " ".join(str(error).split()) or "without a message"
         cause = f"The controller failed: {type(error).__name__}: {text}"
         if cause not in self.report.causes:
@@ -324,7 +358,7 @@ class HardwareLink:
     def finish(self, simulator: Simulator) -> None:
         """Brings the arm to rest and holds it; from then on no command goes out. See `Drive`.
 
-        Where the station or its guard fails, too, the arm is brought to rest from its last commands.
+        If the station or its guard fails, too, the arm is brought to rest from its last commands.
         """
         self._stop = self._stop or DONE
         try:
@@ -336,7 +370,7 @@ class HardwareLink:
             self.armed = False
 
     def explain(self) -> str:
-        """What went wrong beside what the guard says, in sentences; empty for nothing. See `Drive`."""
+        """Says in sentences what went wrong beside what the guard says; see `Drive`."""
         return " ".join(f"{cause.rstrip('.')}." for cause in self.report.causes)
 
     def note(self, text: str) -> None:
@@ -350,10 +384,10 @@ class HardwareLink:
             self.note(f"left out: {why}")
 
     def _finish_by_guard(self, simulator: Simulator) -> None:
-        """Goes on until the guard holds the arm, for as long as the arm may go back from a collision."""
+        """Goes on until the guard holds the arm, which may first go back from a collision."""
         begin = simulator.get_context().get_time()
         while self._said.mode == GuardMode.STOPPING or not self._said.stopped:
-            # until the arm has braked nobody knows how long its way back is
+            # Until the arm has braked nobody knows how long its way back is.
             latest = np.nanmax([begin, self._said.back_at]) + STOPPING_TIME
             late = simulator.get_context().get_time() > latest
             if late or self._said.mode == GuardMode.WAITING:
@@ -361,9 +395,10 @@ class HardwareLink:
             self._step(simulator)
 
     def _finish_alone(self) -> None:
-        """Brings the arm to rest from its last two commands, without the station; one command for every status.
+        """Brings the arm to rest from its last two commands, without the station.
 
-        Where no status comes, no command goes out: the robot's driver brings the arm to rest.
+        One command goes out for every status. If none comes, no command goes out: then the robot's
+        driver brings the arm to rest.
         """
         if not self.armed or self._silent or len(self._sent) < 2 or self._station is None:
             return
@@ -388,7 +423,8 @@ class HardwareLink:
 
     def _wait_for_status(self, patience: float) -> bool:
         """Waits for another status of the arm; returns whether one came within a time, s."""
-        count, begin = self._arm.count, self._clock()
+        count = self._arm.count
+        begin = self._clock()
         while self._arm.count == count:
             if self._clock() - begin > patience:
                 return False
@@ -398,10 +434,11 @@ class HardwareLink:
         return True
 
     def _step(self, simulator: Simulator) -> None:
-        """Takes one status in, or none where it is overdue, and sends one command out."""
+        """Takes one status in, or none if it is overdue, and sends one command out."""
         assert self._station is not None
         context = simulator.get_mutable_context()
-        now, target = context.get_time(), self._receive(context)
+        now = context.get_time()
+        target = self._receive(context)
         self._pass_in()
         if self._stop:
             self._station.RequestStop(context, self._stop)
@@ -420,20 +457,27 @@ class HardwareLink:
         self._said = status
 
     def _receive(self, context: Context) -> float:
-        """Waits for the next status; returns the time of the station's that it, or its absence, brings, s."""
+        """Waits for the next status, or takes the robot for silent.
+
+        Returns:
+            The time to which the station goes on, s.
+        """
         assert self._station is not None
-        now, before = context.get_time(), self._arm.utime
-        count, clock_changes = self._arm.count, self._arm.clock_changes
+        now = context.get_time()
+        before = self._arm.utime
+        count = self._arm.count
+        clock_changes = self._arm.clock_changes
         greatest_age = self._station.scenario.safety.status_age
         last = self._listened
         self._listened = monotonic()
-        # our process did not listen while it worked, and while it was suspended
+        # How long our process did not listen, because it worked or was suspended, s.
         inattentive = self._listened - last
         while True:
             if self._robot is not None:
                 self._robot()
             self._listen()
-            last, self._listened = self._listened, monotonic()
+            last = self._listened
+            self._listened = monotonic()
             inattentive += max(self._listened - last - MAX_POLL_TIME, 0.0)
             if self._arm.count > count:
                 break
@@ -448,12 +492,12 @@ class HardwareLink:
         elif self._waited > greatest_age:
             went_on = (self._arm.utime - before) / MICROSECONDS
             if self._robot is None:
-                # of what the robot said meanwhile only the last message is kept
+                # Of all messages that came while our process did not listen only the last is kept.
                 went_on -= inattentive * self._rate
             self._note_silence(context, went_on > greatest_age + ROUNDING)
         self._waited = 0.0
-        # in whole periods, and half of one beyond: so that a status that is a little early or late
-        # brings one command
+        # The station's time goes on in whole periods, and is half a period past a status, so that a
+        # status that is a little early or late brings exactly one command.
         periods = round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD)
         target = (periods + HALF) * ARM_PERIOD
         late = target - now - ARM_PERIOD
@@ -463,7 +507,8 @@ class HardwareLink:
             self.report.pauses += 1
             if self.report.pauses <= NOTED:
                 self.note(
-                    f"the controller was late by {1e3 * late:.0f} ms; it went on from where it was"
+                    f"the controller was late by {MILLISECONDS * late:.0f} ms; "
+                    "it went on from where it was"
                 )
         self._base += late
         return now + ARM_PERIOD
@@ -493,7 +538,10 @@ class HardwareLink:
             self._note_cause(f"Since the last usable status {unusable}")
 
     def _note_clock_jump(self, context: Context) -> None:
-        """Stops the arm over a robot whose clock has jumped: no command went out while that was found out."""
+        """Stops the arm because the robot's clock has jumped.
+
+        No command went out while this was found out.
+        """
         if not self._silent:
             self._note_cause(f"The robot's clock jumped by {self._arm.jump:.3f} s")
         self._give_up(context, jumped=True)
@@ -513,7 +561,8 @@ class HardwareLink:
         self.report.silences += 1
         if self.report.silences <= NOTED:
             self.note(
-                f"the robot stood still for {1e3 * self._waited:.0f} ms, by its own clock, too; it was waited for"
+                f"the robot stood still for {MILLISECONDS * self._waited:.0f} ms, "
+                "by its own clock, too; it was waited for"
             )
 
     def _wait_period(self) -> None:
@@ -521,7 +570,7 @@ class HardwareLink:
         if self._robot is None:
             left = self._stepped + ARM_PERIOD / self._rate - monotonic()
             if left > 0:
-                self._lcm.HandleSubscriptions(int(1e3 * left))
+                self._lcm.HandleSubscriptions(int(MILLISECONDS * left))
 
     def _listen(self) -> None:
         self._lcm.HandleSubscriptions(0 if self._robot is not None else 1)
