@@ -83,17 +83,26 @@ AT_REST = 1e-9
 """Velocity of a commanded joint, rad/s or m/s, below which rounding errors alone are left."""
 
 TRAVEL_ROUNDING = 1e-8
-"""m, of ways that are compared: the tip's bends are measured in straight pieces."""
+"""Ways of the tip that differ by less than this are the same, m: bends are measured in straight
+pieces."""
 
 PUSHER_STATE_SIZE = 6
+"""Length of the tip's state: p_WP, m, and v_WP, m/s."""
 
 ROUNDING = 1e-9
-"""s, of times that are compared."""
+"""Times that differ by less than this are the same, s."""
 
-STOPPED_BY_USER, WORK_DONE = "stopped by the user", "the work is done"
+MILLI = 1e3
+"""Millimeters in a meter, and milliseconds in a second."""
 
-BY_USER, DONE, BY_SILENCE = 1.0, 2.0, 3.0
-"""What a guard is told to stop for, on its port `stop`."""
+STOPPED_BY_USER = "stopped by the user"
+WORK_DONE = "the work is done"
+"""Reasons of stops that are no faults."""
+
+BY_USER = 1.0
+DONE = 2.0
+BY_SILENCE = 3.0
+"""Values of the port `stop`, which say what the arm is stopped for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +139,7 @@ class GuardLimits:
 
 
 class GuardMode(StrEnum):
-    """What a guard does.
+    """The present mode of a guard.
 
     WAITING: the arm was not measured yet; no command goes out. FOLLOWING: commands are passed on.
     STOPPING: the arm is brought to rest, or goes back from a collision. HOLDING: the arm is
@@ -146,7 +155,7 @@ class GuardMode(StrEnum):
 
 
 class StopKind(StrEnum):
-    """What a guard stops an arm for; each is noted once."""
+    """Kinds of reasons for which a guard stops an arm; each is noted once."""
 
     USER = "user"
     DONE = "done"
@@ -166,10 +175,10 @@ COLLISIONS = (StopKind.TORQUE, StopKind.FORCE)
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong.
+    """Something that is wrong, or another reason to stop.
 
     Attributes:
-        kind: which kind of thing.
+        kind: kind of the reason.
         reason: a sentence about it, without a full stop.
     """
 
@@ -179,15 +188,15 @@ class Fault:
 
 @dataclass(frozen=True)
 class GuardStatus:
-    """What a guard says of itself.
+    """The status of a guard, as it is on its port.
 
     Attributes:
-        mode: what it does.
-        reason: why it stopped the arm, and what went wrong after that; empty where it did not.
-        since: when it stopped the arm, s; NaN where it did not.
-        kinds: what it stopped the arm for, and what came after that; empty where it did not.
-        back_at: when the arm will have gone back from a collision as far as it may, s; NaN where it
-            does not go back.
+        mode: what the guard does.
+        reason: why it stopped the arm, and what went wrong after that; empty if it did not.
+        since: time at which it stopped the arm, s; NaN if it did not.
+        kinds: kinds of all reasons, that of the stop first; empty if it did not stop the arm.
+        back_at: time at which the arm will have gone back from a collision as far as it may, s; NaN
+            if it does not go back.
     """
 
     mode: GuardMode = GuardMode.WAITING
@@ -223,7 +232,7 @@ class GuardStatus:
         )
 
     def stop_for(self, fault: Fault, time: float) -> "GuardStatus":
-        """With a fault noted: the first one stops the arm, those after it are added to the reason."""
+        """Notes a fault: the first one stops the arm, those after it are added to the reason."""
         if not self.stopped:
             return GuardStatus(GuardMode.STOPPING, fault.reason, time, (fault.kind,))
         then = "while it was held" if self.ended else "while it was stopped"
@@ -236,15 +245,15 @@ class GuardInputs:
     """What is on a guard's input ports at one time; see `ArmGuard`.
 
     Attributes:
-        time: of the Context, s.
-        desired: (n,) where the joints should be, rad.
-        measured: (n,) where the joints are by the robot's last status, rad.
-        torque: (n,) on the joints from outside, N m.
-        force: (3,) on the finger's tip, N.
-        time_measured: of the robot's last status by the robot's clock, s.
-        tip: (3,) the place of the finger's tip p_WP as measured, m.
-        pose: (3,) of the object as it was seen last, m and rad; NaN while it is not seen.
-        stop: what to stop for; 0 for nothing.
+        time: time of the Context, s.
+        desired: (n,) desired joint positions, rad.
+        measured: (n,) joint positions in the robot's last status, rad.
+        torque: (n,) torques on the joints from outside, N m.
+        force: (3,) force on the finger's tip in W, N.
+        time_measured: time of the robot's last status, by the robot's clock, s.
+        tip: (3,) position p_WP of the finger's tip, as measured, m.
+        pose: (3,) X_WB of the object as it was seen last, m and rad; NaN while it is not seen.
+        stop: what the arm is stopped for; 0 for nothing.
         grasping: whether a grasp is under way.
     """
 
@@ -265,20 +274,21 @@ class Measurements(Unchanging):
     """What a guard remembers of the robot's statuses.
 
     Attributes:
-        time: of the last status, by the robot's clock, s; NaN before the first.
-        came: when that status came, s, by the Context's clock.
-        position: (n,) the last joints that were credible, rad; None before the first.
-        position_time: of the status that they are from, by the robot's clock, s.
-        before: (n,) the credible joints before these, rad; None before the second.
-        credible: whether the joints in the last status are.
-        too_fast: which joint, counted from 0, moved faster in the last status than the arm can, and
-            its speed, rad/s; None where none did.
-        slow_since: since when all joints have been slower than `HOLD_SPEED`, s; NaN while one is
-            not.
-        unchanged_since: since when the joints have been exactly where they are, s.
-        astray_since: since when a joint has been farther from its commands than it may be, s; NaN
-            while none is.
-        astray: which joint that is, counted from 0, and how far it is off, rad.
+        time: time of the last status, by the robot's clock, s; NaN before the first.
+        came: time at which that status came, by the Context's clock, s.
+        position: (n,) the last credible joint positions, rad; None before the first.
+        position_time: time of the status that they are from, by the robot's clock, s.
+        before: (n,) the credible joint positions before these, rad; None before the second.
+        credible: whether the joint positions in the last status are credible.
+        too_fast: number, from 0, of a joint that moved faster in the last status than the arm can,
+            and its speed, rad/s; None if there is none.
+        slow_since: time since which all joints have been slower than `HOLD_SPEED`, s; NaN while one
+            is not.
+        unchanged_since: time since which the measured joint positions have been exactly the same,
+            s.
+        astray_since: time since which a joint has been farther from its commands than it may be, s;
+            NaN while none is.
+        astray: number of that joint, from 0, and how far it is off, rad.
     """
 
     time: float = float("nan")
@@ -299,11 +309,11 @@ class Retreat(Unchanging):
     """How an arm goes back from a collision.
 
     Attributes:
-        way: where it goes; None until it has braked.
-        gone: how long it has gone along the way, s.
-        traveled: how far the tip has been commanded to go back, m.
-        ended: whether it brakes for good, as it would go farther than it may otherwise.
-        worst: greatest torque or force so far, as a share of what is allowed.
+        way: the way back; None until the arm has braked.
+        gone: time for which the arm has gone along the way, s.
+        traveled: distance by which the tip has been commanded to go back, m.
+        ended: whether the arm brakes for good, since it would otherwise go farther than it may.
+        worst: greatest torque or force so far, as a share of its limit.
         relieved: whether torques and forces have been within their limits since.
     """
 
@@ -320,17 +330,17 @@ class GuardState(Unchanging):
     """All that a guard remembers; never changed, only replaced.
 
     Attributes:
-        status: what the guard does, as it is on the port `status`.
-        position: (n,) the joint positions that are commanded, rad; None before the arm was
-        measured. velocity: (n,) how fast the commanded positions move, rad/s.
-        desired: (n,) the joint positions that were desired at the last update, rad.
-        moved: when the commanded positions moved last, s.
+        status: the status on the port.
+        position: (n,) commanded joint positions, rad; None before the arm was measured.
+        velocity: (n,) velocities of the commanded positions, rad/s.
+        desired: (n,) joint positions that were desired at the last update, rad.
+        moved: time at which the commanded positions moved last, s.
         seen: what is remembered of the robot's statuses.
         path: the way that the arm has come; None before it was measured.
-        retreat: how the arm goes back; None where it does not.
-        at_rest_since: since when the commands have been at rest after a stop, s; NaN before.
-        pose: (3,) where the object was seen last, m and rad; None before it was.
-        pose_seen: when that was, s.
+        retreat: how the arm goes back from a collision; None if it does not.
+        at_rest_since: time since which the commands have been at rest after a stop, s; NaN before.
+        pose: (3,) X_WB of the object as it was seen last, m and rad; None before it was.
+        pose_seen: time at which that was, s.
         watch: what is remembered of the object's motion.
     """
 
@@ -349,7 +359,7 @@ class GuardState(Unchanging):
 
 
 class ArmGuard(AbstractStateSystem[GuardState]):
-    """Passes the positions for an arm's n joints on, within limits, and stops the arm where something is wrong.
+    """Passes on the commands for an arm's n joints, within limits, and stops the arm over a fault.
 
     .. pydrake_system::
 
@@ -368,24 +378,24 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         - position
         - status
 
-    * position_desired: vector of n, where the joints should be, rad.
-    * position_measured: vector of n, where they are, rad.
-    * torque_external: vector of n, on the joints from outside, N m.
-    * force: vector of 3, on the finger's tip, N.
-    * time_measured: vector of 1, of the robot's status by the robot's clock, s; it grows with every
-      status.
-    * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W, as
-      measured.
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN while the object is
-      not seen.
-    * stop: vector of 1; anything but 0 stops the arm: `BY_USER`; `BY_SILENCE`, where whoever moves
-      the time on, and sends the commands, has done neither for `status_age`, as the robot was not
-      heard of; else the work is done.
-    * grasp_status: abstract `GraspStatus`: while a grasp is under way the object moves with the
-      gripper. Need not be connected.
-    * position: vector of n, for the robot, rad; it begins where the joints were first measured. NaN
-      before.
-    * status: abstract `GuardStatus`.
+    * position_desired: vector of n, desired joint positions, rad.
+    * position_measured: vector of n, measured joint positions, rad.
+    * torque_external: vector of n, torques on the joints from outside, N m.
+    * force: vector of 3, force on the finger's tip in W, N.
+    * time_measured: vector of 1, time of the robot's status by the robot's clock, s; it grows with
+      every status.
+    * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s,
+      as measured.
+    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN while the object is not
+      seen.
+    * stop: vector of 1; any value but 0 stops the arm. `BY_USER` says that the user asked for it;
+      `BY_SILENCE` that the robot was silent, so that time stood still and no command went out for
+      longer than `status_age`; any other value that the work is done.
+    * grasp_status: abstract `GraspStatus`; while a grasp is under way the object moves with the
+      gripper. It need not be connected.
+    * position: vector of n, joint positions for the robot, rad; they begin where the joints were
+      first measured, and are NaN before.
+    * status: abstract `GuardStatus`, what the guard does, and why it stopped the arm.
 
     **What stops the arm**, each with a sentence in the status: the last status is as old as
     `GuardLimits.status_age`; a number is not finite; a torque from outside or the force on the tip
@@ -470,10 +480,10 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         if now.status.stopped:
             now = self._note_faults(now, inputs, self._find_faults_at_rest(now, inputs))
             return self._stop_on(now, inputs)
-        # what the arm and the object have done since the last update
+        # What the arm and the object have done since the last update.
         now = self._compare(now, inputs)
         now, object_fault = self._look_at_object(now, inputs)
-        # what is wrong, and the next command
+        # What is wrong, and the next command.
         faults = self._find_faults(now, inputs)
         if object_fault:
             faults.append(Fault(StopKind.OBJECT, object_fault))
@@ -483,7 +493,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return self._follow(now, inputs)
 
     def _read(self, context: Context) -> GuardInputs:
-        """What is on the ports."""
+        """Reads the input ports."""
         grasping = self._grasp.HasValue(context) and not self._grasp.Eval(context).ready
         return GuardInputs(
             time=context.get_time(),
@@ -501,15 +511,16 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     # What the robot says of itself.
 
     def _has_paused(self, now: GuardState, inputs: GuardInputs) -> bool:
-        """Whether the robot's clock shows that no command has gone out for longer than is allowed.
+        """Returns whether the robot's clock shows that no command went out for longer than allowed.
 
-        It has then gone on although the Context's time, with which the commands come, has not.
+        The robot's clock has then gone on although the Context's time, by which the commands are
+        made, has not.
         """
         ahead = (inputs.time_measured - now.seen.time) - (inputs.time - now.seen.came)
         return bool(np.isfinite(ahead) and ahead > self.limits.status_age + ROUNDING)
 
     def _measure(self, seen: Measurements, inputs: GuardInputs) -> Measurements:
-        """What is remembered once the status on the ports was read; each status counts once."""
+        """Takes in the robot's status on the ports; each status counts once."""
         newer = np.isnan(seen.time) or inputs.time_measured > seen.time
         if not (np.isfinite(inputs.time_measured) and newer):
             return seen
@@ -521,14 +532,14 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             return replace(seen, slow_since=np.nan)
         if seen.position is None:
             return replace(seen, position=measured, position_time=seen.time)
-        # whether the joints can move like that from one status to the next
+        # Can the joints move like that from one status to the next?
         elapsed = float(np.clip(seen.time - seen.position_time, self._period, MAX_STATUS_GAP))
         moved = np.abs(measured - seen.position)
         farthest = JOINT_SPEED_MARGIN * self.limits.speed * elapsed + JOINT_NOISE
         if (moved > farthest).any():
             k = int((moved / farthest).argmax())
             return replace(seen, slow_since=np.nan, too_fast=(k, float(moved[k]) / elapsed))
-        # whether they are at rest, and whether they are the very same numbers as before
+        # Are they at rest, and are they the very same numbers as before?
         slow = bool((moved <= HOLD_SPEED * elapsed).all())
         since = seen.slow_since if np.isfinite(seen.slow_since) else inputs.time
         return replace(
@@ -542,8 +553,9 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         )
 
     def _begin_at(self, now: GuardState, inputs: GuardInputs) -> GuardState:
-        """Begins where two statuses in a row say that the arm is, at rest."""
-        seen, measured = now.seen, inputs.measured
+        """Begins where two statuses in a row say that the arm is at rest."""
+        seen = now.seen
+        measured = inputs.measured
         if seen.too_fast is not None:  # the first of the two may have been the wrong one
             return replace(
                 now, seen=replace(seen, position=measured, position_time=seen.time, too_fast=None)
@@ -563,13 +575,15 @@ class ArmGuard(AbstractStateSystem[GuardState]):
 
     def _compare(self, now: GuardState, inputs: GuardInputs) -> GuardState:
         """Notes which commands the arm has passed through, and how far it is off all of them."""
-        seen, path, limits = now.seen, now.path, self.limits
+        seen = now.seen
+        path = now.path
+        limits = self.limits
         fresh = seen.credible and seen.came == inputs.time
         if not fresh or path is None or seen.before is None or seen.position is None:
             return now
         path = path.confirm(seen.before, seen.position)
         error = path.calc_error(seen.position, inputs.time, limits.following_time)
-        # joints that are said to be exactly where they were may not be measured at all
+        # Joints that are said to be exactly where they were may not be measured at all.
         frozen = inputs.time - seen.unchanged_since > limits.following_time + ROUNDING
         allowed = min(FROZEN_ERROR, limits.following_error) if frozen else limits.following_error
         k = int(error.argmax())
@@ -582,7 +596,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     # What is wrong.
 
     def _find_faults(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
-        """All that is wrong while the arm is at work, the most telling first."""
+        """Finds all that is wrong while the arm is at work, the most telling first."""
         faults = self._find_stops(now, inputs)
         faults += self._find_not_finite(inputs, with_desired=True)
         faults += self._find_collisions(inputs)
@@ -591,7 +605,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return faults
 
     def _find_faults_at_rest(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
-        """What is newly wrong after the arm was stopped, while it brakes, goes back and is held."""
+        """Finds what is newly wrong after a stop, while the arm brakes, goes back and is held."""
         faults = self._find_stops(now, inputs)
         faults += self._find_not_finite(inputs, with_desired=False)
         faults += self._find_astray_joints(now, inputs)
@@ -601,24 +615,26 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return faults + self._find_further_collisions(now, inputs)
 
     def _find_stops(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
-        """What the port `stop` says, and whether the robot is silent."""
-        allowed, age = self.limits.status_age, inputs.time - now.seen.came
+        """Finds what the port `stop` says, and whether the robot is silent."""
+        allowed = self.limits.status_age
+        age = inputs.time - now.seen.came
         if np.isfinite(inputs.stop) and inputs.stop not in (0.0, BY_SILENCE):
             if inputs.stop == BY_USER:
                 return [Fault(StopKind.USER, STOPPED_BY_USER)]
             return [Fault(StopKind.DONE, WORK_DONE)]
         text = "the robot has sent no status for"
         if inputs.stop == BY_SILENCE:
-            # the Context's time has stood still meanwhile, and cannot tell for how long
-            reason = f"{text} longer than the {1e3 * allowed:.0f} ms that are allowed"
+            # The Context's time has stood still meanwhile, and cannot tell for how long.
+            reason = f"{text} longer than the {MILLI * allowed:.0f} ms that are allowed"
             return [Fault(StopKind.SILENCE, reason)]
         if age > allowed - ROUNDING:
-            reason = f"{text} {1e3 * max(age, allowed):.0f} ms; {1e3 * allowed:.0f} ms are allowed"
+            passed = f"{MILLI * max(age, allowed):.0f} ms"
+            reason = f"{text} {passed}; {MILLI * allowed:.0f} ms are allowed"
             return [Fault(StopKind.SILENCE, reason)]
         return []
 
     def _find_not_finite(self, inputs: GuardInputs, with_desired: bool) -> list[Fault]:
-        """Which port has numbers that are not finite, where one has."""
+        """Finds a port with numbers that are not finite."""
         values: list[tuple[InputPort, Array | float]] = [
             (self._measured, inputs.measured),
             (self._torque, inputs.torque),
@@ -636,9 +652,11 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return []
 
     def _find_collisions(self, inputs: GuardInputs) -> list[Fault]:
-        """Which torque, and whether the force, is beyond what is allowed."""
-        faults, limits = [], self.limits
-        torque, force = np.abs(inputs.torque), float(np.linalg.norm(inputs.force))
+        """Finds the torque farthest beyond its limit, and whether the force is beyond its own."""
+        faults = []
+        limits = self.limits
+        torque = np.abs(inputs.torque)
+        force = float(np.linalg.norm(inputs.force))
         if (torque > limits.torque).any():
             k = int((torque / limits.torque).argmax())
             allowed = f"{limits.torque[k]:.1f} N m are allowed"
@@ -652,9 +670,10 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return faults
 
     def _find_further_collisions(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
-        """Torques and forces over their limits that are not what the arm was stopped for.
+        """Finds torques and forces over their limits that are not what the arm was stopped for.
 
-        After a collision these are such as rise further although the arm goes back, or rise again.
+        After a collision these are the ones that rise further although the arm goes back, or rise
+        again.
         """
         kinds = now.status.kinds
         if kinds[0] not in COLLISIONS:
@@ -669,14 +688,16 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return []
 
     def _calc_load(self, inputs: GuardInputs) -> float:
-        """Greatest torque or force, as a share of what is allowed; what is not finite is left out."""
+        """Calculates the greatest torque or force as a share of its limit; NaN is left out."""
         shares = [*np.abs(inputs.torque) / self.limits.torque]
         shares.append(float(np.linalg.norm(inputs.force)) / self.limits.force)
         return max((float(share) for share in shares if np.isfinite(share)), default=0.0)
 
     def _find_astray_joints(self, now: GuardState, inputs: GuardInputs) -> list[Fault]:
-        """Whether joints are measured where they cannot be, or where they should not be."""
-        faults, seen, limits = [], now.seen, self.limits
+        """Finds joints that are measured where they cannot be, or where they should not be."""
+        faults = []
+        seen = now.seen
+        limits = self.limits
         if seen.too_fast is not None:
             k, speed = seen.too_fast
             reason = (
@@ -689,26 +710,28 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             k, error = seen.astray
             asked = f"joint {k + 1} is measured {error:.3f} from where it was told to be"
             if inputs.time - seen.unchanged_since > limits.following_time + ROUNDING:
-                still = 1e3 * (inputs.time - seen.unchanged_since)
+                still = MILLI * (inputs.time - seen.unchanged_since)
                 reason = f"{asked}, and no joint's measured position has changed for {still:.0f} ms"
             else:
                 reason = (
-                    f"{asked}, for more than {1e3 * limits.following_time:.0f} ms; "
+                    f"{asked}, for more than {MILLI * limits.following_time:.0f} ms; "
                     f"{limits.following_error:.3f} is allowed"
                 )
             faults.append(Fault(StopKind.FOLLOWING, reason))
         return faults
 
     def _find_breach(self, inputs: GuardInputs) -> list[Fault]:
-        """Whether the tip is where it may not be."""
+        """Finds out whether the tip is where it may not be."""
         if self._validator is None or not np.isfinite(inputs.tip).all():
             return []
         breach = self._validator(inputs.tip)
         return [Fault(StopKind.TIP, breach)] if breach else []
 
     def _look_at_object(self, now: GuardState, inputs: GuardInputs) -> tuple[GuardState, str]:
-        """Takes in where the object is seen; a sentence where it cannot have come there, else ""."""
-        time, pose, watch = inputs.time, inputs.pose, now.watch
+        """Takes in where the object is seen; says why it cannot have come there, else ""."""
+        time = inputs.time
+        pose = inputs.pose
+        watch = now.watch
         if not np.isfinite(pose).all():
             return now, ""
         fault = self._find_jump(now, inputs)
@@ -722,20 +745,20 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return replace(now, pose=pose, pose_seen=time, watch=watch), fault
 
     def _find_jump(self, now: GuardState, inputs: GuardInputs) -> str:
-        """How far the object was seen to jump; "" where it did not."""
+        """Says how far the object was seen to jump; "" if it did not."""
         if now.pose is None:
             return ""
         moved = MAX_OBJECT_SPEED * (inputs.time - now.pose_seen)
         jump = float(np.linalg.norm(inputs.pose[:2] - now.pose[:2]))
         turn = abs(float(wrap_angle(inputs.pose[2] - now.pose[2])))
         if jump > self.limits.pose_jump + moved or turn > self.limits.pose_turn + moved:
-            return f"the object was seen to jump by {1e3 * jump:.0f} mm and {turn:.2f} rad"
+            return f"the object was seen to jump by {MILLI * jump:.0f} mm and {turn:.2f} rad"
         return ""
 
     # What is done.
 
     def _follow(self, now: GuardState, inputs: GuardInputs) -> GuardState:
-        """With the next command after what is desired."""
+        """Makes the next command after what is desired."""
         assert now.position is not None and now.velocity is not None and now.desired is not None
         assert now.path is not None
         position, velocity = follow(
@@ -757,7 +780,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         )
 
     def _note_faults(self, now: GuardState, inputs: GuardInputs, faults: list[Fault]) -> GuardState:
-        """With faults in the status. The first one of all stops the arm; a further one ends a retreat."""
+        """Notes faults in the status: the first stops the arm, a further one ends a retreat."""
         if not faults:
             return now
         retreat = None
@@ -771,7 +794,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return replace(now, status=status, retreat=retreat)
 
     def _stop_on(self, now: GuardState, inputs: GuardInputs) -> GuardState:
-        """With the next command on the way to rest, or at rest; and how far that has come."""
+        """Makes the next command of a stopped arm, on the way to rest or at rest; sets the mode."""
         assert now.position is not None and now.velocity is not None
         now = self._note_relief(now, inputs)
         retreat = now.retreat
@@ -790,7 +813,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return self._judge_rest(now, inputs)
 
     def _note_relief(self, now: GuardState, inputs: GuardInputs) -> GuardState:
-        """With what is pressing on the arm taken in, after a collision."""
+        """Takes in how strongly something still presses on the arm after a collision."""
         retreat = now.retreat
         if retreat is None:
             return now
@@ -803,6 +826,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return replace(now, retreat=replace(retreat, worst=worst, relieved=relieved))
 
     def _brake(self, now: GuardState) -> GuardState:
+        """Makes the next command on the way to rest."""
         assert now.position is not None and now.velocity is not None
         if not now.velocity.any():
             return now
@@ -810,7 +834,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return replace(now, position=now.position + self._period * velocity, velocity=velocity)
 
     def _plan_retreat(self, now: GuardState) -> WayBack:
-        """The way back from where the commands have come to rest."""
+        """Plans the way back from where the commands have come to rest."""
         assert now.position is not None and now.path is not None
         acceleration = RETREAT_ACCELERATION_SHARE * self.limits.acceleration
         return now.path.plan_retreat(
@@ -823,10 +847,10 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         )
 
     def _go_back(self, now: GuardState, retreat: Retreat, way: WayBack) -> GuardState:
-        """With the next command along the way back.
+        """Makes the next command along the way back.
 
-        The commands may cut a bend of the way, or run a little wide of it. So that the tip goes no
-        farther than it may all the same, each command leaves room to brake after it.
+        The commands may cut a bend of the way, or run a little wide of it. So that the tip still
+        goes no farther than it may, each command leaves room to brake after it.
         """
         assert now.position is not None and now.velocity is not None
         limits = self.limits
@@ -840,7 +864,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             acceleration=limits.acceleration,
             period=self._period,
         )
-        # how far the tip has gone by then, and would go until it has braked
+        # How far the tip has gone by then, and would go until it has braked.
         braking_time = float(np.max(np.abs(velocity) / limits.acceleration))
         tip = self._calc_tip(position)
         step = float(np.linalg.norm(tip - self._calc_tip(now.position)))
@@ -854,7 +878,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         return replace(now, position=position, velocity=velocity, retreat=retreat)
 
     def _judge_rest(self, now: GuardState, inputs: GuardInputs) -> GuardState:
-        """With the mode in which a stopped arm is."""
+        """Sets the mode of a stopped arm."""
         assert now.position is not None and now.velocity is not None
         retreat = now.retreat
         going_back = (
@@ -867,12 +891,13 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         since = inputs.time if np.isnan(now.at_rest_since) else now.at_rest_since
         place = now.position
         now = replace(now, at_rest_since=since)
-        # the arm, too, must be measured at rest, and there
-        seen, time = now.seen, inputs.time
+        # Not only the commands: the arm, too, must be measured at rest, and there.
+        seen = now.seen
+        time = inputs.time
         silent = time - seen.came > self.limits.status_age - ROUNDING or inputs.stop == BY_SILENCE
         there = False
         if seen.credible and seen.position is not None:
-            # what is on the port now counts, too, even if its time shows that it is no new status
+            # What is on the port now counts, too, even if its time shows that it is no new status.
             off = np.abs(np.array([seen.position, inputs.measured]) - place)
             there = bool((off <= self.limits.following_error).all())
         slow = time - seen.slow_since >= HOLD_TIME - ROUNDING
@@ -881,6 +906,6 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             mode = GuardMode.HOLDING
         elif now.status.ended or silent or time - since > CONFIRM_TIME:
             mode = GuardMode.UNCONFIRMED
-        return (
-            now if mode == now.status.mode else replace(now, status=replace(now.status, mode=mode))
-        )
+        if mode == now.status.mode:
+            return now
+        return replace(now, status=replace(now.status, mode=mode))

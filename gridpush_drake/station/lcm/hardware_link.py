@@ -326,7 +326,10 @@ class HardwareLink:
 
     def begin(self, diagram: Diagram, station: Any, context: Context) -> None:
         """Writes the robot's status into a fresh Context of the station's Diagram; see `Drive`."""
-        self._station, self._stop, self._said, self._silent = station, 0.0, GuardStatus(), False
+        self._station = station
+        self._stop = 0.0
+        self._said = GuardStatus()
+        self._silent = False
         self.report.causes.clear()
         self._sent.clear()
         self._listen()
