@@ -46,7 +46,7 @@ PIECE = 0.005
 joint. At 1 m from the joint such a piece is straight to 0.02 micrometers."""
 
 ROUNDING = 1e-9
-"""s, of times that are compared."""
+"""Times that differ by less than this are the same, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,18 +65,19 @@ class WayBack(Unchanging):
 
     @property
     def duration(self) -> float:
-        """From the first position to the last, s."""
+        """Time from the first position to the last, s."""
         length = float(self.times[-1])
         rise = min(self.ramp, float(np.sqrt(length * self.ramp)))
         return length * self.ramp / rise + rise if rise > 0.0 else 0.0
 
     def calc_position(self, time: float) -> Array:
-        """(n,) where the joints should be, rad, at a time since the beginning, s.
+        """Calculates where the joints should be (n,), rad, at a time since the beginning, s.
 
-        The speed rises in a straight line from 0 to the full one within the ramp, and falls
-        likewise at the end; on a way that is too short for that it turns round in the middle.
+        The speed rises in a straight line from 0 to the full speed within the ramp, and falls so
+        at the end. On a way that is too short for that it begins to fall in the middle.
         """
-        length, duration = float(self.times[-1]), self.duration
+        length = float(self.times[-1])
+        duration = self.duration
         rise = min(self.ramp, float(np.sqrt(length * self.ramp)))
         time = float(np.clip(time, 0.0, duration))
         if time < rise:
@@ -108,7 +109,7 @@ class ArmPath(Unchanging):
 
     @staticmethod
     def begin(position: Array, time: float, tip: Array) -> "ArmPath":
-        """The way of an arm that was measured at a position (n,), rad, where its tip is (3,), m."""
+        """Makes the way of an arm measured at a position (n,), rad, with its tip at (3,), m."""
         return ArmPath(
             times=np.array([time]),
             commands=position[np.newaxis],
@@ -118,12 +119,12 @@ class ArmPath(Unchanging):
         )
 
     def add(self, time: float, command: Array, length: float, calc_tip: CalcTip) -> "ArmPath":
-        """With another command, sent at a time.
+        """Adds a command that was sent at a time.
 
         Args:
-            time: s.
-            command: (n,) rad.
-            length: of the way to remember, m of the tip's travel.
+            time: time at which it was sent, s.
+            command: (n,) commanded joint positions, rad.
+            length: length of the way to remember, as travel of the tip, m.
             calc_tip: the arm's forward kinematics.
         """
         old = self.times < time - UNCONFIRMED_TIME
@@ -140,7 +141,7 @@ class ArmPath(Unchanging):
         return path
 
     def confirm(self, before: Array, measured: Array) -> "ArmPath":
-        """With the commands confirmed that lie between two measurements in a row, (n,), rad."""
+        """Confirms the commands that lie between two measurements in a row, (n,), rad."""
         low = np.minimum(before, measured) - AGREEMENT
         high = np.maximum(before, measured) + AGREEMENT
         passed = ((self.commands >= low) & (self.commands <= high)).all(axis=1)
@@ -149,7 +150,7 @@ class ArmPath(Unchanging):
         return replace(self, confirmed=self.confirmed | passed)
 
     def calc_error(self, measured: Array, time: float, duration: float) -> Array:
-        """How far joints are from all that they were told within a time before now.
+        """Calculates how far joints are from all that they were told within a time before now.
 
         A joint that merely comes late is not off at all: it is at an earlier command.
 
@@ -177,23 +178,26 @@ class ArmPath(Unchanging):
         ramp: float,
         calc_tip: CalcTip,
     ) -> WayBack:
-        """The way back from a position, at most so far as the tip may travel.
+        """Plans the way back from a position, as far as the tip may travel.
 
         Args:
-            position: (n,) that is commanded now, rad.
-            distance: of the tip's travel, m.
-            speed: (n,) greatest of the joints, rad/s.
-            tip_speed: greatest of the tip, m/s.
-            ramp: how long it takes to come to these speeds, s.
+            position: (n,) joint positions that are commanded now, rad.
+            distance: greatest travel of the tip, m.
+            speed: (n,) greatest speeds of the joints, rad/s.
+            tip_speed: greatest speed of the tip, m/s.
+            ramp: time to come to these speeds, s.
             calc_tip: the arm's forward kinematics.
 
         Returns:
-            The way; the position alone where nothing is remembered.
+            The way; the position alone if nothing is remembered.
         """
         recent = self.commands[self.confirmed]
         places = [position, *recent[::-1], *self.passed[::-1]]
-        positions, times = [position], [0.0]
-        tip, left = calc_tip(position), distance
+        positions = [position]
+        times = [0.0]
+        # Where the tip is, and how far it may still travel, m.
+        tip = calc_tip(position)
+        left = distance
         for start, end in pairwise(places):
             for next_position in _divide(start, end):
                 next_tip = calc_tip(next_position)
@@ -205,11 +209,12 @@ class ArmPath(Unchanging):
                 positions.append(reached)
                 if share < 1.0:
                     return WayBack(np.array(times), np.array(positions), ramp)
-                tip, left = next_tip, left - length
+                tip = next_tip
+                left -= length
         return WayBack(np.array(times), np.array(positions), ramp)
 
     def _remember(self, position: Array, length: float, calc_tip: CalcTip) -> "ArmPath":
-        """With a confirmed position at the end of the way."""
+        """Adds a confirmed position to the end of the way."""
         gap = float(np.abs(position - self.passed[-1]).max())
         if gap < SPACING:
             return self
@@ -218,7 +223,7 @@ class ArmPath(Unchanging):
             return replace(self, passed=position[np.newaxis], tips=tip[np.newaxis])
         passed = np.vstack([self.passed[1 - MAX_PASSED :], position])
         tips = np.vstack([self.tips[1 - MAX_PASSED :], tip])
-        # of what is longer ago than a retreat may lead, nothing is needed
+        # What is longer ago than a retreat may lead is not needed.
         steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
         travel = np.cumsum(steps[::-1])[::-1]
         first = max(int(np.count_nonzero(travel > length + SPARE)) - 1, 0)
@@ -226,7 +231,7 @@ class ArmPath(Unchanging):
 
 
 def _divide(start: Array, end: Array) -> Array:
-    """The straight line between two positions, in pieces that are short; without its beginning."""
+    """Divides the straight line between two positions into short pieces; without its beginning."""
     count = max(int(np.ceil(np.abs(end - start).max() / PIECE)), 1)
     shares = np.arange(1, count + 1)[:, np.newaxis] / count
     points: Array = start + shares * (end - start)
@@ -242,7 +247,7 @@ def follow(
     acceleration: Array,
     period: float,
 ) -> tuple[Array, Array]:
-    """One step after a target that moves, each joint by itself.
+    """Takes one step after a target that moves, each joint by itself.
 
     A target that keeps the limits is met exactly; behind one that does not, the step is the longest
     after which the joint can still come to rest, seen from the target, before it overshoots. With
@@ -264,7 +269,8 @@ def follow(
         Position (n,), rad, and velocity (n,), rad/s, after the step.
     """
     q, v, start, end = (np.asarray(value, float) for value in (position, velocity, before, target))
-    gap, unit = start - q, acceleration * period
+    gap = start - q
+    unit = acceleration * period
     braking = unit / 2 * (np.sqrt(1 + 8 * np.abs(gap) / (unit * period)) - 1)
     wanted = (end - start) / period + np.sign(gap) * np.minimum(np.abs(gap) / period, braking)
     v = np.clip(np.clip(wanted, -speed, speed), v - unit, v + unit)
@@ -272,7 +278,7 @@ def follow(
 
 
 def brake(velocity: Array, acceleration: Array, period: float) -> Array:
-    """One step on the way to rest, which all joints reach together and as soon as they can.
+    """Takes one step on the way to rest, which all joints reach together, as soon as they can.
 
     Args:
         velocity: (n,) rad/s.

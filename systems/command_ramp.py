@@ -138,7 +138,8 @@ class CommandRamp(AbstractStateSystem[RampState]):
             )
         if now.status.mode in (GuardMode.WAITING, GuardMode.HOLDING):
             return now
-        status, velocity = now.status, now.velocity
+        status = now.status
+        velocity = now.velocity
         if age > self._max_age - ROUNDING:
             if not status.stopped:
                 allowed = f"{1e3 * self._max_age:.0f} ms are allowed"

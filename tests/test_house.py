@@ -95,8 +95,8 @@ objects            10.0        19      0     0.0      0     0
 perception         11.1        60      0     0.0      0     0
 pushes             10.9         0     16     2.0      3    37
 report              9.7         0     30     1.3      6    35
-station             8.8         0     29     2.9      7    39
-systems             9.9         0     25     3.6      4    23
+station             8.6        17      2     0.0      0     0
+systems             9.5        12      0     0.0      0     0
 """
 """The rooms that are not at `AIM` yet, each with a little more than it had when it was last listed.
 

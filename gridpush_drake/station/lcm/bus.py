@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 
 class Bus(Protocol):
-    """A network for LCM messages: Drake's `DrakeLcm`, or a `LinkBus` with another network behind it."""
+    """A network for LCM messages: Drake's `DrakeLcm`, or a `LinkBus` before another network."""
 
     def Subscribe(self, channel: str, handler: Callable[[bytes], None]) -> Any:
         """Has a handler take all messages of a channel."""

@@ -179,7 +179,9 @@ class IiwaMessages:
         """
         commands = builder.AddNamedSystem("arm_command_receiver", IiwaCommandReceiver(n))
         builder.Connect(commands.GetOutputPort("time"), ramp.GetInputPort("time_sent"))
-        self._ConnectRobotSide(builder, lcm, driver, ramp, commands, IiwaStatusSender(n))
+        self._ConnectRobotSide(
+            builder, lcm, driver, ramp, commands=commands, status=IiwaStatusSender(n)
+        )
 
     def _ConnectRobotSide(
         self,
@@ -281,7 +283,9 @@ class PandaMessages(IiwaMessages):
         )
         clock = _AddClock(builder, lcm, "arm_command_clock", self.command, self.command_type)
         builder.Connect(clock, ramp.GetInputPort("time_sent"))
-        self._ConnectRobotSide(builder, lcm, driver, ramp, commands, PandaStatusSender(n))
+        self._ConnectRobotSide(
+            builder, lcm, driver, ramp, commands=commands, status=PandaStatusSender(n)
+        )
 
 
 class MessageClock(LeafSystem):

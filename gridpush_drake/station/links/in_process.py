@@ -30,7 +30,7 @@ class InProcessLink:
         return cls(there, back), cls(back, there)
 
     def receive(self, timeout: float) -> Sequence[LinkMessage]:
-        """All that the other end has sent since the last call; it never waits, whatever `timeout`."""
+        """Returns what the other end has sent since the last call; it never waits."""
         messages = list(self._incoming)
         self._incoming.clear()
         return messages

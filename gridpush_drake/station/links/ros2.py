@@ -485,7 +485,7 @@ class Ros2Link:
     def _calc_torque(
         self, message: Any, order: NDArray[np.intp], time: float, position: Array
     ) -> Array | None:
-        """The torques on the joints from outside, N m; None, and counted, if they have become unknown."""
+        """Returns the torques on the joints from outside, N m; None, and counted, if unknown."""
         if self._robot.load == "effort":
             effort = _pick(message.effort, order)
             if effort is None:
@@ -581,7 +581,7 @@ class Ros2Link:
     def _find_point(
         self, topic: str, message: Any, joints: tuple[str, ...]
     ) -> tuple[Array, Array | None] | None:
-        """Positions and, if there are some, efforts of a trajectory's only point; None if it will not do."""
+        """Reads positions and any efforts of a trajectory's only point; None if it will not do."""
         order = self._find_order(tuple(message.joint_names), joints)
         if order is None:
             self._leave_out(f"{topic} names not all joints; expected {', '.join(joints)}")
@@ -650,7 +650,7 @@ class Ros2Link:
             self.publish(GRIPPER_POSITIONS, self._ros.Float64MultiArray(data=data))
 
     def _make_trajectory(self, joints: Sequence[str], position: list[float]) -> Any:
-        """A trajectory of one point, to be reached a period from now; a header's time of 0 means now."""
+        """Makes a trajectory of one point, to be reached a period from now (header time 0: now)."""
         message = self._ros.JointTrajectory()
         message.joint_names = list(joints)
         point = self._ros.JointTrajectoryPoint()
