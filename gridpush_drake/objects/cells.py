@@ -348,7 +348,11 @@ def _lattices(region: Region, size: float, phased: bool) -> Iterator[Array]:
             starts += [(centered_within, down), (low, up), (at_upper_end, up)]
         axes.append([start + size * np.arange(number) for start, number in starts])
     for x, y in product(*axes):
-        yield np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
+        # The points of np.meshgrid, made faster: thousands of lattices are tried.
+        corners = np.empty((len(y), len(x), 2))
+        corners[..., 0] = x
+        corners[..., 1] = y[:, np.newaxis]
+        yield corners.reshape(-1, 2)
 
 
 def _take_touched(region: Region, overlap: Share, max_cells: int, min_size: float) -> Cells:
