@@ -79,7 +79,7 @@ class PushStep:
         self._table = None if table is None else get_edges(table)
 
     def calc_next(self, q: Array, u: Array, params: CellParameters) -> Array:
-        """The pose (3,) after a step from q (3,) with the pusher u (4,); q if there is no pusher."""
+        """Calculates the pose (3,) after a step from q (3,) with a pusher u (4,), if any."""
         return self._run(q, u, params, np.empty((0, POSE_SIZE, 0)))
 
     def differentiate(
