@@ -1,7 +1,7 @@
 """Tables of what was measured, for people and for machines; intervals; and figures as files."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from math import floor, isfinite, isnan, log10, pi
 from pathlib import Path
@@ -83,6 +83,7 @@ class Table:
         digits: significant digits that numbers are shown with.
         keys: how many of the first columns say what a row is of; they are repeated where a table is
             too wide.
+        figures: numbers by name that JSON has at its top, beside the tables.
     """
 
     title: str
@@ -91,6 +92,7 @@ class Table:
     notes: Sequence[str] = ()
     digits: int = 3
     keys: int = 1
+    figures: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for row in self.rows:

@@ -112,7 +112,10 @@ def describe_settings(study: Study[Any], given: dict[str, Any]) -> dict[str, Any
 
 def show_tables(tables: Sequence[Table], out: Path | None, force: bool, json: bool) -> None:
     """Prints the tables, and writes them where asked."""
-    document = {"tables": [table.to_dict() for table in tables]}
+    document: dict[str, Any] = {}
+    for table in tables:
+        document.update(table.figures)
+    document["tables"] = [table.to_dict() for table in tables]
     if out is not None:
         markdown = "\n".join(table.to_markdown() for table in tables)
         write_whole(out, to_json(document) if out.suffix == ".json" else markdown, force)

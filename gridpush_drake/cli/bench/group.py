@@ -57,6 +57,10 @@ BENCHES: dict[str, LazyCommand] = {
         "Time the Gymnasium environments; let our planner, a small learned player and chance "
         "play them.",
     ),
+    "pusht": LazyCommand(
+        "gridpush_drake.bench.pusht:STUDY",
+        "Play PushT of gym-pusht with feedback, learning the T's friction within each episode.",
+    ),
 }
 """All benches, in the order in which the help lists them."""
 

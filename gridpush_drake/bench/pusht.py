@@ -1,0 +1,308 @@
+"""`gridpush bench pusht`: the benchmark PushT of gym-pusht, played without any demonstration.
+
+The player is `planning.feedback.FeedbackController`, which knows the T's outline, the goal, the
+walls and its own disc, and learns the T's center of friction and arm within each episode. It is
+given observations (disc's position and T's pose) and nothing else. Lengths are in pixels.
+
+In the hidden variant the center of friction is up to 30 pixels off, and drawn by the seed.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import thread_time
+from typing import Any
+
+import numpy as np
+
+from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
+from gridpush_drake.bench.table import MS, Share, Table, Value
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.extras import import_extra
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.planning.feedback.feedback_controller import (
+    FeedbackController,
+    FeedbackOptions,
+)
+from gridpush_drake.planning.feedback.sliding_block import DrivenDisc, SlidingBlock
+
+ENVIRONMENT = "gym_pusht/PushT-v0"
+
+MAX_STEPS = 300
+"""Decisions after which the environment cuts an episode off."""
+
+BAR = ((-60.0, 0.0), (60.0, 0.0), (60.0, 30.0), (-60.0, 30.0))
+STEM = ((-15.0, 30.0), (15.0, 30.0), (15.0, 120.0), (-15.0, 120.0))
+"""The T's two parts, body frame, px."""
+
+GOAL = (256.0, 256.0, np.pi / 4)
+"""The goal pose, px and rad."""
+
+DISC = DrivenDisc(
+    radius=15.0, stiffness=100.0, damping=20.0, time_step=0.01, substeps=10, low=0.0, high=512.0
+)
+"""The disc and the law that drives it, px and s."""
+
+WALLS = (7.0, 7.0, 504.0, 504.0)
+"""Inner faces of the walls: low x, low y, high x, high y, px."""
+
+SLOP = 0.1
+"""Overlap that pymunk leaves uncorrected by default, px."""
+
+CORRECTION = 1.0 - 0.9**0.6
+"""Share of the overlap beyond it that pymunk corrects in a time step by default: 1 - (1 - 0.1)^(60
+dt)."""
+
+CENTER = (0.0, 45.0)
+"""The T's center of friction in the standard variant, body frame, px. Only the hidden variant's
+draw begins from it; the player does not know it."""
+
+MAX_OFFSET = 30.0
+"""Greatest distance of the hidden variant's center of friction from that, px."""
+
+SUCCESS = 0.95
+"""Coverage above which an episode is won."""
+
+EPISODES = 500
+QUICK_EPISODES = 4
+
+HIDDEN_STREAM = 34
+"""Second word of the seed of the hidden variant's draw, so that it is not the player's seed."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode to play.
+
+    Attributes:
+        seed: of the environment and of the player.
+        hidden: whether the center of friction is off.
+    """
+
+    seed: int
+    hidden: bool
+
+    def describe(self) -> str:
+        """The episode in a few words."""
+        return f"episode {self.seed}"
+
+
+@dataclass(frozen=True)
+class Played:
+    """How an episode went.
+
+    Attributes:
+        success: whether the goal was covered by more than SUCCESS.
+        max_coverage: greatest coverage.
+        steps: decisions made.
+        decision_time: mean time of the core for a decision, s.
+        slowest: longest such time, s.
+        center_error: distance of the learned center of friction from the true one, px.
+        offset: distance of the true one from `CENTER`, px.
+    """
+
+    success: bool
+    max_coverage: float
+    steps: int
+    decision_time: float
+    slowest: float
+    center_error: float
+    offset: float
+
+
+def make_block() -> SlidingBlock:
+    """Makes the T as everybody knows it: outline, walls, and the disc."""
+    return SlidingBlock(parts=(BAR, STEM), disc=DISC, walls=WALLS, slop=SLOP, correction=CORRECTION)
+
+
+class PushTPlayer:
+    """Plays one episode of PushT by its observations.
+
+    Attributes:
+        controller: decides, and learns.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        """Begins an episode; the seed is the search's."""
+        options = FeedbackOptions(success=SUCCESS)
+        self.controller = FeedbackController(make_block(), GOAL, options=options, seed=seed)
+
+    def act(self, observation: Array) -> Array:
+        """Chooses the action (2,) for an observation (5,): disc's x and y, T's x, y and angle."""
+        return self.controller.decide(observation[:2], observation[2:5]).target
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        episodes: number of episodes, seeded `seed`, `seed` + 1, ...
+        hidden: whether the center of friction is off.
+    """
+
+    episodes: int = option(EPISODES, "Episodes, seeded --seed, --seed + 1, ...", least=1)
+    hidden: bool = option(
+        False, "Draw the center of friction up to 30 pixels off, by seed.", name="--hidden"
+    )
+
+
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant."""
+    return replace(options, episodes=min(options.episodes, QUICK_EPISODES))
+
+
+def make_jobs(options: Options) -> list[Episode]:
+    """Makes the episodes.
+
+    Raises:
+        MissingExtraError: gym-pusht is not installed.
+        GridPushError: there is no episode.
+    """
+    import_pusht()
+    if options.episodes < 1:
+        raise GridPushError("episodes: none; expected at least one")
+    return [Episode(options.seed + i, options.hidden) for i in range(options.episodes)]
+
+
+def import_pusht() -> Any:
+    """Imports gym-pusht, without pygame's greeting.
+
+    Raises MissingExtraError if it is not installed.
+    """
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    return import_extra("gym_pusht", "pusht")
+
+
+def draw_center(seed: int) -> Array:
+    """Draws the hidden variant's center of friction (2,), px, evenly within MAX_OFFSET."""
+    rng = np.random.default_rng((seed, HIDDEN_STREAM))
+    distance = MAX_OFFSET * np.sqrt(rng.random())
+    angle = rng.uniform(-np.pi, np.pi)
+    return np.array(CENTER) + distance * np.array([np.cos(angle), np.sin(angle)])
+
+
+def make_environment(center: Array | None = None) -> Any:
+    """Makes the environment, as it is; with another center of friction (2,), px, if given."""
+    import_pusht()
+    gymnasium = import_extra("gymnasium", "pusht")
+    own = {} if center is None else {"block_cog": (float(center[0]), float(center[1]))}
+    return gymnasium.make(ENVIRONMENT, disable_env_checker=True, **own)
+
+
+def play(job: Episode) -> Played:
+    """Plays one episode."""
+    center = draw_center(job.seed) if job.hidden else np.array(CENTER)
+    env = make_environment(center if job.hidden else None)
+    try:
+        player = PushTPlayer(job.seed)
+        fields = play_in(env, player, job.seed)
+    finally:
+        env.close()
+    estimate = player.controller.learner.estimate
+    error = np.hypot(estimate.center_x - center[0], estimate.center_y - center[1])
+    return Played(
+        **fields,
+        center_error=float(error),
+        offset=float(np.linalg.norm(center - np.array(CENTER))),
+    )
+
+
+def play_in(env: Any, player: PushTPlayer, seed: int) -> dict[str, Any]:
+    """Plays an episode in an environment. Returns the first fields of `Played`."""
+    observation, _ = env.reset(seed=seed)
+    coverages = []
+    times = []
+    over = False
+    terminated = False
+    while not over:
+        begin = thread_time()
+        action = player.act(observation)
+        times.append(thread_time() - begin)
+        observation, _, terminated, truncated, info = env.step(action)
+        coverages.append(float(info["coverage"]))
+        over = bool(terminated or truncated)
+    return {
+        "success": bool(terminated),
+        "max_coverage": max(coverages),
+        "steps": len(times),
+        "decision_time": float(np.mean(times)),
+        "slowest": max(times),
+    }
+
+
+def summarize(played: Sequence[Played]) -> dict[str, float]:
+    """The figures that `--json` has at its top: shares from 0 to 1, counts of decisions, ms."""
+    if not played:
+        raise GridPushError("episodes: none was played; expected 1 or more")
+    return {
+        "episodes": len(played),
+        "success": float(np.mean([each.success for each in played])),
+        "mean_max_coverage": float(np.mean([each.max_coverage for each in played])),
+        "mean_max_reward": float(
+            np.mean([min(each.max_coverage / SUCCESS, 1.0) for each in played])
+        ),
+        "median_steps": float(np.median([each.steps for each in played])),
+        "decision_ms": MS * float(np.mean([each.decision_time for each in played])),
+    }
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates the episodes."""
+    return [tabulate_episodes(done.of(TASK), options.seed, options.hidden)]
+
+
+def tabulate_episodes(played: Sequence[Played], seed: int, hidden: bool) -> Table:
+    """Tabulates episodes, the first of which was seeded `seed`."""
+    figures = summarize(played)
+    share = Share.of(sum(each.success for each in played), len(played))
+    coverages = [each.max_coverage for each in played]
+    steps = [each.steps for each in played]
+    spread = float(np.std(coverages, ddof=1) / np.sqrt(len(played))) if len(played) > 1 else 0.0
+    rows: list[tuple[str, Value]] = [
+        ("episodes", len(played)),
+        ("won, with the 95 % interval", share.describe()),
+        (
+            "mean greatest coverage, and its standard error",
+            f"{np.mean(coverages):.4f} ± {spread:.4f}",
+        ),
+        ("least greatest coverage", min(coverages)),
+        ("mean greatest reward, coverage / 0.95 and at most 1", figures["mean_max_reward"]),
+        ("median of the decisions", figures["median_steps"]),
+        ("90 % of the episodes took at most, decisions", float(np.quantile(steps, 0.9))),
+        ("longest episode, decisions", max(steps)),
+        ("a decision, mean, ms", figures["decision_ms"]),
+        ("slowest decision, ms", MS * max(each.slowest for each in played)),
+        (
+            "true center of friction from the standard one, mean, px",
+            float(np.mean([each.offset for each in played])),
+        ),
+        (
+            "learned center from the true one, median, px",
+            float(np.median([each.center_error for each in played])),
+        ),
+    ]
+    variant = "hidden center of friction" if hidden else "standard"
+    notes = (
+        f"{ENVIRONMENT}, seeds {seed} to {seed + len(played) - 1}; states, {MAX_STEPS} "
+        f"decisions of 0.1 s; won at a coverage above {SUCCESS}, where the episode ends.",
+        "A decision is timed by the work of the one core that makes it.",
+        "The player sees observations only. It knows outline, goal, walls and its own disc; center "
+        "of friction and arm are learned in each episode.",
+    )
+    return Table(f"PushT, {variant}", ("what", "value"), rows, notes, digits=4, figures=figures)
+
+
+TASK = Task(job=Episode, run=play, describe=Episode.describe)
+"""What is done with an episode."""
+
+STUDY = Study(
+    name="pusht",
+    help="Play PushT of gym-pusht with feedback, learning the T's friction within each episode.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(TASK,),
+    tabulate=tabulate,
+)
+"""`gridpush bench pusht`."""

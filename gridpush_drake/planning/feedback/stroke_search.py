@@ -1,0 +1,531 @@
+"""Searches for a sequence of targets that brings a block to its goal, compiled.
+
+A plan is a sequence of targets of the disc, one a decision. A candidate is made from the best plan
+known by replacing its end with a *stroke* (go round the block to a place of its outline, and push
+there), or by shifting some of its targets a little. Each candidate is simulated with the law of
+`dynamics.kernels.driven_disc`, and cut where its cost
+
+    J = per_decision · (decisions made) + (cost-to-go of the pose then)
+
+is least. The cost-to-go is per_coverage · (1 - coverage) once the goal is reached, where the
+episode ends, and base + per_root · (distance from the goal)^1/2 elsewhere.
+
+`docs/theory/feedback.md` has the equations, and `feedback_controller` the choice of the candidates.
+"""
+
+from math import cos, sin, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.driven_disc import (
+    CONTACT,
+    MAX_CONTACTS,
+    PX,
+    PY,
+    STATE,
+    THETA,
+    X,
+    Y,
+    advance_disc,
+    set_velocity,
+)
+
+STROKE = 6
+"""Numbers that describe a stroke."""
+
+PLACE, ANGLE, LEAD, BEND, GAIN, ROUND = range(STROKE)
+"""Places in a stroke: where round the block it touches, 0 to 1, or below 0 for a push at once; its
+angle from the inward normal there, rad, or from the body's x axis for a push at once; how far the
+target leads the disc; by how much it turns in a decision, rad; how much farther than the next point
+of the way the target is set; and 1 or -1 for the way round, counterclockwise or clockwise."""
+
+CHANGE = 6
+"""Numbers that describe a change of a plan: x and y at the window's begin, end and middle."""
+
+WHOLE, SECOND_HALF, END = range(3)
+"""Windows of a plan that are changed in turn."""
+
+LAST = 4
+"""Decisions in the window END."""
+
+PATIENCE = 4
+"""Decisions that a stroke goes on for without getting better, once it pushes."""
+
+
+class Task(NamedTuple):
+    """Where the block is wanted, and what a plan costs. Costs are in decisions.
+
+    Attributes:
+        goal: (3,) pose of the block.
+        arm: radius of gyration of the block's area.
+        middle: (2,) the area's centroid, body frame.
+        area: of the block.
+        success: coverage above which an episode ends.
+        per_coverage: cost of what is not covered when it ends.
+        near: distance of the centroid from the goal's beyond which no coverage is calculated.
+        base: cost-to-go of a pose next to the goal.
+        per_root: cost-to-go for the square root of the distance from the goal.
+        per_decision: cost of a decision, 1 or less.
+        low: least target of the disc, along both axes.
+        high: greatest target.
+    """
+
+    goal: Any
+    arm: Any
+    middle: Any
+    area: Any
+    success: Any
+    per_coverage: Any
+    near: Any
+    base: Any
+    per_root: Any
+    per_decision: Any
+    low: Any
+    high: Any
+
+
+class Ways(NamedTuple):
+    """Where the disc can touch, and how it gets round the block, all in the body frame.
+
+    Attributes:
+        touch: (M, 2) center of the disc where it touches.
+        inward: (M,) angle of the normal there, into the block.
+        ring: (R, 2) points round the convex hull, at a distance.
+        edges: (E, 4) both ends of the outline's edges.
+        standoff: distance from the touch at which a stroke begins.
+        clearance: distance of the disc's center from the outline on its way round.
+        arrival: distance from its beginning at which a stroke begins.
+    """
+
+    touch: Any
+    inward: Any
+    ring: Any
+    edges: Any
+    standoff: Any
+    clearance: Any
+    arrival: Any
+
+
+@kernel(allocates=False)
+def _calc_point_distance2(ax, ay, bx, by, px, py):
+    """Squared distance of a point from the segment from a to b."""
+    ex = bx - ax
+    ey = by - ay
+    length2 = ex * ex + ey * ey
+    share = 0.0
+    if length2 > 0.0:
+        share = min(max(((px - ax) * ex + (py - ay) * ey) / length2, 0.0), 1.0)
+    return (ax + share * ex - px) ** 2 + (ay + share * ey - py) ** 2
+
+
+@kernel(allocates=False)
+def _is_clear(edges, ax, ay, bx, by, clearance2):
+    """Whether the segment from a to b keeps clear of all edges."""
+    for i in range(edges.shape[0]):
+        cx = edges[i, 0]
+        cy = edges[i, 1]
+        dx = edges[i, 2]
+        dy = edges[i, 3]
+        if (
+            _calc_point_distance2(ax, ay, bx, by, cx, cy) < clearance2
+            or _calc_point_distance2(ax, ay, bx, by, dx, dy) < clearance2
+            or _calc_point_distance2(cx, cy, dx, dy, bx, by) < clearance2
+            or _calc_point_distance2(cx, cy, dx, dy, ax, ay) < clearance2
+        ):
+            return False
+        # they cross
+        side_c = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        side_d = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
+        side_a = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
+        side_b = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
+        if side_c * side_d < 0.0 and side_a * side_b < 0.0:
+            return False
+    return True
+
+
+@kernel(allocates=False)
+def _find_way(ways, ax, ay, gx, gy, turn, at):
+    """Finds the next point on the way from a to g round the block, and writes it to at (2,).
+
+    Args:
+        ways: the block's surroundings.
+        ax, ay: where the disc is, body frame.
+        gx, gy: where it should go, body frame.
+        turn: 1 to go round counterclockwise, -1 clockwise.
+        at: (2,) filled.
+    """
+    closest2 = np.inf
+    for i in range(ways.edges.shape[0]):
+        closest2 = min(
+            closest2,
+            _calc_point_distance2(
+                ways.edges[i, 0], ways.edges[i, 1], ways.edges[i, 2], ways.edges[i, 3], ax, ay
+            ),
+        )
+    # a disc that touches may leave along a line that comes no closer
+    clearance2 = min(ways.clearance * ways.clearance, 0.99 * closest2)
+    at[0] = gx
+    at[1] = gy
+    if _is_clear(ways.edges, ax, ay, gx, gy, clearance2):
+        return
+    count = ways.ring.shape[0]
+    last = 0
+    best = np.inf
+    for i in range(count):
+        distance2 = (ways.ring[i, 0] - gx) ** 2 + (ways.ring[i, 1] - gy) ** 2
+        if distance2 < best:
+            best = distance2
+            last = i
+    # the farthest point along the ring that is in sight
+    for i in range(count):
+        k = (last - turn * i) % count
+        if _is_clear(ways.edges, ax, ay, ways.ring[k, 0], ways.ring[k, 1], clearance2):
+            at[0] = ways.ring[k, 0]
+            at[1] = ways.ring[k, 1]
+            return
+    best = np.inf
+    for i in range(count):
+        distance2 = (ways.ring[i, 0] - ax) ** 2 + (ways.ring[i, 1] - ay) ** 2
+        if distance2 < best:
+            best = distance2
+            at[0] = ways.ring[i, 0]
+            at[1] = ways.ring[i, 1]
+
+
+@kernel(allocates=False)
+def _clip_area(parts, first, c, s, x, y, second, room):
+    """Area that two of the parts have in common, `first` being turned and moved.
+
+    Sutherland and Hodgman's clipping.
+    """
+    count = parts.shape[1]
+    size = count
+    for i in range(count):
+        px = parts[first, i, 0]
+        py = parts[first, i, 1]
+        room[0, i, 0] = c * px - s * py + x
+        room[0, i, 1] = s * px + c * py + y
+    here = 0
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        ax = parts[second, i, 0]
+        ay = parts[second, i, 1]
+        ex = parts[second, j, 0] - ax
+        ey = parts[second, j, 1] - ay
+        there = 1 - here
+        kept = 0
+        for k in range(size):
+            m = k + 1 if k + 1 < size else 0
+            qx = room[here, k, 0]
+            qy = room[here, k, 1]
+            rx = room[here, m, 0]
+            ry = room[here, m, 1]
+            q = ex * (qy - ay) - ey * (qx - ax)
+            r = ex * (ry - ay) - ey * (rx - ax)
+            if q >= 0.0:
+                room[there, kept, 0] = qx
+                room[there, kept, 1] = qy
+                kept += 1
+            if (q >= 0.0) != (r >= 0.0):
+                share = q / (q - r)
+                room[there, kept, 0] = qx + share * (rx - qx)
+                room[there, kept, 1] = qy + share * (ry - qy)
+                kept += 1
+        size = kept
+        here = there
+        if size < 3:
+            return 0.0
+    area = 0.0
+    for k in range(size):
+        m = k + 1 if k + 1 < size else 0
+        area += room[here, k, 0] * room[here, m, 1] - room[here, m, 0] * room[here, k, 1]
+    return 0.5 * area
+
+
+@kernel(allocates=False)
+def _calc_coverage(block, task, x, y, theta, room):
+    """Share of the goal that the block covers at a pose."""
+    # the block's pose in the goal's frame
+    c = cos(task.goal[2])
+    s = sin(task.goal[2])
+    dx = x - task.goal[0]
+    dy = y - task.goal[1]
+    px = c * dx + s * dy
+    py = c * dy - s * dx
+    cr = cos(theta - task.goal[2])
+    sr = sin(theta - task.goal[2])
+    area = 0.0
+    for i in range(block.parts.shape[0]):
+        for j in range(block.parts.shape[0]):
+            area += _clip_area(block.parts, i, cr, sr, px, py, j, room)
+    return area / task.area
+
+
+@kernel()
+def calc_coverage(block, task, pose):
+    """Share of the goal that the block covers at a pose (3,)."""
+    room = np.empty((2, 2 * block.parts.shape[1] + 2, 2))
+    return _calc_coverage(block, task, pose[0], pose[1], pose[2], room)
+
+
+@kernel(allocates=False)
+def _calc_distance2(task, x, y, theta):
+    """Mean squared distance of the block's points from where they are at the goal."""
+    c = cos(theta)
+    s = sin(theta)
+    cg = cos(task.goal[2])
+    sg = sin(task.goal[2])
+    mx = task.middle[0]
+    my = task.middle[1]
+    dx = x + c * mx - s * my - (task.goal[0] + cg * mx - sg * my)
+    dy = y + s * mx + c * my - (task.goal[1] + sg * mx + cg * my)
+    return dx * dx + dy * dy + 2.0 * task.arm * task.arm * (1.0 - c * cg - s * sg)
+
+
+@kernel(allocates=False)
+def _rate(block, task, state, room):
+    """Cost-to-go of a state, and whether the episode ends there."""
+    distance2 = _calc_distance2(task, state[X], state[Y], state[THETA])
+    if distance2 < task.near * task.near:
+        coverage = _calc_coverage(block, task, state[X], state[Y], state[THETA], room)
+        if coverage > task.success:
+            return task.per_coverage * (1.0 - coverage), True
+    return task.base + task.per_root * sqrt(sqrt(distance2)), False
+
+
+class Plan(NamedTuple):
+    """Targets of the disc, one a decision, and where they lead.
+
+    Attributes:
+        targets: (T, 2) targets.
+        states: (T + 1, STATE) states before and after them.
+    """
+
+    targets: Any
+    states: Any
+
+
+class Candidates(NamedTuple):
+    """What the search tries.
+
+    Attributes:
+        strokes: (N, STROKE) strokes, N at least 1.
+        cuts: (N,) share of the plan, 0 to 1, that is kept before each of them.
+        changes: (K, CHANGE) shifts of targets.
+        scales: (K,) their sizes.
+    """
+
+    strokes: Any
+    cuts: Any
+    changes: Any
+    scales: Any
+
+
+class Room(NamedTuple):
+    """Memory of the search.
+
+    Attributes:
+        contacts: (MAX_CONTACTS, CONTACT) of `set_velocity`.
+        nearest: (2,) likewise.
+        clip: (2, C, 2) of `_clip_area`.
+        targets: (T, 2) targets of the candidate.
+        states: (T + 1, STATE) its states.
+    """
+
+    contacts: Any
+    nearest: Any
+    clip: Any
+    targets: Any
+    states: Any
+
+
+@kernel(allocates=False)
+def _step_candidate(block, task, room, k):
+    """Makes the k-th decision of the candidate.
+
+    Returns its cost if it ended then, and whether the episode is over.
+    """
+    for i in range(STATE):
+        room.states[k + 1, i] = room.states[k, i]
+    state = room.states[k + 1]
+    room.targets[k, 0] = min(max(room.targets[k, 0], task.low), task.high)
+    room.targets[k, 1] = min(max(room.targets[k, 1], task.low), task.high)
+    advance_disc(block, state, room.targets[k, 0], room.targets[k, 1], room.contacts, room.nearest)
+    to_go, over = _rate(block, task, state, room.clip)
+    return task.per_decision * (k + 1) + to_go, over
+
+
+@kernel(allocates=False)
+def _roll_plan(block, task, room, first, length):
+    """Follows the candidate's targets from `first` on.
+
+    Returns its least cost and the number of decisions with which it is reached.
+    """
+    best = np.inf
+    end = first
+    for k in range(first, length):
+        cost, over = _step_candidate(block, task, room, k)
+        if cost < best:
+            best = cost
+            end = k + 1
+        if over:
+            break
+    return best, end
+
+
+@kernel(allocates=False)
+def _roll_stroke(block, task, ways, room, first, limit, stroke):
+    """Makes a stroke from `first` on, and fills its targets; returns as `_roll_plan`."""
+    best = np.inf
+    end = first
+    pushing = stroke[PLACE] < 0.0
+    heading = stroke[ANGLE]
+    begin_x = 0.0
+    begin_y = 0.0
+    if not pushing:
+        count = ways.touch.shape[0]
+        touch = min(int(stroke[PLACE] * count), count - 1)
+        heading += ways.inward[touch]
+        begin_x = ways.touch[touch, 0] - ways.standoff * cos(ways.inward[touch])
+        begin_y = ways.touch[touch, 1] - ways.standoff * sin(ways.inward[touch])
+    pushed = 0
+    for k in range(first, limit):
+        state = room.states[k]
+        c = cos(state[THETA])
+        s = sin(state[THETA])
+        if not pushing:
+            dx = state[PX] - state[X]
+            dy = state[PY] - state[Y]
+            ax = c * dx + s * dy
+            ay = c * dy - s * dx
+            if (begin_x - ax) ** 2 + (begin_y - ay) ** 2 < ways.arrival**2:
+                pushing = True
+            else:
+                # on the way: the target lies beyond the next point, so that the disc is fast
+                turn = 1 if stroke[ROUND] > 0.0 else -1
+                _find_way(ways, ax, ay, begin_x, begin_y, turn, room.nearest)
+                wx = state[X] + c * room.nearest[0] - s * room.nearest[1]
+                wy = state[Y] + s * room.nearest[0] + c * room.nearest[1]
+                room.targets[k, 0] = state[PX] + stroke[GAIN] * (wx - state[PX])
+                room.targets[k, 1] = state[PY] + stroke[GAIN] * (wy - state[PY])
+        if pushing:
+            angle = state[THETA] + heading
+            room.targets[k, 0] = state[PX] + stroke[LEAD] * cos(angle)
+            room.targets[k, 1] = state[PY] + stroke[LEAD] * sin(angle)
+            heading += stroke[BEND]
+            pushed += 1
+        cost, over = _step_candidate(block, task, room, k)
+        if cost < best:
+            best = cost
+            end = k + 1
+        if over or (pushed >= PATIENCE and k + 1 - end > PATIENCE):
+            break
+    return best, end
+
+
+@kernel(allocates=False)
+def _roll_change(block, task, room, plan, length, change, scale, kind):
+    """Shifts targets within a window of the plan, and follows it from there.
+
+    A window's shift is a parabola in time. Every other candidate is one decision longer than the
+    plan, and repeats the last target.
+
+    Returns:
+        As `_roll_plan`, and the first decision that was changed.
+    """
+    first = 0
+    window = kind % 3
+    if window == SECOND_HALF:
+        first = length // 2
+    elif window == END:
+        first = max(length - LAST, 0)
+    stop = min(length + kind % 2, plan.targets.shape[0])
+    _take(room, plan, first, length)
+    for k in range(length, stop):
+        room.targets[k, 0] = plan.targets[length - 1, 0]
+        room.targets[k, 1] = plan.targets[length - 1, 1]
+    width = max(stop - first - 1, 1)
+    for k in range(first, stop):
+        t = (k - first) / width
+        u = 1.0 - t
+        for j in range(2):
+            shift = u * change[j] + t * change[2 + j] + 2.0 * u * t * change[4 + j]
+            room.targets[k, j] += scale * shift
+    cost, end = _roll_plan(block, task, room, first, stop)
+    return cost, end, first
+
+
+@kernel(allocates=False)
+def _keep(room, plan, first, end):
+    """Makes the candidate the best plan; both are the same before `first`."""
+    for k in range(first, end):
+        plan.targets[k, 0] = room.targets[k, 0]
+        plan.targets[k, 1] = room.targets[k, 1]
+        for i in range(STATE):
+            plan.states[k + 1, i] = room.states[k + 1, i]
+
+
+@kernel(allocates=False)
+def _take(room, plan, first, end):
+    """Makes the best plan the candidate, from `first` on."""
+    for k in range(first, end):
+        room.targets[k, 0] = plan.targets[k, 0]
+        room.targets[k, 1] = plan.targets[k, 1]
+    for i in range(STATE):
+        room.states[first, i] = plan.states[first, i]
+
+
+@kernel()
+def search(block, task, ways, plan, length, candidates):
+    """Improves a plan, first by strokes that replace its end, then by small changes.
+
+    Args:
+        block: the block.
+        task: what is wanted, and what it costs.
+        ways: where the block can be touched.
+        plan: the plan, changed in place. Of its states the first is given, without the block's
+            velocity; the others are filled.
+        length: decisions of the plan given; 0 for none.
+        candidates: what to try.
+
+    Returns:
+        The cost of the plan, its decisions, and the cost-to-go of the first state.
+    """
+    limit = plan.targets.shape[0]
+    room = Room(
+        contacts=np.empty((MAX_CONTACTS, CONTACT)),
+        nearest=np.empty(2),
+        clip=np.empty((2, 2 * block.parts.shape[1] + 2, 2)),
+        targets=np.empty((limit, 2)),
+        states=np.empty((limit + 1, STATE)),
+    )
+    set_velocity(block, plan.states[0], room.contacts, room.nearest)
+    to_go, _ = _rate(block, task, plan.states[0], room.clip)
+    best = np.inf
+    # The plan of the decision before, from where the block really is.
+    if length > 0:
+        _take(room, plan, 0, length)
+        best, end = _roll_plan(block, task, room, 0, length)
+        _keep(room, plan, 0, end)
+        length = end
+    # Strokes, after some of the plan or at once.
+    for n in range(candidates.strokes.shape[0]):
+        first = min(int(candidates.cuts[n] * (length + 1)), length, limit - 1)
+        _take(room, plan, first, first)
+        cost, end = _roll_stroke(block, task, ways, room, first, limit, candidates.strokes[n])
+        if cost < best:
+            best = cost
+            _keep(room, plan, first, end)
+            length = end
+    # Small changes of the best of them.
+    for n in range(candidates.changes.shape[0]):
+        change = candidates.changes[n]
+        scale = candidates.scales[n]
+        cost, end, first = _roll_change(block, task, room, plan, length, change, scale, n)
+        if cost < best:
+            best = cost
+            _keep(room, plan, first, end)
+            length = end
+    return best, length, to_go
