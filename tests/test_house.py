@@ -93,7 +93,7 @@ identification     10.1        35     11     1.0      1    13
 multibody           9.1         0     11     1.4     10    51
 objects            10.0        19      0     0.0      0     0
 perception         11.1        60      0     0.0      0     0
-pushes             10.9         0     16     2.0      3    37
+pushes             10.3        16      1     0.0      0     2
 report              9.7         0     30     1.3      6    35
 station             8.6        17      2     0.0      0     0
 systems             9.5        12      0     0.0      0     0

@@ -1,4 +1,4 @@
-"""Arguments of the public functions that take a push log: its file will do, and swapped ones are named."""
+"""Arguments of functions that take a push log: its file will do, and swapped ones are named."""
 
 from collections.abc import Mapping
 from itertools import permutations
@@ -36,7 +36,8 @@ def check_types(function: str, **arguments: tuple[Any, tuple[type, ...]]) -> Non
     wrong = [name for name, (value, types) in arguments.items() if not isinstance(value, types)]
     if not wrong:
         return
-    names, values = list(arguments), [value for value, _ in arguments.values()]
+    names = list(arguments)
+    values = [value for value, _ in arguments.values()]
     found = " and ".join(f"{name} is {_describe_type(arguments[name][0])}" for name in wrong)
     for order in permutations(values):
         if all(
@@ -54,7 +55,7 @@ def check_types(function: str, **arguments: tuple[Any, tuple[type, ...]]) -> Non
 
 
 def read_log(log: PushLogOrFile, obj: GridObject, *, require_final: bool) -> PushLog:
-    """The push log itself, or what its file holds, with the radius of the pusher in the object's file.
+    """Takes a push log, or reads its file with the radius of the pusher in the object's file.
 
     Args:
         log: a push log, which is given back as it is, or the name of its CSV file.

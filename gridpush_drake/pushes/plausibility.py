@@ -26,27 +26,46 @@ TRAVEL_FACTOR = 2.0
 """Times the pusher's path that the centroid, or a point at the radius of gyration as the body
 turns, may move."""
 
-SPEED_FACTOR = 2.0  # times the pusher's mean speed at which it may let go of the object
-NOISE_SHARE = 0.25  # of the object's diameter, by which a pose may be off besides
-MAX_SPEED = 30.0  # of a pusher, mean, m/s
-MAX_DIAMETER = 10.0  # of an object, m
-MAX_TABLE = 100.0  # of a table's side, where it is not doubted, m
-MAX_FIRST_ANGLE = 4 * np.pi  # of an object at a push's beginning, where it is not doubted, rad
+SPEED_FACTOR = 2.0
+"""Times the pusher's mean speed at which it may let go of the object."""
 
-GAP, GAP_SHARE = 0.005, 0.05
-"""A pusher this far off the outline, m plus this share of the object's diameter, is not where the
-log says."""
+NOISE_SHARE = 0.25
+"""Share of the object's diameter by which a pose may be off besides."""
 
-MANY, FEW = 0.5, 0.2
-"""Shares of a log's pushes: so many out of place make it doubtful, so few leave a reading of its
-units standing."""
+MAX_SPEED = 30.0
+"""Largest mean speed of a pusher, m/s."""
+
+MAX_DIAMETER = 10.0
+"""Largest diameter of an object, m."""
+
+MAX_TABLE = 100.0
+"""Largest side of a table that is not doubted, m."""
+
+MAX_FIRST_ANGLE = 4 * np.pi
+"""Largest angle of an object at a push's beginning that is not doubted, rad."""
+
+GAP = 0.005
+"""Distance off the outline from which on a pusher is not where the log says, m, beside
+`GAP_SHARE`."""
+
+GAP_SHARE = 0.05
+"""Share of the object's diameter that is added to `GAP`."""
+
+MANY = 0.5
+"""Share of a log's pushes that makes the log doubtful where so many are out of place."""
+
+FEW = 0.2
+"""Share of a log's pushes that may be out of place in units that explain the log."""
 
 MIN_PUSH = 1e-3
-"""Of a push's length, m, at the median of a log: shorter ones are no sign that its lengths are in
-millimeters."""
+"""Shortest length of a push, at the median of a log, by which its lengths may be in millimeters,
+m."""
 
-MM = 1e-3  # meters in a millimeter
-MM_PER_M = 1e3  # millimeters in a meter
+MM = 1e-3
+"""Meters in a millimeter."""
+
+MM_PER_M = 1e3
+"""Millimeters in a meter."""
 
 IN_DEGREES = "object_theta: in degrees? expected rad"
 
@@ -68,8 +87,8 @@ MAX_MASS = 500.0
 """Mass of an object that is not doubted, kg."""
 
 MAX_AREAL_DENSITY = 2000.0
-"""Mass by area of an object whose height is not known, where it is not doubted, kg/m²: a quarter of a
-meter of steel."""
+"""Mass by area of an object whose height is not known, where it is not doubted, kg/m²: a quarter of
+a meter of steel."""
 
 MAX_DENSITY = 23000.0
 """Mass by area and height that is not doubted, kg/m³; nothing on earth is denser."""
@@ -88,19 +107,20 @@ FRAME_PUSHES = 5
 outline."""
 
 FRAME_TOLERANCE = 0.004
-"""How far off the outline the pushers are at the ends of pushes, on average, before the body frame is
-doubted, m."""
+"""How far off the outline the pushers are at the ends of pushes, on average, before the body frame
+is doubted, m."""
 
 FRAME_CAP = 0.25
-"""Distance from the outline beyond which a push counts as no further off, diameters of the object."""
+"""Distance from the outline beyond which a push counts as no further off, diameters of the
+object."""
 
 FRAME_GAIN = 0.3
-"""Share of that distance that must be left where the outline is shifted, for the shift to be named as
-the likely cause."""
+"""Share of that distance that must be left where the outline is shifted, for the shift to be named
+as the likely cause."""
 
 MOVED_SHARE = 0.1
-"""Share of the pusher's path by which its object must move, at the mean of the cells, for the push to
-count as one that moves it."""
+"""Share of the pusher's path by which its object must move, at the mean of the cells, for the push
+to count as one that moves it."""
 
 SHIFT_COST = 0.05
 """How much nearer to the outline a shift must bring the pushers, by its length."""
@@ -110,8 +130,8 @@ FRAME_STEPS = ((0.03, 8), (0.01, 3), (0.003, 3))
 search about what the one before found."""
 
 SLIDING_SPEED = 0.2
-"""Speed of the pusher, in square roots of g times the object's diameter, from which on the object may
-slide on when the pusher has stopped; such pushes do not tell where the outline is."""
+"""Speed of the pusher, in square roots of g times the object's diameter, from which on the object
+may slide on when the pusher has stopped; such pushes do not tell where the outline is."""
 
 
 class Finding(NamedTuple):
@@ -184,7 +204,9 @@ def explain_no_contact(obj: GridObject, log: PushLog) -> str:
     """Says of a log in which nothing touches which push comes nearest, and what may be wrong."""
     gaps, depths = np.array([_calc_gap(obj, seen, AS_SAID) for seen in log]).T
     nearest = int(np.argmin(gaps))
-    seen, gap, depth = log[nearest], float(gaps[nearest]), float(depths[nearest])
+    seen = log[nearest]
+    gap = float(gaps[nearest])
+    depth = float(depths[nearest])
     if gap > 0:
         how = f"passes its outline at {gap:.3g} m"
     elif depth > 0:
@@ -192,8 +214,9 @@ def explain_no_contact(obj: GridObject, log: PushLog) -> str:
     else:
         how = "only grazes its outline"
     return (
-        f"{log.source or 'push log'}: no push touches {obj.name} from outside; the nearest, {seen.name!r}, {how}; "
-        "expected tip_x, tip_y and object_x, object_y, object_theta (m, rad) in one frame, and of this object"
+        f"{log.source or 'push log'}: no push touches {obj.name} from outside; the nearest, "
+        f"{seen.name!r}, {how}; expected tip_x, tip_y and object_x, object_y, object_theta (m, "
+        "rad) in one frame, and of this object"
     )
 
 
@@ -218,14 +241,14 @@ def explain_unused_forces(obj: GridObject, log: PushLog, inertial: bool) -> str 
             return f"{message}; the forces are not used"
     if inertial:
         return (
-            "columns force_x, force_y: the forces are not used, as the pushes are fast: in part they "
-            "accelerate the object, and only those of slow pushes show its friction"
+            "columns force_x, force_y: the forces are not used, as the pushes are fast: in part "
+            "they accelerate the object, and only those of slow pushes show its friction"
         )
     return None
 
 
 def _find_units(obj: GridObject, log: PushLog) -> Iterator[str]:
-    """Lengths or angles in other units: the pusher is where it cannot be, and in those units it is not."""
+    """Finds lengths or angles in other units, by pushers that are where they cannot be."""
     wrong = _are_misplaced(obj, log, AS_SAID)
     reading = _choose_reading(obj, log, float(wrong.mean())) if wrong.any() else None
     if reading is None:
@@ -234,13 +257,22 @@ def _find_units(obj: GridObject, log: PushLog) -> Iterator[str]:
         gap, depth = _calc_gap(obj, log[int(i)], AS_SAID)
         place = f"{gap:.3g} m off" if gap >= depth else f"{depth:.3g} m inside"
         yield (
-            f"push {log[int(i)].name!r}, column {reading.says}; as it stands, the pusher is {place} the outline of "
-            f"{obj.name}"
+            f"push {log[int(i)].name!r}, column {reading.says}; as it stands, the pusher is "
+            f"{place} the outline of {obj.name}"
         )
 
 
 def _choose_reading(obj: GridObject, log: PushLog, wrong: float) -> _Units | None:
-    """The units in which the pushers are in place, where a share `wrong` of them is not; None where there are none."""
+    """Chooses units in which the pushers are in place.
+
+    Args:
+        obj: the object.
+        log: the pushes.
+        wrong: share of the pushers that are out of place in the log's own units.
+
+    Returns:
+        The units; None where there are none.
+    """
     poses = np.array([seen.pose for seen in log])
     turned = (np.abs(poses[:, 2]) > 2 * np.pi).mean() >= MANY
     if turned and _are_misplaced(obj, log, DEGREES).mean() <= wrong * FEW:
@@ -266,7 +298,8 @@ def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
         speed = seen.push.length / seen.push.duration
         if speed > MAX_SPEED:
             yield (
-                f"push {seen.name!r}, column t: the pusher moves {seen.push.length:.3g} m in {seen.push.duration:.3g} "
+                f"push {seen.name!r}, column t: the pusher moves {seen.push.length:.3g} m in "
+                f"{seen.push.duration:.3g} "
                 f"s; expected at most {MAX_SPEED:g} m/s: are times in s, and tip_x, tip_y in m?"
             )
 
@@ -276,7 +309,8 @@ def _find_slow_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
     lengths = np.array([seen.push.length for seen in log])
     if not len(log):
         return
-    duration, length = float(np.median(durations)), float(np.median(lengths))
+    duration = float(np.median(durations))
+    length = float(np.median(lengths))
     speed = float(np.median(lengths / durations))
     if speed >= SLOW_SPEED and duration <= LONG_PUSH:
         return
@@ -284,20 +318,22 @@ def _find_slow_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
         (name for name, unit in TIME_UNITS if speed / unit >= USUAL_SPEED), "another unit"
     )
     yield (
-        f"column t: in {likely}? expected s; as they stand, pushes of {length:.3g} m take {duration:.3g} s "
-        "(medians)"
+        f"column t: in {likely}? expected s; as they stand, pushes of {length:.3g} m take "
+        f"{duration:.3g} s (medians)"
     )
 
 
 def _find_heavy_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
-    mass, area = obj.prior.total_mass, float(obj.outline.area)
+    mass = obj.prior.total_mass
+    area = float(obj.outline.area)
     if mass is None:
         return
     limit = MAX_AREAL_DENSITY if obj.height is None else MAX_DENSITY * obj.height
     if mass > min(MAX_MASS, limit * area):
         height = "" if obj.height is None else f" and {obj.height:.3g} m high"
         yield (
-            f"{obj.name}: total_mass is {mass:.4g} kg, of an object of {area:.3g} m²{height}: in grams? expected kg"
+            f"{obj.name}: total_mass is {mass:.4g} kg, of an object of {area:.3g} m²{height}: in "
+            "grams? expected kg"
         )
 
 
@@ -313,8 +349,8 @@ def _find_large_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
         if size > limit:
             held = "" if mass is None else f" for an object of {mass:.3g} kg"
             yield (
-                f"push {seen.name!r}, columns force_x, force_y: are {size:.3g} N at the median; expected at most "
-                f"{limit:.3g} N{held}: in N, and not a sensor's counts?"
+                f"push {seen.name!r}, columns force_x, force_y: are {size:.3g} N at the median; "
+                f"expected at most {limit:.3g} N{held}: in N, and not a sensor's counts?"
             )
 
 
@@ -325,7 +361,8 @@ def _find_pulling_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
     if len(pulling) > PULLING_SHARE * len(work):
         for name in pulling:
             yield (
-                f"push {name!r}, columns force_x, force_y: pull the object against the pusher's motion; expected "
+                f"push {name!r}, columns force_x, force_y: pull the object against the pusher's "
+                "motion; expected "
                 "the force on the object, in the frame of tip_x, tip_y: is it that on the pusher?"
             )
 
@@ -356,7 +393,7 @@ def _find_other_body_frames(obj: GridObject, log: PushLog) -> Iterator[str]:
     tips = np.array([tip for _, tip in ends])
 
     def calc_off(shift: NDArray[np.float64]) -> float:
-        """Mean distance of the discs from the outline shifted by `shift`, m; one that is far counts as less so."""
+        """Mean distance of the discs from the outline, shifted by `shift`; far ones count less."""
         points = shapely.points(tips - shift)
         distance = shapely.distance(obj.outline.boundary, points)
         signed = np.where(shapely.contains(obj.outline, points), -distance, distance)
@@ -370,14 +407,14 @@ def _find_other_body_frames(obj: GridObject, log: PushLog) -> Iterator[str]:
     if left <= FRAME_GAIN * off * (1 - len(shift) / len(ends)):  # two numbers are fitted
         x, y = shift * MM_PER_M
         yield (
-            f"object_x, object_y: of another body frame than the outline of {obj.name}, which then lies at "
-            f"({x:.0f}, {y:.0f}) mm in it? {seen}, there {left * MM_PER_M:.2g} mm"
+            f"object_x, object_y: of another body frame than the outline of {obj.name}, which then "
+            f"lies at ({x:.0f}, {y:.0f}) mm in it? {seen}, there {left * MM_PER_M:.2g} mm"
         )
     # where tips slip off, they end far off and yet were at the outline when the pushes began
     elif _are_misplaced(obj, log, AS_SAID).mean() >= FEW:
         yield (
-            f"object_x, object_y, object_theta: in the frame of tip_x, tip_y, of {obj.name}, and pusher.radius "
-            f"right? {seen}"
+            f"object_x, object_y, object_theta: in the frame of tip_x, tip_y, of {obj.name}, and "
+            f"pusher.radius right? {seen}"
         )
 
 
@@ -397,14 +434,16 @@ def _search_shift(
     calc_off: Callable[[NDArray[np.float64]], float], diameter: float
 ) -> tuple[NDArray[np.float64], float]:
     """The shift (2,), m, of the outline at which the pushers are nearest to it, and how near, m."""
-    best, left = np.zeros(2), np.inf
+    best = np.zeros(2)
+    left = np.inf
     for share, count in FRAME_STEPS:
         steps = share * diameter * np.arange(-count, count + 1)
         tried = best + np.array([[x, y] for x in steps for y in steps])
         off = [calc_off(shift) for shift in tried]
         # of shifts that explain the pushes alike the least is the most likely
         k = int(np.argmin(off + SHIFT_COST * np.linalg.norm(tried, axis=1)))
-        best, left = tried[k], off[k]
+        best = tried[k]
+        left = off[k]
     return best, left
 
 
@@ -422,7 +461,11 @@ def _find_gone_off_table(obj: GridObject, log: PushLog) -> Iterator[str]:
 def _find_off_table(
     obj: GridObject, log: PushLog
 ) -> Iterator[tuple[ObservedPush, NDArray[np.intp]]]:
-    """The pushes with poses at which no cell's center is on the log's table, and which poses, the first being 0."""
+    """Finds the pushes with poses at which no cell's center is on the log's table.
+
+    Yields:
+        A push, and which of its poses these are, the first one being 0.
+    """
     if log.table is None:
         return
     table = shapely.Polygon(log.table)
@@ -442,8 +485,8 @@ def _describe_off_table(obj: GridObject, seen: ObservedPush, row: int) -> str:
     t, pose = (seen.t_observed[row - 1], seen.poses_observed[row - 1]) if row else (0.0, seen.pose)
     at = ", ".join(f"{value:.3g}" for value in pose)
     return (
-        f"push {seen.name!r}, column table: at t = {t:.3g} s the object, at ({at}), has no cell of {obj.name} with its "
-        "center on the table; expected an object on it, and both in one frame"
+        f"push {seen.name!r}, column table: at t = {t:.3g} s the object, at ({at}), has no cell of "
+        f"{obj.name} with its center on the table; expected an object on it, and both in one frame"
     )
 
 
@@ -461,7 +504,8 @@ def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
         column = ("object_x", "object_y")[int(np.argmax(np.abs(moved[k])))]
         cause = "in millimeters, or a lost track?" if far[k] * MM < allowed else "a lost track?"
         yield (
-            f"push {seen.name!r}, column {column}: the object moves {far[k]:.3g} m by t = {seen.t_observed[k - 1]:.3g} "
+            f"push {seen.name!r}, column {column}: the object moves {far[k]:.3g} m by t = "
+            f"{seen.t_observed[k - 1]:.3g} "
             f"s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} m: {cause}"
         )
 
@@ -475,16 +519,16 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
         k = int(np.argmax(turned))
         yield (
             f"push {seen.name!r}, column object_theta: the object turns {turned[k]:.3g} rad by t = "
-            f"{seen.t_observed[k]:.3g} s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} rad: "
-            "in degrees, or a lost track?"
+            f"{seen.t_observed[k]:.3g} s, in a push of {seen.push.length:.3g} m; expected less "
+            f"than {allowed:.3g} rad: in degrees, or a lost track?"
         )
 
 
 def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
     if _calc_diameter(obj) > MAX_DIAMETER:
         yield (
-            f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimeters? expected m, at most "
-            f"{MAX_DIAMETER:g}"
+            f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimeters? expected "
+            f"m, at most {MAX_DIAMETER:g}"
         )
 
 
@@ -498,7 +542,10 @@ def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 def _find_large_tables(obj: GridObject, log: PushLog) -> Iterator[str]:
     if log.table is not None and (size := float(np.ptp(log.table, axis=0).max())) > MAX_TABLE:
-        yield f"column table: in millimeters? expected m, at most {MAX_TABLE:g} a side; the table spans {size:.3g}"
+        yield (
+            f"column table: in millimeters? expected m, at most {MAX_TABLE:g} a side; "
+            f"the table spans {size:.3g}"
+        )
 
 
 KINDS = (
@@ -538,10 +585,14 @@ def _are_misplaced(obj: GridObject, log: PushLog, units: _Units) -> NDArray[np.b
 
 
 def _calc_gap(obj: GridObject, seen: ObservedPush, units: _Units) -> tuple[float, float]:
-    """How far the pusher's path stays off the outline, and how deep inside it begins, m, negative where it does not."""
+    """Measures how far a pusher's path stays off the outline, and how deep inside it begins, m.
+
+    Each is negative where it does not.
+    """
     pose = seen.pose * (units.place, units.place, units.angle)
     path = transform_back(pose, seen.push.xy * units.tip)
-    start, radius = Point(path[0]), seen.push.radius
+    start = Point(path[0])
+    radius = seen.push.radius
     inside = bool(shapely.contains(obj.outline, start))
     depth = radius + float(obj.outline.boundary.distance(start)) * (1.0 if inside else -1.0)
     return float(obj.outline.distance(LineString(path))) - radius, depth

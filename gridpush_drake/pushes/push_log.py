@@ -37,8 +37,8 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM, count, describe_move, make_page, make_table
 
 DEFAULT_PUSHER_RADIUS = 0.008
-"""Radius of a pusher where neither the caller nor the object's file gives one, m: that of the shipped
-finger, `models/fingers/rod`. Learning and planning take the same one."""
+"""Radius of a pusher where neither the caller nor the object's file gives one, m: that of the
+shipped finger, `models/fingers/rod`. Learning and planning take the same one."""
 
 TIP = ("tip_x", "tip_y")
 """Columns of the tip's center."""
