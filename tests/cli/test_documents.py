@@ -17,6 +17,7 @@ import typer
 import yaml
 from pydantic import BaseModel
 
+from gridpush_drake.cli.lazy_group import LazyCommand
 from gridpush_drake.cli.main import app
 from gridpush_drake.cli.ros_args import split_ros_arguments
 from gridpush_drake.dynamics.kernels.friction import LAWS
@@ -190,6 +191,15 @@ def test_the_method_is_one(monkeypatch):
     assert found.history[-1].loss < found.history[0].loss
 
 
+def test_the_entry_of_a_bench_is_one():
+    entry = find_blocks("docs/extending.md", r"\{code-block\} python")[8]
+    (name,) = entries = eval("{" + entry + "}", {"LazyCommand": LazyCommand})
+    study = find_blocks("docs/extending.md", r"\{code-block\} python")[7]
+    assert entries[name].target == f"gridpush_drake.bench.{name}:STUDY"
+    assert f'name="{name}"' in study
+    assert f'help="{entries[name].help}"' in study
+
+
 def test_two_objects_are_a_scenario():
     scene = find_blocks("docs/extending.md", "yaml")[3]
     assert scene == find_scenario("two_objects").read_text()
@@ -203,19 +213,23 @@ def test_every_block_is_tried_somewhere():
         for language in re.findall(r"^```([^\n]*\w[^\n]*)\n", TEXTS[name], re.MULTILINE)
         if language != "python" and not language.startswith(DIRECTIVES)
     }
-    assert found == {
-        (
-            "docs/extending.md",
-            "{code-block} python",
-        ): 7,  # a law, its use, an importer, its entry, a second identifier, a world's use, a method
-        (
-            "docs/extending.md",
-            "yaml",
-        ): 4,  # a robot, its scene and its gripper (tests/station/test_robot.py), two objects
-        ("docs/howto/autodiff.md", "{code-block} python"): 1,  # tests/interop/test_examples.py
-        ("docs/howto/own_object.md", "yaml"): 1,
-        ("docs/howto/own_pushes.md", "csv"): 1,
-    }
+    assert (
+        found
+        == {
+            (
+                "docs/extending.md",
+                "{code-block} python",
+            ): 9,  # a law, its use, an importer, its entry, a second identifier, a world's use, a method,
+            # a study, its entry
+            (
+                "docs/extending.md",
+                "yaml",
+            ): 4,  # a robot, its scene and its gripper (tests/station/test_robot.py), two objects
+            ("docs/howto/autodiff.md", "{code-block} python"): 1,  # tests/interop/test_examples.py
+            ("docs/howto/own_object.md", "yaml"): 1,
+            ("docs/howto/own_pushes.md", "csv"): 1,
+        }
+    )
 
 
 def test_there_are_seven_notebooks():
