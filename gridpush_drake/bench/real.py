@@ -44,13 +44,13 @@ from gridpush_drake.bench.table import (
     check_figure,
     write_panels,
 )
-from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.importers import find_importer
 from gridpush_drake.pushes.importers.cmu import POSE_SIZE
 from gridpush_drake.pushes.importers.mit import read_model_errors
@@ -93,10 +93,12 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
     truth_seed, first = (int(value) for value in rng.integers(2**31, size=2))
     truth = CellParameters.random(obj, truth_seed, MASS_RANGE, FRICTION_RANGE)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    world = SimulatedWorld(obj, truth, (0.0, 0.0, 0.0))
     pushes = []
     for i in range(PUSHES):
         push, pose = draw_push(obj, truth, first + i, radius)
-        last = simulate(obj, truth, push, pose, regime="quasi_static").final_pose
+        world.put(pose)
+        last = world.execute(push).final_pose
         before = add_pose_noise(pose, rng)
         after = add_pose_noise(last, rng)
         pushes.append(

@@ -64,7 +64,6 @@ from gridpush_drake.bench.study import MASKS, OBJECTS, Done, Study, StudyOptions
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, calc_mean, count_of, mean_of
 from gridpush_drake.bench.truth.sets import KINDS
 from gridpush_drake.bench.worlds import LCP, find_world
-from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.identification.learning import identify
@@ -82,7 +81,7 @@ from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.planning.world import PushWorld, WorldMaker
+from gridpush_drake.planning.world import PushWorld, SimulatedWorld, WorldMaker
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 MASK_OBJECT = "hammer"
@@ -790,6 +789,7 @@ def _poke(
     found = None
     model = UncertainModel.of_prior(obj)
     pose = np.zeros(3)
+    world = SimulatedWorld(obj, truth, pose)
     log = list[ObservedPush]()
     std = np.inf
     error = np.inf
@@ -804,8 +804,8 @@ def _poke(
         else:
             push = pokes[int(rng.integers(len(pokes)))]
         # The object is pushed from where it was seen: what is compared are the choices alone.
-        last = simulate(obj, truth, push, pose, regime="quasi_static").final_pose
-        after = add_pose_noise(last, rng)
+        world.put(pose)
+        after = add_pose_noise(world.execute(push).final_pose, rng)
         log.append(
             ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None])
         )
