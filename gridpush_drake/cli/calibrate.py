@@ -1,4 +1,4 @@
-"""`gridpush calibrate`: finds where a camera is, from a printed board of tags on the table."""
+"""`gridpush calibrate`: finds where and what a camera is, from a printed board of tags."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,16 +6,18 @@ from typing import Annotated
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_json, print_line
+from gridpush_drake.cli.console import MM, print_json, print_line, print_notice
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.files import write_whole
 from gridpush_drake.perception import (
     Camera,
     TagBoard,
+    calibrate_intrinsics,
     calibrate_pose,
     draw_tags,
     find_tag_corners,
     read_color,
+    read_photographs,
     write_picture,
 )
 
@@ -66,6 +68,15 @@ def calibrate(
             "PHOTO.",
         ),
     ] = None,
+    intrinsics: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Do not look for the camera's pose, but find its focal lengths, center and "
+            "distortion from at least 5 photographs of the board in this folder, taken with the "
+            "same zoom and focus, the board tilted to all sides.",
+        ),
+    ] = None,
     picture: Annotated[
         Path | None,
         typer.Option(
@@ -85,16 +96,25 @@ def calibrate(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Find where the camera is, from a photograph of a printed board of tags.
+    """Find where a camera is, and what camera it is, from photographs of a printed board.
 
     The middle of the board becomes the origin of the world frame, with z pointing up. First print
     the board with --print and lay it on the table; then take a photograph of it.
 
+    The camera's intrinsics, if nobody knows them, are found beforehand with --intrinsics.
+
     Example: gridpush calibrate photo.png --camera intrinsics.yaml --out camera.yaml
     """
     tags = parse_board(board)
-    if (photo is None) == (sheet is None):
-        raise options.OptionError("calibrate: expected either a photograph, or --print BOARD.pdf")
+    if sum(each is not None for each in (photo, sheet, intrinsics)) != 1:
+        raise options.OptionError(
+            "calibrate: expected either a photograph, or --intrinsics FOLDER, or --print BOARD.pdf"
+        )
+    if intrinsics is not None:
+        if out is None:
+            raise options.OptionError("calibrate: --intrinsics needs --out, the file to write")
+        _find_intrinsics(tags, intrinsics, out, force, json)
+        return
     if sheet is not None:
         _print_board(tags, sheet, force, json)
         return
@@ -124,6 +144,34 @@ def calibrate(
             f"The camera is at ({x:z.3f}, {y:z.3f}, {z:z.3f}) m from the board's middle; the tags' "
             f"corners are {error:.2f} pixels off. Wrote {out}."
         )
+
+
+def _find_intrinsics(tags: TagBoard, folder: Path, out: Path, force: bool, json: bool) -> None:
+    """Finds a camera's intrinsics from the photographs in a folder, and writes its file."""
+    options.check_outputs(force, out)
+    found = calibrate_intrinsics(read_photographs(folder), tags)
+    found.camera.write(out, force)
+    K = found.camera.K
+    if json:
+        print_json(
+            {
+                "K": K.tolist(),
+                "distortion": found.camera.distortion.tolist(),
+                "error": found.error,
+                "focal_deviation": found.focal_deviation,
+                "used": list(found.used),
+                "unused": list(found.unused),
+                "written": str(out),
+            }
+        )
+        return
+    if found.unused:
+        print_notice(f"Too few tags in {', '.join(found.unused)}; left out.")
+    print_line(
+        f"{len(found.used)} photographs: focal lengths {K[0, 0]:.1f} and {K[1, 1]:.1f} pixels, "
+        f"known to {100 * found.focal_deviation:.2f} %; the tags' corners are {found.error:.2f} pixels "
+        f"off. Wrote {out}."
+    )
 
 
 def _print_board(tags: TagBoard, sheet: Path, force: bool, json: bool) -> None:

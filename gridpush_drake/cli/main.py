@@ -83,7 +83,7 @@ COMMANDS: dict[str, LazyCommand] = {
     ),
     "calibrate": LazyCommand(
         "gridpush_drake.cli.calibrate:calibrate",
-        "Find where the camera is, from a photograph of a printed board of tags.",
+        "Find where a camera is, and what camera it is, from photographs of a printed board.",
     ),
     "track": LazyCommand(
         "gridpush_drake.cli.track:track",

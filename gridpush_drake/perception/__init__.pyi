@@ -10,6 +10,9 @@ from .frames import read_frames as read_frames
 from .frames import read_mask as read_mask
 from .frames import write_picture as write_picture
 from .hints import ObjectHint as ObjectHint
+from .intrinsics import Intrinsics as Intrinsics
+from .intrinsics import calibrate_intrinsics as calibrate_intrinsics
+from .intrinsics import read_photographs as read_photographs
 from .tags import DetectedTag as DetectedTag
 from .tags import TagBoard as TagBoard
 from .tags import calibrate_pose as calibrate_pose

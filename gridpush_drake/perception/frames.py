@@ -79,8 +79,14 @@ def read_color(path: Path | str, camera: Camera) -> Color:
     Raises:
         ImageError: the file cannot be read, is no image, or has another size than the camera.
     """
-    image = _decode(path, "a photograph", cv2.IMREAD_COLOR)
+    image = read_any_color(path)
     _check_size(path, camera, image)
+    return image
+
+
+def read_any_color(path: Path | str) -> Color:
+    """Reads a photograph of a camera that is not known yet; see `read_color`."""
+    image = _decode(path, "a photograph", cv2.IMREAD_COLOR)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
