@@ -2,9 +2,9 @@
 
 It is for phones, webcams and industrial cameras, whose makers publish no intrinsics. Depth cameras
 know theirs; `docs/howto/camera.md` says how to ask them. The method is Zhang's (2000), as OpenCV
-has it: every photograph shows the same plane from another side, and the projections of its known points
-determine the camera. From one side alone they do not; how well they do is told by the standard
-deviations of the result.
+has it: every photograph shows the same plane from another side, and the projections of its known
+points determine the camera. From one side alone they do not; how well they do is told by the
+standard deviations of the result.
 """
 
 from collections.abc import Sequence
