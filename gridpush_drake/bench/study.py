@@ -176,11 +176,19 @@ class Study(Generic[O]):
         if used.quick:
             used = self.shorten(used)
         jobs = self.make_jobs(used)
+        kinds = {task.job for task in self.tasks}
+        for job in jobs:
+            if type(job) not in kinds:
+                raise TypeError(f"{self.name}: {type(job).__name__} is the job of no task")
+
+        # Times are measured first, while no worker processes are at work beside.
         tables = []
         if self.measure is not None:
             if execution.prepare is not None:
                 execution.prepare()
             tables = self.measure(used, execution.report)
+
+        # The jobs are run task by task; results go back to the places of their jobs.
         results: dict[int, Any] = {}
         for task in self.tasks:
             numbers = [i for i, job in enumerate(jobs) if type(job) is task.job]

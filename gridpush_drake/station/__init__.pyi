@@ -17,3 +17,4 @@ from .station import Station as Station
 from .task import StationTask as StationTask
 from .task import TaskRecord as TaskRecord
 from .task import TaskStatus as TaskStatus
+from .world import StationWorld as StationWorld

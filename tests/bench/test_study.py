@@ -115,6 +115,14 @@ def test_options_quick_and_seed_choose_the_jobs():
         STUDY.run(count=101)
 
 
+def test_a_job_that_no_task_does_is_refused_before_anything_is_run():
+    told = []
+    execution = Execution(0, lambda *what: told.append(what))
+    with pytest.raises(TypeError, match="powers: CubeJob is the job of no task"):
+        replace(STUDY, tasks=(SQUARE,)).run(execution=execution)
+    assert told == []
+
+
 def test_what_is_known_is_not_run_again(tmp_path):
     def run(count):
         results = open_results(tmp_path / "kept.jsonl", "powers", {})
