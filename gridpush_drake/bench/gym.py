@@ -80,7 +80,7 @@ CANDIDATES = 12
 TRAINING_EPISODES = 16
 """Number of episodes that each of them plays."""
 
-GENERATIONS = {"PushToGoal": 16, "SlideToEdge": 16, "Explore": 6}
+GENERATIONS = {"PushToGoal": 16, "SlideToEdge": 16, "Explore": 6, "PushTHidden": 16}
 """Number of generations of the training in each game: about a minute on an idle core."""
 
 QUICK_GENERATIONS = 1
@@ -89,7 +89,7 @@ QUICK_GENERATIONS = 1
 SIDE_BY_SIDE = 64
 """Number of episodes in the vector environment whose speed is measured."""
 
-STEPS = {"PushToGoal": 60, "SlideToEdge": 60, "Explore": 8}
+STEPS = {"PushToGoal": 60, "SlideToEdge": 60, "Explore": 8, "PushTHidden": 60}
 """Number of steps of that environment that are timed in each game."""
 
 QUICK_STEPS = 2
@@ -130,7 +130,7 @@ class Options(StudyOptions):
     """
 
     games: tuple[str, ...] | None = option(
-        None, "A game; may be repeated.", name="--game", metavar="NAME", shown="all three"
+        None, "A game; may be repeated.", name="--game", metavar="NAME", shown="all"
     )
     episodes: int = option(EPISODES, "Episodes of each game that each player plays.", least=2)
     generations: Mapping[str, int] = field(default_factory=lambda: GENERATIONS)
@@ -396,6 +396,7 @@ PLANNED: dict[str, Callable[[EnvironmentWorld, int], None]] = {
     "PushToGoal": _push_to_goal,
     "SlideToEdge": _slide_to_edge,
     "Explore": _explore,
+    "PushTHidden": _push_to_goal,
 }
 """Functions that play an episode of each game with our own planner, of a seed."""
 

@@ -63,7 +63,7 @@ def make_game(game: str, options: dict[str, Any]) -> PushGame:
     if game not in GAMES:
         raise PlanningError(f"game: {game!r}; expected one of {', '.join(GAMES)}")
     kind = GAMES[game]
-    return kind(GameOptions(**kind.defaults | options))
+    return kind(GameOptions(**kind.list_defaults() | options))
 
 
 class _View:

@@ -184,6 +184,11 @@ class PushGame:
         self.surface = SupportSurface.rectangle((0.0, 0.0), self.table)
         self._half = np.array(self.table) / 2
 
+    @classmethod
+    def list_defaults(cls) -> dict[str, Any]:
+        """Options that the game has other defaults for."""
+        return cls.defaults
+
     def begin(self, rng: np.random.Generator) -> Episode:
         """Draws an episode; `rng` also draws its noise."""
         raise NotImplementedError
@@ -257,6 +262,11 @@ class PushGame:
             episodes: the episodes, none of them over.
             actions: (3,) the action in each, see `KnownShape.make_push`.
         """
+        after = self.push(episodes, actions)
+        return [self.judge(*pair) for pair in zip(episodes, after, strict=True)]
+
+    def push(self, episodes: Sequence[Episode], actions: Sequence[Array]) -> list[Episode]:
+        """Makes one push in each of the episodes, as `play` does; they are not judged yet."""
         pairs = list(zip(episodes, actions, strict=True))
         pushes = [episode.shape.make_push(action, episode.pose) for episode, action in pairs]
         motions = simulate_batch(
@@ -270,9 +280,7 @@ class PushGame:
             table=self.surface.corners,
         )
         played = zip(pairs, pushes, motions, strict=True)
-        return [
-            self.judge(pair[0], self._go_on(*pair, push, motion)) for pair, push, motion in played
-        ]
+        return [self._go_on(*pair, push, motion) for pair, push, motion in played]
 
     def _go_on(self, episode: Episode, action: Array, push: Push, motion: Motion) -> Episode:
         """Returns an episode after a push, not yet judged."""

@@ -1,4 +1,4 @@
-"""The three games: what is drawn for an episode, what a push is worth, and when the aim is reached.
+"""The games: what is drawn for an episode, what a push is worth, and when the aim is reached.
 
 In all of them the reward is how much better the score gets, and -1 for pushing the object off the
 table.
@@ -14,12 +14,20 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.gym.episode import Episode, GameOptions, PushGame, Turn, flatten_pose
+from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
+from gridpush_drake.gym.episode import (
+    ROOM,
+    Episode,
+    GameOptions,
+    PushGame,
+    Turn,
+    flatten_pose,
+)
 from gridpush_drake.gym.known_shape import KnownShape
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.exploration import calc_worst_std, make_center_functional
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
@@ -41,6 +49,39 @@ MIN_ERROR = 0.1
 
 REACHED = 0.02
 """Mean cell error below which the goal is reached, m; the paper's."""
+
+T_REACHED = 0.005
+"""Mean cell error at which the T is at its goal, m."""
+
+T_UNIT = 0.001
+"""Length of a pixel of the benchmark PushT in `PushTHidden`, m."""
+
+T_OUTLINE = ((-60, 0), (60, 0), (60, 30), (15, 30), (15, 120), (-15, 120), (-15, 30), (-60, 30))
+"""Corners of the T, in pixels of the benchmark."""
+
+T_PARTS = {
+    1: ((-60, 0), (0, 0), (0, 30), (-60, 30)),
+    2: ((0, 0), (60, 0), (60, 30), (0, 30)),
+    3: ((-15, 30), (15, 30), (15, 80), (-15, 80)),
+    4: ((-15, 80), (15, 80), (15, 120), (-15, 120)),
+}
+"""Parts of the T, each with a mass and a friction of its own: the bar's halves, and the stem's near
+and far end."""
+
+T_CELLS = 63
+"""Number of the T's cells: squares of a centimeter."""
+
+POKES = 3
+"""Number of random pokes that were made and seen before the first stroke."""
+
+POKE_DISTANCE = -0.4
+"""Distance of such a poke, as an action: about 5 cm."""
+
+T_DISTANCE = (0.08, 0.2)
+"""Least and greatest distance of the T's goal from where it lies, m."""
+
+T_TURN = np.pi / 2
+"""Greatest angle of the T's goal from where it lies, rad."""
 
 OFFSET = 0.05
 """Greatest distance from the table's middle, along each axis, of an object that is to be slid, at
@@ -70,6 +111,7 @@ class PushToGoal(PushGame):
     """
 
     table = (1.4, 1.2)
+    reached: ClassVar[float] = REACHED
 
     def begin(self, rng: np.random.Generator) -> Episode:
         """Draws an object, where it lies and where it should."""
@@ -98,7 +140,7 @@ class PushToGoal(PushGame):
     def judge(self, before: Episode, after: Episode) -> Turn:
         """Rewards by how much nearer the goal is."""
         error = self.measure(after)
-        won = error < REACHED and not after.fallen
+        won = error < self.reached and not after.fallen
         reward = PER_METER * (before.score - error) + won - after.fallen
         return Turn(replace(after, score=error), reward, won)
 
@@ -118,6 +160,75 @@ class PushToGoal(PushGame):
             pose = np.append(rng.uniform(-self._half, self._half), rng.uniform(-np.pi, np.pi))
             if self.surface.contains_cells(shape.obj, pose, MARGIN):
                 return pose
+
+
+def make_t() -> GridObject:
+    """Makes the T of the benchmark PushT, a pixel being `T_UNIT`."""
+    parts = {label: np.array(corners) * T_UNIT for label, corners in T_PARTS.items()}
+    return GridObject.from_outline(
+        np.array(T_OUTLINE) * T_UNIT, parts=parts, max_cells=T_CELLS, name="t"
+    )
+
+
+class PushTHidden(PushToGoal):
+    """`gridpush/PushTHidden-v0`: the T of PushT, with a hidden load, in four strokes to its goal.
+
+    The T's four parts have masses and frictions that nobody is told. `POKES` random pokes were made
+    and seen before; then there are four strokes, each carried out as it was chosen, without looking.
+    So few leave no time to correct what a wrong model did. The score is the mean distance of the
+    cells from where they are at the goal, m. Reward: its decrease in decimeters, and 1 for coming
+    within 5 mm, which ends the episode.
+    """
+
+    defaults: ClassVar[dict[str, Any]] = {"max_pushes": 4}
+    reached = T_REACHED
+
+    @classmethod
+    def list_defaults(cls) -> dict[str, Any]:
+        """Options that the game has other defaults for, the T among them."""
+        return {**cls.defaults, "objects": (make_t(),)}
+
+    def begin(self, rng: np.random.Generator) -> Episode:
+        """Draws the hidden load, pokes the T, and draws its goal."""
+        shape, hidden = self.draw_object(rng)
+        start = np.append(np.zeros(2), rng.uniform(-np.pi, np.pi))
+        episode = Episode(shape, hidden, rng, start, self.add_noise(start, rng))
+        for _ in range(POKES):
+            action = np.append(rng.uniform(-1.0, 1.0, 2), POKE_DISTANCE)
+            (episode,) = self.push([episode], [action])
+        goal = self._draw_goal(episode, rng)
+        placed = replace(episode, goal=goal)
+        return replace(placed, score=self.measure(placed))
+
+    def is_cut_off(self, episode: Episode) -> bool:
+        """Whether all strokes were made; the pokes are none."""
+        return len(episode.pushes) >= POKES + self.options.max_pushes
+
+    def make_own_spaces(self) -> dict[str, Box]:
+        """The goal, as the pose, and the pokes: action and motion of each."""
+        step = np.append(2 * (self._half + ROOM), np.pi)
+        limit = np.tile(np.concatenate([np.ones(3), step]), POKES).astype(np.float32)
+        return {**super().make_own_spaces(), "pokes": Box(-limit, limit)}
+
+    def observe_own(self, episode: Episode) -> dict[str, Array]:
+        """The goal, as the pose, and the pokes: action and motion of each."""
+        rows = []
+        for seen in episode.pushes[:POKES]:
+            before = seen.pose
+            change = seen.final_pose - before
+            moved = np.append(rotate(-before[2], change[:2]), wrap_angle(change[2]))
+            rows.append(np.concatenate([episode.shape.find_action(seen.push, before), moved]))
+        return {**super().observe_own(episode), "pokes": np.concatenate(rows)}
+
+    def _draw_goal(self, episode: Episode, rng: np.random.Generator) -> Array:
+        """A pose (3,) not far from where the T lies."""
+        pose = episode.true_pose
+        while True:
+            angle = rng.uniform(-np.pi, np.pi)
+            step = rng.uniform(*T_DISTANCE) * np.array([np.cos(angle), np.sin(angle)])
+            goal = np.append(pose[:2] + step, pose[2] + rng.uniform(-T_TURN, T_TURN))
+            if self.surface.contains_cells(episode.shape.obj, goal, MARGIN):
+                return goal
 
 
 class SlideToEdge(PushGame):
@@ -302,6 +413,6 @@ def _make_prior(shape: KnownShape) -> UncertainModel:
 
 
 GAMES: dict[str, type[PushGame]] = {
-    game.__name__: game for game in (PushToGoal, SlideToEdge, Explore)
+    game.__name__: game for game in (PushToGoal, SlideToEdge, Explore, PushTHidden)
 }
 """The games by their environments' names."""
