@@ -9,13 +9,16 @@ project's own, harder game on the same T is played by `bench.pusht_strokes`.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from io import BytesIO
+from pathlib import Path
 from time import thread_time
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from gridpush_drake.bench.pusht_strokes import (
     PLAYERS,
@@ -27,6 +30,7 @@ from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MS, Share, Table, Value
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
+from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.planning.feedback.feedback_controller import (
     FeedbackController,
@@ -73,6 +77,24 @@ SUCCESS = 0.95
 
 EPISODES = 500
 QUICK_EPISODES = 4
+
+FILM_EPISODES = 4
+"""Number of episodes in a film."""
+
+FILM_COLUMNS = 2
+"""Episodes side by side in a film."""
+
+FILM_SIZE = 240
+"""Width and height of an episode in a film, pixels of the film."""
+
+FILM_COLORS = 32
+"""Number of colors of a film."""
+
+FILM_REST = 12
+"""Pictures at the end of a film, which hold still."""
+
+PICTURE_TIME = 100
+"""Time of a picture in a film, ms: that of a decision."""
 
 HIDDEN_STREAM = 34
 """Second word of the seed of the hidden variant's draw, so that it is not the player's seed."""
@@ -149,6 +171,7 @@ class Options(StudyOptions):
         episodes: number of episodes, seeded `seed`, `seed` + 1, ...
         hidden: whether the center of friction is off.
         strokes: whether `gridpush/PushTHidden-v0` is played instead.
+        film: file that a film of the first episodes is written to; None for no film.
     """
 
     episodes: int = option(EPISODES, "Episodes, seeded --seed, --seed + 1, ...", least=1)
@@ -160,6 +183,13 @@ class Options(StudyOptions):
         "Play gridpush/PushTHidden-v0 instead: a hidden load and four open-loop strokes, with the "
         "learned, the even and the true model.",
         name="--strokes",
+    )
+    film: Path | None = option(
+        None,
+        "Also write a film of the first four episodes, side by side.",
+        metavar="FILE.gif",
+        ending=".gif",
+        is_setting=False,
     )
 
 
@@ -174,7 +204,10 @@ def make_jobs(options: Options) -> list[Episode | StrokeEpisode]:
     Raises:
         MissingExtraError: gym-pusht is not installed.
         GridPushError: there is no episode.
+        OutputError: the film cannot be written.
     """
+    if options.film is not None:
+        check_writable(options.film, options.force)
     if options.episodes < 1:
         raise GridPushError("episodes: none; expected at least one")
     if options.strokes:
@@ -243,13 +276,26 @@ def _load_kernels() -> None:
         player.controller.decide(disc, pose + shift)
 
 
-def play_in(env: Any, player: PushTPlayer, seed: int) -> dict[str, Any]:
-    """Plays an episode in an environment. Returns the first fields of `Played`."""
+def play_in(
+    env: Any, player: PushTPlayer, seed: int, look: Callable[[], None] = lambda: None
+) -> dict[str, Any]:
+    """Plays an episode in an environment.
+
+    Args:
+        env: the environment.
+        player: the player.
+        seed: of the environment.
+        look: called at the beginning and after each decision.
+
+    Returns:
+        The first fields of `Played`.
+    """
     observation, _ = env.reset(seed=seed)
     coverages = []
     times = []
     over = False
     terminated = False
+    look()
     while not over:
         begin = thread_time()
         action = player.act(observation)
@@ -257,6 +303,7 @@ def play_in(env: Any, player: PushTPlayer, seed: int) -> dict[str, Any]:
         observation, _, terminated, truncated, info = env.step(action)
         coverages.append(float(info["coverage"]))
         over = bool(terminated or truncated)
+        look()
     return {
         "success": bool(terminated),
         "max_coverage": max(coverages),
@@ -264,6 +311,49 @@ def play_in(env: Any, player: PushTPlayer, seed: int) -> dict[str, Any]:
         "decision_time": float(np.mean(times)),
         "slowest": max(times),
     }
+
+
+def write_film(path: Path, jobs: Sequence[Episode], force: bool = False) -> None:
+    """Plays episodes again, and writes a film of them, side by side.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    films = []
+    for job in jobs:
+        env = make_environment(draw_center(job.seed) if job.hidden else None)
+        pictures: list[Image.Image] = []
+        play_in(
+            env,
+            PushTPlayer(job.seed),
+            job.seed,
+            lambda env=env, pictures=pictures: pictures.append(  # type: ignore[misc]
+                Image.fromarray(env.render()).resize((FILM_SIZE, FILM_SIZE))
+            ),
+        )
+        env.close()
+        films.append(pictures)
+    columns = min(FILM_COLUMNS, len(films))
+    rows = -(-len(films) // columns)
+    length = max(map(len, films)) + FILM_REST
+    frames = []
+    for k in range(length):
+        frame = Image.new("RGB", (columns * FILM_SIZE, rows * FILM_SIZE), "white")
+        for i, pictures in enumerate(films):
+            place = ((i % columns) * FILM_SIZE, (i // columns) * FILM_SIZE)
+            frame.paste(pictures[min(k, len(pictures) - 1)], place)
+        frames.append(frame.quantize(FILM_COLORS))
+    content = BytesIO()
+    frames[0].save(
+        content,
+        "GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=PICTURE_TIME,
+        loop=0,
+        optimize=True,
+    )
+    write_whole(path, content.getvalue(), force)
 
 
 def summarize(played: Sequence[Played]) -> dict[str, float]:
@@ -286,6 +376,9 @@ def tabulate(options: Options, done: Done) -> list[Table]:
     """Tabulates the episodes."""
     if options.strokes:
         return [tabulate_strokes(done.of(STROKES_TASK))]
+    if options.film is not None:
+        jobs = [job for job, _ in done.list_pairs(TASK)]
+        write_film(options.film, jobs[:FILM_EPISODES], options.force)
     return [tabulate_episodes(done.of(TASK), options.seed, options.hidden)]
 
 

@@ -164,7 +164,9 @@ class PushToGoal(PushGame):
 
 def make_t() -> GridObject:
     """Makes the T of the benchmark PushT, a pixel being `T_UNIT`."""
-    parts = {label: np.array(corners) * T_UNIT for label, corners in T_PARTS.items()}
+    parts: dict[int, Any] = {
+        label: np.array(corners) * T_UNIT for label, corners in T_PARTS.items()
+    }
     return GridObject.from_outline(
         np.array(T_OUTLINE) * T_UNIT, parts=parts, max_cells=T_CELLS, name="t"
     )
