@@ -1,7 +1,8 @@
 """Players of `gridpush/PushTHidden-v0`: the T with a hidden load, in four strokes to its goal.
 
 All of them are our own planner, and play the same episodes. They differ in the model that it plans
-with: learned from the pokes and from each stroke, the even T, or the truth. `bench.pusht` runs them.
+with: learned from the pokes and from each stroke, the even T, or the truth. `bench.pusht` runs
+them.
 """
 
 from collections.abc import Sequence
@@ -184,15 +185,16 @@ def tabulate_strokes(played: Sequence[StrokesPlayed]) -> Table:
         "prediction error, mm",
     )
     notes = [
-        "gridpush/PushTHidden-v0: three random pokes, seen; then four strokes at most, none of which "
-        "is corrected while it is made.",
+        "gridpush/PushTHidden-v0: three random pokes, seen; then four strokes at most, none of "
+        "which is corrected while it is made.",
         "The same planner for all, two strokes ahead. Means with 95 % bootstrap intervals.",
     ]
     pairs = _pair(played)
     if len(pairs) > 1:
         gain = calc_interval([MM * (even.error - learned.error) for learned, even in pairs])
         notes.append(
-            f"Learned against even, episode by episode: {gain.describe()} mm of final cell error less."
+            f"Learned against even, episode by episode: {gain.describe()} mm of final cell error "
+            "less."
         )
     return Table("PushT with a hidden load, in four strokes", columns, rows, notes)
 

@@ -56,7 +56,16 @@ T_REACHED = 0.005
 T_UNIT = 0.001
 """Length of a pixel of the benchmark PushT in `PushTHidden`, m."""
 
-T_OUTLINE = ((-60, 0), (60, 0), (60, 30), (15, 30), (15, 120), (-15, 120), (-15, 30), (-60, 30))
+T_OUTLINE = (
+    (-60, 0),
+    (60, 0),
+    (60, 30),
+    (15, 30),
+    (15, 120),
+    (-15, 120),
+    (-15, 30),
+    (-60, 30),
+)
 """Corners of the T, in pixels of the benchmark."""
 
 T_PARTS = {
@@ -69,7 +78,7 @@ T_PARTS = {
 and far end."""
 
 T_CELLS = 63
-"""Number of the T's cells: squares of a centimeter."""
+"""Greatest number of the T's cells, which are about a centimeter wide."""
 
 POKES = 3
 """Number of random pokes that were made and seen before the first stroke."""
@@ -164,11 +173,14 @@ class PushToGoal(PushGame):
 
 def make_t() -> GridObject:
     """Makes the T of the benchmark PushT, a pixel being `T_UNIT`."""
-    parts: dict[int, Any] = {
-        label: np.array(corners) * T_UNIT for label, corners in T_PARTS.items()
-    }
+    parts: dict[int, Any] = {}
+    for label, corners in T_PARTS.items():
+        parts[label] = np.array(corners) * T_UNIT
     return GridObject.from_outline(
-        np.array(T_OUTLINE) * T_UNIT, parts=parts, max_cells=T_CELLS, name="t"
+        np.array(T_OUTLINE) * T_UNIT,
+        parts=parts,
+        max_cells=T_CELLS,
+        name="t",
     )
 
 
@@ -176,10 +188,10 @@ class PushTHidden(PushToGoal):
     """`gridpush/PushTHidden-v0`: the T of PushT, with a hidden load, in four strokes to its goal.
 
     The T's four parts have masses and frictions that nobody is told. `POKES` random pokes were made
-    and seen before; then there are four strokes, each carried out as it was chosen, without looking.
-    So few leave no time to correct what a wrong model did. The score is the mean distance of the
-    cells from where they are at the goal, m. Reward: its decrease in decimeters, and 1 for coming
-    within 5 mm, which ends the episode.
+    and seen before. Then there are four strokes, each carried out as it was chosen, without
+    looking. So few leave no time to correct what a wrong model did. The score is the mean distance
+    of the cells from where they are at the goal, m. Reward: its decrease in decimeters, and 1 for
+    coming within 5 mm, which ends the episode.
     """
 
     defaults: ClassVar[dict[str, Any]] = {"max_pushes": 4}
@@ -195,11 +207,11 @@ class PushTHidden(PushToGoal):
         shape, hidden = self.draw_object(rng)
         start = np.append(np.zeros(2), rng.uniform(-np.pi, np.pi))
         episode = Episode(shape, hidden, rng, start, self.add_noise(start, rng))
+        # The pokes are made like strokes, but are worth nothing: there is no goal yet.
         for _ in range(POKES):
             action = np.append(rng.uniform(-1.0, 1.0, 2), POKE_DISTANCE)
             (episode,) = self.push([episode], [action])
-        goal = self._draw_goal(episode, rng)
-        placed = replace(episode, goal=goal)
+        placed = replace(episode, goal=self._draw_goal(episode, rng))
         return replace(placed, score=self.measure(placed))
 
     def is_cut_off(self, episode: Episode) -> bool:
@@ -208,8 +220,10 @@ class PushTHidden(PushToGoal):
 
     def make_own_spaces(self) -> dict[str, Box]:
         """The goal, as the pose, and the pokes: action and motion of each."""
+        # as the spaces of "last_action" and "last_motion", which a poke is told by
         step = np.append(2 * (self._half + ROOM), np.pi)
-        limit = np.tile(np.concatenate([np.ones(3), step]), POKES).astype(np.float32)
+        limit = np.concatenate([np.ones(3), step])
+        limit = np.tile(limit, POKES).astype(np.float32)
         return {**super().make_own_spaces(), "pokes": Box(-limit, limit)}
 
     def observe_own(self, episode: Episode) -> dict[str, Array]:
@@ -217,9 +231,12 @@ class PushTHidden(PushToGoal):
         rows = []
         for seen in episode.pushes[:POKES]:
             before = seen.pose
+            action = episode.shape.find_action(seen.push, before)
+            # the motion in the T's own frame before the poke
             change = seen.final_pose - before
-            moved = np.append(rotate(-before[2], change[:2]), wrap_angle(change[2]))
-            rows.append(np.concatenate([episode.shape.find_action(seen.push, before), moved]))
+            move = rotate(-before[2], change[:2])
+            turn = wrap_angle(change[2])
+            rows.append(np.concatenate([action, move, [turn]]))
         return {**super().observe_own(episode), "pokes": np.concatenate(rows)}
 
     def _draw_goal(self, episode: Episode, rng: np.random.Generator) -> Array:
@@ -227,8 +244,11 @@ class PushTHidden(PushToGoal):
         pose = episode.true_pose
         while True:
             angle = rng.uniform(-np.pi, np.pi)
-            step = rng.uniform(*T_DISTANCE) * np.array([np.cos(angle), np.sin(angle)])
-            goal = np.append(pose[:2] + step, pose[2] + rng.uniform(-T_TURN, T_TURN))
+            distance = rng.uniform(*T_DISTANCE)
+            turn = rng.uniform(-T_TURN, T_TURN)
+            x = pose[0] + distance * np.cos(angle)
+            y = pose[1] + distance * np.sin(angle)
+            goal = np.array([x, y, pose[2] + turn])
             if self.surface.contains_cells(episode.shape.obj, goal, MARGIN):
                 return goal
 
