@@ -1,5 +1,6 @@
 from .block_learner import BlockLearner as BlockLearner
 from .block_learner import BlockLearnerOptions as BlockLearnerOptions
+from .disc_world import DiscWorld as DiscWorld
 from .feedback_controller import FeedbackController as FeedbackController
 from .feedback_controller import FeedbackDecision as FeedbackDecision
 from .feedback_controller import FeedbackOptions as FeedbackOptions

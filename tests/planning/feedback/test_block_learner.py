@@ -5,7 +5,7 @@ import pytest
 
 from gridpush_drake.bench.pusht import make_block
 from gridpush_drake.planning.feedback.block_learner import BlockLearner, BlockLearnerOptions
-from tests.helpers.pusht import TRUE, DiscWorld
+from tests.helpers.pusht import TRUE, make_world
 
 
 def push_here_and_there(learner, world, decisions=12, noise=0.0, seed=0):
@@ -28,7 +28,7 @@ def calc_error(learner):
 def test_it_finds_the_true_block():
     learner = BlockLearner(make_block())
     first = calc_error(learner)
-    push_here_and_there(learner, DiscWorld([250.0, 200.0], [256.0, 236.0, 0.0]))
+    push_here_and_there(learner, make_world([250.0, 200.0], [256.0, 236.0, 0.0]))
     center, arm = calc_error(learner)
     assert first[0] > 10.0
     assert center < 0.05
@@ -40,7 +40,7 @@ def test_noise_is_averaged_and_the_spread_tells_of_it():
     errors = []
     for seed in range(12):
         learner = BlockLearner(make_block(), options)
-        world = DiscWorld([250.0, 200.0], [256.0, 236.0, 0.0])
+        world = make_world([250.0, 200.0], [256.0, 236.0, 0.0])
         push_here_and_there(learner, world, noise=0.3, seed=seed)
         z = np.array(
             [learner.estimate.center_x, learner.estimate.center_y, np.log(learner.estimate.arm)]
@@ -73,7 +73,7 @@ def test_decisions_at_a_wall_and_inside_the_block_are_left_out():
 
 def test_one_wrong_pose_does_not_lead_it_astray():
     learner = BlockLearner(make_block())
-    world = DiscWorld([250.0, 200.0], [256.0, 236.0, 0.0])
+    world = make_world([250.0, 200.0], [256.0, 236.0, 0.0])
     push_here_and_there(learner, world, 6)
     before = np.concatenate([world.disc, world.velocity])
     pose = world.pose
@@ -89,7 +89,7 @@ def test_an_angle_that_jumps_by_a_turn_is_the_same_angle():
     estimates = []
     for jump in (0.0, 2.0 * np.pi):
         learner = BlockLearner(make_block())
-        world = DiscWorld([230.0, 200.0], [256.0, 236.0, 0.0])
+        world = make_world([230.0, 200.0], [256.0, 236.0, 0.0])
         for _ in range(6):
             before = np.concatenate([world.disc, world.velocity])
             pose = world.pose

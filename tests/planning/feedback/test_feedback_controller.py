@@ -6,7 +6,7 @@ import pytest
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.planning.feedback.feedback_controller import FeedbackOptions
 from gridpush_drake.planning.feedback.sliding_block import BlockEstimate
-from tests.helpers.pusht import TRUE, DiscWorld, make_controller, play
+from tests.helpers.pusht import TRUE, make_controller, make_world, play
 
 START = ([120.0, 400.0], [330.0, 180.0, -2.0])
 
@@ -14,7 +14,7 @@ START = ([120.0, 400.0], [330.0, 180.0, -2.0])
 @pytest.mark.parametrize("start", [START, ([400.0, 90.0], [180.0, 300.0, 1.2])])
 def test_an_uneven_block_is_brought_to_its_goal(start):
     controller = make_controller(seed=1)
-    decisions, coverages = play(DiscWorld(*start), controller)
+    decisions, coverages = play(make_world(*start), controller)
     assert coverages[-1] > 0.95
     assert len(decisions) < 60
     assert max(coverages[:-1], default=0.0) <= 0.95
@@ -25,7 +25,7 @@ def test_an_uneven_block_is_brought_to_its_goal(start):
 def test_the_same_seed_decides_the_same():
     targets = []
     for seed in (1, 1, 2):
-        world = DiscWorld(*START)
+        world = make_world(*START)
         controller = make_controller(seed=seed)
         run = []
         for _ in range(8):
@@ -37,14 +37,14 @@ def test_the_same_seed_decides_the_same():
 
 
 def test_targets_stay_where_the_disc_may_go():
-    world = DiscWorld([60.0, 60.0], [180.0, 120.0, 2.0])
+    world = make_world([60.0, 60.0], [180.0, 120.0, 2.0])
     decisions, _ = play(world, make_controller(seed=3), 40)
     targets = np.array([decision.target for decision in decisions])
     assert targets.min() >= 0.0 and targets.max() <= 512.0
 
 
 def test_a_pose_that_is_missing_for_a_moment_does_not_stop_it():
-    world = DiscWorld(*START)
+    world = make_world(*START)
     controller = make_controller(seed=1)
     statuses = []
     for k in range(80):
@@ -59,7 +59,7 @@ def test_a_pose_that_is_missing_for_a_moment_does_not_stop_it():
 
 
 def test_poses_that_never_come_leave_the_disc_at_rest():
-    world = DiscWorld(*START)
+    world = make_world(*START)
     controller = make_controller(seed=1)
     for _ in range(3):
         world.step(controller.decide(world.disc, world.pose).target)
@@ -75,7 +75,7 @@ def test_poses_that_never_come_leave_the_disc_at_rest():
 
 
 def test_a_block_that_moves_on_its_own_is_given_up():
-    world = DiscWorld(*START)
+    world = make_world(*START)
     controller = make_controller(seed=1)
     rng = np.random.default_rng(0)
     statuses = []
@@ -92,11 +92,11 @@ def test_a_block_that_moves_on_its_own_is_given_up():
 
 
 def test_a_shove_is_recovered_from():
-    world = DiscWorld(*START)
+    world = make_world(*START)
     controller = make_controller(seed=1)
     for _ in range(8):
         world.step(controller.decide(world.disc, world.pose).target)
-    world.state[4:7] += [30.0, -25.0, 0.35]
+    world.put(world.pose + [30.0, -25.0, 0.35])
     _, coverages = play(world, controller)
     assert coverages[-1] > 0.95
 
@@ -112,7 +112,7 @@ def test_what_the_learned_block_is_worth():
                 controller.learner.add = lambda *_: False
             rng = np.random.default_rng(seed)
             pose = [*rng.uniform(150, 350, 2), rng.uniform(-3, 3)]
-            world = DiscWorld([30.0, 30.0], pose, other)
+            world = make_world([30.0, 30.0], pose, other)
             steps[learns].append(len(play(world, controller)[0]))
     assert np.mean(steps[True]) < np.mean(steps[False])
 
