@@ -78,6 +78,10 @@ class TaskKind:
 
     A `record` in its methods is what a run came to: a `TaskRecord` of the task's own kind.
 
+    A kind overrides `describe_step`, `describe`, and `make_summary` or all of `make_report`. Where
+    the controller has an output port `status` and the record is a `ControlledRecord`, it overrides
+    `name_phase`; elsewhere `describe_phase` and `list_phases`.
+
     Attributes:
         station: the class of the task, a `StationTask`, made of a scenario and a Meshcat.
         scenario: name of the shipped scenario in which the task is done if none is given; None for
