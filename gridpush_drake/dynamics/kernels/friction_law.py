@@ -7,7 +7,7 @@ tolerance eps, and its derivatives:
     Psi,    g = dPsi/dxi,    H = d²Psi/dxi²,    f_i = dg/dk_i
 
 A new law is a file like `isotropic_friction` that ends with its `FrictionLaw`, and one line that
-registers it: `friction.register_friction_law(...)`. The kernels are then compiled for it on its
+registers it: `register_friction_law(...)`. The kernels are then compiled for it on its
 first use. `docs/extending.md` has a whole one.
 """
 
@@ -39,7 +39,8 @@ class FrictionLaw:
     """A law of support friction.
 
     The functions are kernels, or `make` apart, NumPy; `law` is what `make` made, `cells` (2, n) the
-    cell centers p_BC in m, `xi` (3,) the twist in m/s and rad/s.
+    cell centers p_BC in m, `xi` (3,) the twist in m/s and rad/s; in the quasi-static regime per
+    meter of the pusher's path, which tells no speed.
 
     Attributes:
         name: the word by which `Physics.friction_law` names it.
@@ -57,7 +58,7 @@ class FrictionLaw:
         can_majorize: (law) -> whether there is such a quadratic; `majorize` is asked for only then.
         fill_load_derivatives: (law, cells, eps, xi, f): fills f (3, >= n) with f_i.
         spin_models: those it knows; any other word stands for the first.
-        regimes: those it knows.
+        regimes: those it knows; only "inertial" where friction depends on speed.
         gradients: the values of `simulate`'s argument that it knows.
         looks_ahead: whether a step sees the body halfway through it (the midpoint rule) or where it
             begins.
