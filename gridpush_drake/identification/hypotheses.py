@@ -149,7 +149,7 @@ class LoadHypothesis(Protocol):
     """One idea of how an object bears on the table.
 
     Attributes:
-        name: short name, unique in an ensemble; results, reports and model files show it.
+        name: short name, unique in an ensemble; results and reports show it.
         needs_pushes: whether `propose` looks at `Setting.pushes`. Such hypotheses are asked last,
             with the pushes made linear about the best fit of the others.
     """
