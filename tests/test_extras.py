@@ -28,15 +28,16 @@ OF_EXTRAS = {
     "jax",
     "mujoco",
     "pymunk",
+    "rerun-sdk",
     "rosbags",
     "torch",
 }
 """Packages that `pip install .` does not install."""
 
-NOT_FOR_TESTS = {"gym-pusht", "jax", "mujoco", "pymunk", "torch"}
+NOT_FOR_TESTS = {"gym-pusht", "jax", "mujoco", "pymunk", "rerun-sdk", "torch"}
 """Packages that are not needed to work on the project: tests that use them are skipped without.
 
-JAX, MuJoCo and torch are large, and gym-pusht brings another build of OpenCV."""
+JAX, MuJoCo, Rerun and torch are large, and gym-pusht brings another build of OpenCV."""
 
 MISSING = f"""
 import sys

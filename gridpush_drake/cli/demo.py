@@ -12,6 +12,7 @@ from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.errors import OutputError, StationError
 from gridpush_drake.files import make_folder_beside, output_folder
 from gridpush_drake.station.camera import check_renderer
+from gridpush_drake.station.rerun_view import RerunView
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.run_recorder import RunRecorder
@@ -116,6 +117,7 @@ def demo(
         ),
     ] = None,
     record_file: options.Record = None,
+    rerun: options.Rerun = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
@@ -151,14 +153,17 @@ def demo(
     with output_folder(out):
         options.check_outputs(force, *(out / name for name in chosen.files), record_file)
         recorder = None if record_file is None else RunRecorder()
+        view = None if rerun is None else RerunView(rerun, force)
+        watchers = [each.note for each in (recorder, view) if each is not None]
         page = LivePage(port)
         options.compile_kernels()
         print_notice(f"Watch it at {page.url}")
         if open_browser:
             typer.launch(page.url)
         with count_progress("the robot", chosen.count_steps(scenario)) as report_step:
-            observe = None if recorder is None else recorder.note
-            record = chosen.run(resolved, page, realtime_rate, report_step, observe)
+            record = chosen.run(resolved, page, realtime_rate, report_step, watchers)
+        if view is not None:
+            view.finish()
         folder = _find_place(out, chosen, force)
         print_notice(f"Writing to {folder} ...")
         written = write_files(chosen, folder, scenario, record, page.meshcat, force)

@@ -83,6 +83,15 @@ Record = Annotated[
     ),
 ]
 
+Rerun = Annotated[
+    str | None,
+    typer.Option(
+        "--rerun",
+        metavar="FILE.rrd|live",
+        help="Show the run in the Rerun viewer while it goes on (live), or write a file for it.",
+    ),
+]
+
 Force = Annotated[
     bool,
     typer.Option(

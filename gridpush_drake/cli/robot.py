@@ -5,7 +5,7 @@ terminal in its own way: they stop the arm smoothly, and the files are still wri
 """
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -44,6 +44,7 @@ from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
 from gridpush_drake.station.links.link_bus import LinkBus
 from gridpush_drake.station.links.ros2 import Ros2Role
 from gridpush_drake.station.links.ros2_estimate import Ros2Estimate
+from gridpush_drake.station.rerun_view import RerunView
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.run_recorder import RunRecorder
 from gridpush_drake.station.scenario import PushScenario
@@ -103,6 +104,7 @@ def robot(
         ),
     ] = Path("gridpush_robot"),
     record_file: options.Record = None,
+    rerun: options.Rerun = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
@@ -153,7 +155,11 @@ def robot(
             return
         with _stopping(link) as asked:
             recorder = None if record_file is None else RunRecorder()
-            record = _run(station_task, link, network, recorder)
+            view = None if rerun is None else RerunView(rerun, force)
+            watchers = [each.note for each in (recorder, view) if each is not None]
+            record = _run(station_task, link, network, watchers)
+            if view is not None:
+                view.finish()
             summary = _report(chosen, scenario, record, link, out, force, json)
             if recorder is not None and record_file is not None:
                 recorder.write(record_file, record, force)
@@ -213,7 +219,7 @@ def _run(
     task: StationTask[Any],
     link: HardwareLink,
     network: OpenedLink,
-    recorder: RunRecorder | None,
+    watchers: Sequence[Callable[[Any], None]],
 ) -> Any:
     """Lets the arm move until the task ends or is stopped; returns the task's record."""
     estimate = None if network.ros is None else Ros2Estimate(network.ros, task, link)
@@ -224,8 +230,8 @@ def _run(
         def show(status: Any, logged: int) -> None:
             if estimate is not None:
                 estimate.publish()
-            if recorder is not None:
-                recorder.note(task)
+            for watch in watchers:
+                watch(task)
             report(f"{status.phase}, {logged} pushes logged", f"{context().get_time():.0f} s")
 
         return task.run(progress=show, drive=link)

@@ -35,6 +35,9 @@ MAX_CORNER_ERROR = 3.0
 """Greatest root mean square error of the corners in a photograph, pixels; beyond it the board is
 another one, or not flat."""
 
+DISTORTION_SIZE = 5
+"""Number of distortion coefficients: k1, k2, p1, p2, k3."""
+
 FLAGS = cv2.CALIB_FIX_K3
 """The sixth-order radial coefficient is held at 0: only very wide lenses need it."""
 
@@ -124,7 +127,7 @@ def calibrate_intrinsics(
 
     # OpenCV's own first guess, and Levenberg and Marquardt's method from there.
     error, K, distortion, turns, _, deviations, _, errors = cv2.calibrateCameraExtended(
-        places, pixels, size, None, None, flags=FLAGS
+        places, pixels, size, np.eye(3), np.zeros(DISTORTION_SIZE), flags=FLAGS
     )
 
     # A sheet at another scale does no harm here, but one that is bent, or another board, shows.
@@ -149,5 +152,10 @@ def calibrate_intrinsics(
             f"the focal length is known to {100 * focal_deviation:.1f} % only; expected "
             f"{100 * MAX_FOCAL_DEVIATION:g} %: {advice}"
         )
-    camera = Camera(size[0], size[1], K, distortion.ravel())
+    camera = Camera(
+        width=size[0],
+        height=size[1],
+        K=np.asarray(K, dtype=np.float64),
+        distortion=np.asarray(distortion, dtype=np.float64).ravel(),
+    )
     return Intrinsics(camera, float(error), focal_deviation, tuple(used), tuple(unused))

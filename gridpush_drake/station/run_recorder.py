@@ -118,10 +118,11 @@ class RunRecorder:
         for sample in record.stream:
             tip = np.asarray(sample.tip, float)
             if np.isfinite(tip).all():
-                self._add(sample.t, "/tip_pose", self._make_pose(sample.t, *tip, 0.0))
+                self._add(sample.t, "/tip_pose", self._make_pose(sample.t, tip, 0.0))
             x, y, theta = (float(number) for number in sample.pose)
             if np.isfinite([x, y, theta]).all():
-                self._add(sample.t, "/object_pose", self._make_pose(sample.t, x, y, 0.0, theta))
+                place = np.array([x, y, 0.0])
+                self._add(sample.t, "/object_pose", self._make_pose(sample.t, place, theta))
         # `rosbags` writes a folder of its own; what is wanted is the one file in it.
         with TemporaryDirectory() as scratch:
             folder = Path(scratch) / "run"
@@ -177,7 +178,7 @@ class RunRecorder:
             return
         self._push = command.command_id
         ends = [
-            self._make_pose(time, *point, 0.0, command.direction)
+            self._make_pose(time, np.append(point, 0.0), command.direction)
             for point in (command.start, command.end)
         ]
         self._add(time, "/push", self._make("nav_msgs/msg/Path", self._make_header(time), ends))
@@ -193,7 +194,7 @@ class RunRecorder:
         R = make_rotation(pose[2])
         covariance = np.zeros((6, 6))
         covariance[:2, :2] = R @ spread @ R.T
-        at = self._make_pose(time, *(pose[:2] + R @ center), 0.0, pose[2])
+        at = self._make_pose(time, np.append(pose[:2] + R @ center, 0.0), float(pose[2]))
         uncertain = self._make(
             "geometry_msgs/msg/PoseWithCovariance", at.pose, covariance.reshape(POSE_COVARIANCE)
         )
@@ -229,12 +230,12 @@ class RunRecorder:
     def _make_vector(self, numbers: Array) -> Any:
         return self._make("geometry_msgs/msg/Vector3", *(float(number) for number in numbers))
 
-    def _make_pose(self, time: float, x: float, y: float, z: float, yaw: float) -> Any:
-        """A `PoseStamped` in the frame `world`, upright but for its turn about the vertical."""
+    def _make_pose(self, time: float, place: Array, yaw: float) -> Any:
+        """A `PoseStamped` in the frame `world`, at a place (3,), upright but for its yaw."""
         turn = (0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
         pose = self._make(
             "geometry_msgs/msg/Pose",
-            self._make("geometry_msgs/msg/Point", float(x), float(y), float(z)),
+            self._make("geometry_msgs/msg/Point", *(float(number) for number in place)),
             self._make("geometry_msgs/msg/Quaternion", *turn),
         )
         return self._make("geometry_msgs/msg/PoseStamped", self._make_header(time), pose)

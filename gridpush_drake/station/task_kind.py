@@ -109,7 +109,7 @@ class TaskKind:
         page: LivePage,
         realtime_rate: float,
         report: Report,
-        observe: Callable[[Any], None] | None = None,
+        watchers: Sequence[Callable[[Any], None]] = (),
     ) -> Any:
         """Runs the task, and records it from the moment when everything is set up.
 
@@ -119,7 +119,7 @@ class TaskKind:
             realtime_rate: greatest number of simulated seconds in a second; 0 for as fast as
                 possible.
             report: told after every step what is being done, for how long, and how far it is.
-            observe: called with the task after every step, such as `RunRecorder.note`.
+            watchers: called with the task after every step, such as `RunRecorder.note`.
 
         Returns:
             The record of the run.
@@ -131,8 +131,8 @@ class TaskKind:
         page.show_phases(phases)
 
         def show(status: PushStatus, logged: int) -> None:
-            if observe is not None:
-                observe(task)
+            for watch in watchers:
+                watch(task)
             time = task.simulator.get_context().get_time()
             doing, steps = self.describe_step(task, status)
             report(doing, f"{time:.0f} s simulated", steps)

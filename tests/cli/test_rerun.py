@@ -1,0 +1,55 @@
+"""`--rerun`: a run as a file for the Rerun viewer."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gridpush_drake.station.rerun_view import DEVIATIONS, calc_ellipse
+from tests.helpers.command_line import run_gridpush
+
+SCENARIO = """
+object: open_book
+object_pose: [0.55, 0.0, 0.0]
+base: planar
+pokes: {count: 1, test_count: 0, speed: 0.06}
+"""
+
+ENTITIES = (
+    "/world/object",
+    "/world/object/cells",
+    "/world/object/center_of_mass",
+    "/world/tip",
+    "/world/push",
+    "/known/pushes",
+    "/known/center_of_mass_x_mm",
+)
+
+
+def test_the_ellipse_is_that_of_the_covariance():
+    covariance = np.array([[4.0, 1.0], [1.0, 2.0]])
+    ring = calc_ellipse(np.array([1.0, -2.0]), covariance) - [1.0, -2.0]
+    distances = np.einsum("ki,ij,kj->k", ring, np.linalg.inv(covariance), ring)
+    np.testing.assert_allclose(distances, DEVIATIONS**2)
+
+
+def test_a_demo_is_written_for_the_viewer(capsys, tmp_path):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    (tmp_path / "scenario.yaml").write_text(SCENARIO)
+    file = tmp_path / "run.rrd"
+    arguments = ["--task", "identify", "--scenario", tmp_path / "scenario.yaml"]
+    done = run_gridpush(capsys, "demo", *arguments, "--out", tmp_path / "out", "--rerun", file)
+    assert done.code == 0, done.err
+    assert list(tmp_path.glob("*.rrd")) == [file]
+    printed = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "print", str(file)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for entity in ENTITIES:
+        assert entity in printed.stdout, entity
+    again = run_gridpush(capsys, "demo", *arguments, "--out", tmp_path / "b", "--rerun", file)
+    assert again.code == 2
+    assert "run.rrd" in again.err
