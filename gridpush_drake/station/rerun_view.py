@@ -1,8 +1,8 @@
 """`RerunView`: shows a run in the Rerun viewer, while it goes on or from a file.
 
 It needs the package `rerun-sdk`. Below `world` there are the object's cells, colored by the masses
-that are held for the likeliest, the ellipse in which the center of mass is, the finger's tip, the push
-that is under way, and pictures; below `known` curves of how well the object is known.
+that are held for the likeliest, the ellipse in which the center of mass is, the finger's tip, the
+push that is under way, and pictures; below `known` curves of how well the object is known.
 """
 
 from pathlib import Path
