@@ -1,7 +1,7 @@
 """What `gridpush robot`, `twin` and `tracker` are linked by: LCM, or ROS 2 with `--ros2`."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -48,6 +48,9 @@ LcmUrl = Annotated[
     ),
 ]
 
+ROS2_MESSAGES = "iiwa"
+"""The messages that are used inside if the link is ROS 2."""
+
 ByRos2 = Annotated[
     bool,
     typer.Option(
@@ -84,6 +87,19 @@ class OpenedLink:
         """Leaves the network."""
         if self.ros is not None:
             self.ros.close()
+
+
+def prepare_link(resolved: ResolvedScenario, ros2: bool) -> ResolvedScenario:
+    """Prepares a scenario's robot for a link.
+
+    Over LCM a driver speaks the messages that robot.yaml names. Over ROS 2 every driver speaks the
+    same; the messages that station and twin use inside are then an iiwa's, which carry any number
+    of joints, for every arm, with a gripper or without.
+    """
+    if not ros2:
+        return resolved
+    arm = resolved.robot.arm.model_copy(update={"messages": ROS2_MESSAGES})
+    return replace(resolved, robot=replace(resolved.robot, arm=arm))
 
 
 def open_link(role: Ros2Role, resolved: ResolvedScenario, ros2: bool, lcm: str) -> OpenedLink:
@@ -130,7 +146,8 @@ def make_camera_opener(scenario: PushScenario, ros2: bool, lcm: str) -> Callable
 
 
 def _open_for_camera(scenario: str, arguments: tuple[str, ...]) -> Bus:
-    resolved = resolve(parse_scenario(Path("scenario.yaml"), scenario))
+    scene = resolve(parse_scenario(Path("scenario.yaml"), scenario))
+    resolved = prepare_link(scene, True)
     return open_ros2_link(Ros2Role.CAMERA, resolved, arguments).bus
 
 

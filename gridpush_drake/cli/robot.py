@@ -29,6 +29,7 @@ from gridpush_drake.cli.open_link import (
     LcmUrl,
     OpenedLink,
     open_link,
+    prepare_link,
 )
 from gridpush_drake.cli.output import losable_outputs
 from gridpush_drake.cli.twin import (
@@ -123,7 +124,7 @@ def robot(
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
     # In simulation the robot waits until an answer is calculated; a real arm does not stand still
     scenario.simulation.answer_delay = None
-    resolved = resolve(scenario, scenario_file, told=obj)
+    resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
     if scenario.camera.kind == "rgbd" and object_file is None:
         raise ScenarioError(
             "--object: missing; if the scenario has camera.kind rgbd, expected the object file "

@@ -8,7 +8,14 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_line, print_notice
-from gridpush_drake.cli.open_link import DEFAULT_URL, ByRos2, LcmUrl, OpenedLink, open_link
+from gridpush_drake.cli.open_link import (
+    DEFAULT_URL,
+    ByRos2,
+    LcmUrl,
+    OpenedLink,
+    open_link,
+    prepare_link,
+)
 from gridpush_drake.cli.twin import Scenario, read_robot_scenario
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.objects.object_file import dump_object
@@ -57,7 +64,7 @@ def tracker(
     Example: gridpush tracker --scenario cell.yaml --out object.yaml
     """
     scenario, obj = read_robot_scenario(scenario_file, object_file, None)
-    resolved = resolve(scenario, scenario_file, told=obj)
+    resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
     if object_file is None:
         check_writable(out, force)
     given = None if object_file is None else resolved.obj

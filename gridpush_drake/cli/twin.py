@@ -19,6 +19,7 @@ from gridpush_drake.cli.open_link import (
     OpenedLink,
     make_camera_opener,
     open_link,
+    prepare_link,
 )
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.station.lcm.twin import MakeTwin, Twin
@@ -98,7 +99,7 @@ def twin(
     Example: gridpush twin --scenario grasp
     """
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
-    resolved = resolve(scenario, scenario_file, told=obj)
+    resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
     network = open_link(Ros2Role.ROBOT, resolved, ros2, lcm)
     link = TwinLink(network.bus, resolved.robot)
     if isinstance(network.bus, LinkBus):

@@ -3,14 +3,54 @@
 import sys
 
 import pytest
+from pydrake.systems.analysis import Simulator
 
+from gridpush_drake.cli.open_link import prepare_link
 from gridpush_drake.cli.ros_args import split_ros_arguments
+from gridpush_drake.errors import StationError
+from gridpush_drake.station.lcm import MakeTwin
+from gridpush_drake.station.lcm.robot_messages import find_arm_messages
+from gridpush_drake.station.lcm.twin_link import TwinLink
+from gridpush_drake.station.links import (
+    ArmStatus,
+    GripperStatus,
+    InProcessLink,
+    LinkBus,
+    ObjectSight,
+)
+from gridpush_drake.station.links.ros2 import MakeRosRobot
+from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.robot import make_robot_directives
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario
 
 
 def test_robot_twin_and_tracker_say_what_is_missing(refuses, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     for command in ("robot", "twin", "tracker"):
         refuses(command, "--ros2", says=["--ros2", "expected ROS 2 in this shell"])
+
+
+@pytest.mark.parametrize("robot", ["panda", "gantry"])
+def test_every_robot_can_be_spoken_to_over_ros_2_its_hand_too(robot):
+    """Drake has no LCM message for a Panda's hand, and a gantry names none at all."""
+    scenario = read_scenario("grasp") if robot == "panda" else PushScenario()
+    scenario.directives = make_robot_directives(robot, grasping=None)
+    resolved = resolve(scenario)
+    with pytest.raises(StationError):
+        find_arm_messages(prepare_link(resolved, ros2=False).robot)
+    prepared = prepare_link(resolved, ros2=True)
+    found = MakeRosRobot(prepared)
+    assert len(found.joints) == len(prepared.q_start)
+    assert (found.gripper is None) == (robot == "gantry")
+    here, there = InProcessLink.make_pair()
+    link = TwinLink(LinkBus(here, prepared.robot), prepared.robot)
+    simulator = Simulator(MakeTwin(prepared, link.bus, listens=False))
+    simulator.get_system().SetStart(simulator.get_mutable_context())
+    simulator.AdvanceTo(0.06)
+    link.exchange()
+    kinds = {type(message) for message in there.receive(0.0)}
+    assert kinds == {ArmStatus, ObjectSight} | (set() if robot == "gantry" else {GripperStatus})
 
 
 @pytest.mark.parametrize(
