@@ -55,8 +55,8 @@ def open_file(path: Path | str, what: str, error: type[GridPushError], max_size:
         The open file, which the caller closes.
 
     Raises:
-        GridPushError: `error`: there is no such file, its name is none, it is a folder, a pipe or a
-            device, it is larger than `max_size`, or the system refuses.
+        GridPushError: `error`: there is no such file, no file can have this name, it is a folder, a
+            pipe or a device, it is larger than `max_size`, or the system refuses.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | NON_BLOCKING)
@@ -152,8 +152,8 @@ def check_writable(path: Path | str, force: bool = False) -> Path:
         `path` as a Path.
 
     Raises:
-        OutputError: the file exists and `force` is not set, its name is none, or its folder is
-            missing or read-only.
+        OutputError: the file exists and `force` is not set, no file can have this name, or its
+            folder is missing or read-only.
     """
     path = Path(path)
     try:

@@ -503,7 +503,10 @@ def _check_extent(root: yaml.Node) -> None:
             return extent[id(node)]
         if id(node) in open_nodes:
             raise yaml.composer.ComposerError(
-                None, None, "an alias stands within what it names", node.start_mark
+                None,
+                None,
+                "an alias (*name) stands inside the value that it names",
+                node.start_mark,
             )
         open_nodes.add(id(node))
         extent[id(node)] = 1 + sum(map(measure, _children(node)))

@@ -32,7 +32,7 @@ REFUSED = {
     "x: !!set {a, b}": "the tag !!set is not known",
     "x: !!omap [a: 1]": "the tag !!omap is not known",
     "x: !!python/object/apply:os.system [true]": "is not valid YAML: could not determine",
-    "x: &a [*a]": "an alias stands within what it names",
+    "x: &a [*a]": "an alias (*name) stands inside the value that it names",
     "x: " + "1" * 401: "a number has 401 characters; expected at most 400",
     "[" * 300 + "]" * 300: "is nested too deeply",
     "- " * 300 + "1": "is nested too deeply",

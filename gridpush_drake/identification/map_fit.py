@@ -123,7 +123,7 @@ class CenterOfMass:
     def linearize(self, obj: GridObject, z: Array, whitening: Array) -> tuple[Array, Array]:
         """Whitened residual (2,) of the center of friction at z (n+1,), and its Jacobian (2, n+1).
 
-        The whitening is held: it is not differentiated.
+        The whitening is taken as a constant: its own derivative by z is left out.
         """
         share = calc_share(z)
         residual = whitening @ (share @ obj.p_BC - self.at)

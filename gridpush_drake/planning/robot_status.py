@@ -22,7 +22,7 @@ class PushPhase(StrEnum):
 
 @dataclass(frozen=True)
 class PushStatus:
-    """What a push executor says of itself.
+    """What a push executor reports: what it is doing, and what became of its commands.
 
     Attributes:
         phase: what it is doing; "clearing" moves the arm out of the camera's view.

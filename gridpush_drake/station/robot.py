@@ -464,7 +464,9 @@ def _find_measures(folders: dict[str, Path], file: str, schema: type[M]) -> tupl
         return "", None
     if len(found) > 1:
         names = " and ".join(name for name, _ in found)
-        raise ScenarioError(f"directives: {names} each have a {file}; expected one")
+        raise ScenarioError(
+            f"directives: {names} each have a {file}; expected one model with a {file} in a scene"
+        )
     name, path = found[0]
     return name, read_measures(path, schema)
 

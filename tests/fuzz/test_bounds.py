@@ -63,8 +63,8 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(
     [
         (ALIASES, "more than 500000 keys and values, its aliases written out"),
         (MERGES, "more than 500000 keys and values, its aliases written out"),
-        ("a: &a [*a]\n", "alias stands within what it names"),
-        ("a: &a {b: *a}\n", "alias stands within what it names"),
+        ("a: &a [*a]\n", "stands inside the value that it names"),
+        ("a: &a {b: *a}\n", "stands inside the value that it names"),
         ("a: 0x" + "1" * 5000 + "\n", "a number has 5002 characters; expected at most 400"),
         ("a: " + "9" * 5000 + "\n", "a number has 5000 characters; expected at most 400"),
     ],

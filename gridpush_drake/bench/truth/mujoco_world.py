@@ -299,7 +299,10 @@ class MujocoWorld(TrackedWorld):
 
     @property
     def truth(self) -> WorldTruth:
-        """What is true of the body now, for judges only; it stays unless it tilts too far."""
+        """What is true of the body now, for judges only.
+
+        A body that is tilted by FALLEN_TILT or more does not stay as it lies.
+        """
         tilt = self._read_tilt()
         return replace(super().truth, tilt=tilt, stays=tilt < FALLEN_TILT)
 
