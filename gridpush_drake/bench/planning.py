@@ -114,9 +114,12 @@ PUSH = "push"
 PART_NAMES = {CONTACT: "contact points", PUSH: "pushing"}
 """What the parts are called while they run."""
 
+SEEN = f"poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of noise."
+"""How the object is seen, in words."""
+
 WORLD_NOTES = {
-    LCP: "Hidden masses by part; poses seen with 0.5 mm and 0.003 rad of noise. The table's edge "
-    "does not change how the object rubs; it falls where its center of mass loses its support."
+    LCP: f"Hidden masses by part; {SEEN} The table's edge does not change how the object rubs; it "
+    "falls where its center of mass loses its support."
 }
 """What a reader of the table should know of a world, by its name."""
 
@@ -456,9 +459,7 @@ def tabulate_runs(
     notes = [
         f"Success: mean cell error under 2 cm within {MAX_PUSHES} pushes, on the round table of "
         "radius 0.5 m.",
-        WORLD_NOTES.get(
-            world, f"Pushed in {world}; poses seen with 0.5 mm and 0.003 rad of noise."
-        ),
+        WORLD_NOTES.get(world, f"Pushed in {world}; {SEEN}"),
         "Models: learned on the way from the uniform one; uniform throughout; the true one, "
         "looking one push ahead (as the others do) and two.",
         "Predictions: mean cell error of a push's predicted end, of the first push and of the "
