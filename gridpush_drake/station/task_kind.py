@@ -78,7 +78,7 @@ class TaskKind:
 
     A `record` in its methods is what a run came to: a `TaskRecord` of the task's own kind.
 
-    A kind overrides `describe_step`, `describe`, and `make_summary` or all of `make_report`. Where
+    A kind overrides `describe_step`, `describe`, and either `make_summary` or `make_report`. Where
     the controller has an output port `status` and the record is a `ControlledRecord`, it overrides
     `name_phase`; elsewhere `describe_phase` and `list_phases`.
 
