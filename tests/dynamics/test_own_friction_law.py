@@ -69,7 +69,8 @@ for t in range(50):
     port.FixValue(context, np.concatenate([tip[t], (tip[t + 1] - tip[t]) / system.dt]))
     world.AdvanceTo((t + 1) * system.dt)
 stepped = system.GetOutputPort("pose").Eval(context)
-core = simulate(obj, model.params, Push.along(times, tip, 0.01 / 2), times=times, physics=system.physics)
+same_push = Push.along(times, tip, system.pusher_radius)
+core = simulate(obj, model.params, same_push, times=times, physics=system.physics)
 assert system.physics == model.physics
 np.testing.assert_allclose(stepped, core.final_pose, atol=1e-9)
 
