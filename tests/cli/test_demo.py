@@ -232,7 +232,7 @@ def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, r
     def refuse():
         raise StationError("pictures need libegl1")
 
-    def take(self, resolved, meshcat, realtime_rate, report):
+    def take(self, resolved, *_):
         taken.append(resolved.scenario.camera.kind)
         raise GridPushError("no further")
 
