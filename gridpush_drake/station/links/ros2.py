@@ -14,8 +14,9 @@ Topics are relative names, so that namespaces and remapping work as ROS users ex
     gripper_controller/joint_trajectory        likewise, for the gripper's joints
     gripper_controller/commands                likewise
 
-What is received by best effort takes both kinds of publishers; commands are sent reliably, as
-ros2_control's controllers want them. Nothing of ROS is imported before a link is made.
+Statuses are received by best effort, which takes both kinds of publishers, and images reliably
+where their publisher offers it. Commands are sent reliably, as ros2_control's controllers want
+them. Nothing of ROS is imported before a link is made.
 """
 
 from collections.abc import Callable, Sequence
@@ -93,8 +94,15 @@ KEPT_IMAGES = 10
 QUEUE = 10
 """Number of messages of a topic that wait at most to be read."""
 
-DRAINED = 50
-"""Number of callbacks at most between two looks at the clock."""
+DRAINED = 100
+"""Number of messages that are taken at most between two looks at the clock."""
+
+BEST_EFFORT = "BEST_EFFORT"
+RELIABLE = "RELIABLE"
+BEST_AVAILABLE = "BEST_AVAILABLE"
+"""How a topic is received. Best effort takes every publisher. Images are larger than the buffers of
+a computer, and most would be lost so: they are received reliably wherever their publisher offers
+it."""
 
 COLOR_FORMS = {
     "rgb8": (3, (0, 1, 2)),
@@ -298,6 +306,7 @@ class Ros2Link:
         self._ros = import_ros()
         self._robot = robot
         self._received: list[LinkMessage] = []
+        self._taken = 0  # how many messages have come, of whatever kind
         self._context = self._ros.context.Context()
         given = ["gridpush", *(["--ros-args", *arguments] if arguments else [])]
         try:
@@ -335,10 +344,12 @@ class Ros2Link:
     def receive(self, timeout: float) -> Sequence[LinkMessage]:
         """All that has come; waits up to `timeout`, s, where nothing has."""
         self._executor.spin_once(timeout_sec=timeout)
+        # Until nothing is left to take. Not every message makes a record: an image waits for the
+        # other one of its moment.
         for _ in range(DRAINED):
-            count = len(self._received)
+            count = self._taken
             self._executor.spin_once(timeout_sec=0.0)
-            if len(self._received) == count:
+            if self._taken == count:
                 break
         received, self._received = self._received, []
         return received
@@ -383,21 +394,21 @@ class Ros2Link:
                 self._senders[ArmCommand] = self._send_arm_positions
                 self._senders[GripperCommand] = self._send_gripper_positions
         elif role == Ros2Role.ROBOT:
-            self._subscribe("JointTrajectory", ARM_TRAJECTORY, self._take_arm_trajectory, True)
-            self._subscribe("Float64MultiArray", ARM_POSITIONS, self._take_arm_positions, True)
+            self._subscribe("JointTrajectory", ARM_TRAJECTORY, self._take_arm_trajectory, RELIABLE)
+            self._subscribe("Float64MultiArray", ARM_POSITIONS, self._take_arm_positions, RELIABLE)
             if self._robot.gripper is not None:
                 self._subscribe(
-                    "JointTrajectory", GRIPPER_TRAJECTORY, self._take_gripper_trajectory, True
+                    "JointTrajectory", GRIPPER_TRAJECTORY, self._take_gripper_trajectory, RELIABLE
                 )
                 self._subscribe(
-                    "Float64MultiArray", GRIPPER_POSITIONS, self._take_gripper_positions, True
+                    "Float64MultiArray", GRIPPER_POSITIONS, self._take_gripper_positions, RELIABLE
                 )
             self._senders[ArmStatus] = self._send_arm_status
             self._senders[GripperStatus] = self._send_gripper_status
             self._senders[ObjectSight] = self._send_pose
         elif role == Ros2Role.TRACKER:
-            self._subscribe("Image", COLOR, self._take_color)
-            self._subscribe("Image", DEPTH, self._take_depth)
+            self._subscribe("Image", COLOR, self._take_color, BEST_AVAILABLE)
+            self._subscribe("Image", DEPTH, self._take_depth, BEST_AVAILABLE)
             self._subscribe("CameraInfo", CAMERA_INFO, self._take_camera_info)
             self._senders[ObjectSight] = self._send_pose
         else:
@@ -414,14 +425,20 @@ class Ros2Link:
         return str(kind)
 
     def _subscribe(
-        self, kind: str, topic: str, take: Callable[[Any], None], reliable: bool = False
+        self,
+        kind: str,
+        topic: str,
+        take: Callable[[Any], None],
+        reliability: str = BEST_EFFORT,
     ) -> None:
+        def count_and_take(message: Any) -> None:
+            self._taken += 1
+            take(message)
+
         qos = self._ros.qos
-        policy = qos.ReliabilityPolicy
-        profile = qos.QoSProfile(
-            depth=QUEUE, reliability=policy.RELIABLE if reliable else policy.BEST_EFFORT
-        )
-        self.node.create_subscription(getattr(self._ros, kind), topic, take, profile)
+        policy = qos.ReliabilityPolicy[reliability]
+        profile = qos.QoSProfile(depth=QUEUE, reliability=policy)
+        self.node.create_subscription(getattr(self._ros, kind), topic, count_and_take, profile)
 
     def _leave_out(self, why: str) -> None:
         self._received.append(Unusable(why))
