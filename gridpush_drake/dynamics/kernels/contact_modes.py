@@ -5,11 +5,11 @@ A step has at most two contacts.
 With the 3x3 Hessian H, the rows J_n, J_t of the contacts and E = J_n^T (+ J_t^T, or + mu J_t^T
 where it slides), the modes that are right solve
 
-    [[H, -E], [C, 0]] (xi, lam) = (rhs, what the pusher asks for),    C = J_n of touching, J_t of
-    sticking contacts
+    [[H, -E], [C, 0]] (xi, lam) = (rhs, what the pusher asks for)
 
-with lam_n >= 0 where a contact touches, no approach where it does not, |lam_t| <= mu lam_n where it
-sticks, and slip against lam_t where it slides. The last step's modes are tried first, then all.
+where C has the rows J_n of touching and J_t of sticking contacts, with lam_n >= 0 where a contact
+touches, no approach where it does not, |lam_t| <= mu lam_n where it sticks, and slip against lam_t
+where it slides. The last step's modes are tried first, then all.
 """
 
 from typing import Any, NamedTuple

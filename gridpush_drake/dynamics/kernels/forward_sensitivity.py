@@ -8,8 +8,7 @@ the yaw rate. The disc's center and velocity vary by
 
 Columns, n + OTHER in all:
 
-    k_1..k_n | m, cx, cy, I | mu_c | start x, start y, direction, length | x, y, theta at the
-    beginning
+    k_1..k_n | m, cx, cy, I | mu_c | start x, start y, direction, length | first x, y, theta
 
 Where loads shift (`support_loads`) the cells' columns are those of m_1..m_n, there is one more for
 h and, where both are wanted, n for mu_1..mu_n; and the friction F with the table is carried along,

@@ -18,7 +18,8 @@ With v_i = u + w z × p_i the velocity of cell i in the body frame,
 c = (sqrt 2 + asinh 1)/6 is the mean distance of a unit square's points from its center; eps the
 stiction tolerance. With a_i = d(s_i²/2)/dxi and G_i = da_i/dxi,
 
-    dPsi/dxi = sum_i k_i a_i/s_i,      d²Psi/dxi² = sum_i k_i (G_i - a_i a_i^T/s_i²)/s_i,
+    dPsi/dxi       = sum_i k_i a_i/s_i
+    d²Psi/dxi²     = sum_i k_i (G_i - a_i a_i^T/s_i²)/s_i
     d²Psi/dxi dk_i = a_i/s_i
 """
 

@@ -5,17 +5,18 @@
 With d_i the unit direction in which cell i moved before the step, and sigma the sense in which the
 body turned,
 
-    Psi(xi) = sum_i k_i r(d_i·v_i) + K_spin r(sigma w),      r(z) = (z + sqrt(z² + eps²))/2, the
-    smooth max(0, z),
+    Psi(xi) = sum_i k_i r(d_i·v_i) + K_spin r(sigma w),      r(z) = (z + sqrt(z² + eps²))/2
 
-and with r' and r'' the slope and curvature of r, and row_i = (d_i, p_i × d_i),
+where r is a smooth max(0, z). And with r' and r'' the slope and curvature of r, and row_i = (d_i,
+p_i × d_i),
 
-    dPsi/dxi = sum_i k_i r' row_i,      d²Psi/dxi² = sum_i k_i r'' row_i row_i^T,      d²Psi/dxi
-    dk_i = r' row_i
+    dPsi/dxi       = sum_i k_i r' row_i
+    d²Psi/dxi²     = sum_i k_i r'' row_i row_i^T
+    d²Psi/dxi dk_i = r' row_i
 
-besides the like of the spin. At rest the directions are those of the motion that the applied force
-would start; under a pusher, whose force is not known beforehand, friction from rest is isotropic.
-The spin is always "separate".
+and similar terms for the spin. At rest the directions are those of the motion that the applied
+force would start; under a pusher, whose force is not known beforehand, friction from rest is
+isotropic. The spin is always "separate".
 """
 
 from math import sqrt

@@ -5,8 +5,8 @@ K as built in `contact_modes.build_contact_system`. The contact enters by the di
 at the beginning of the step gives the gap, and t_m, where the disc is expected halfway through it,
 the contact's place and directions. In the body frame, with alpha = T·dt_m,
 
-    dN = -bend alpha T,   dT = bend alpha N,   dc = alpha T on an edge, 0 at a vertex,   dgap =
-    -(gx, gy)·dt
+    dN = -bend alpha T,   dT = bend alpha N,   dgap = -(gx, gy)·dt
+    dc = alpha T on an edge, 0 at a vertex
 """
 
 from math import cos, sin

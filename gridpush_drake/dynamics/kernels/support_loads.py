@@ -7,13 +7,13 @@ Friction F, which acts at the table's height against a force at height h, moves 
 equilibrium asks for; beyond the edge nothing is borne (sigma_i, the share of a cell on the table).
 Of all loads in equilibrium, those nearest to N_i0 sigma_i,
 
-    min_N  sum_i N_i log(N_i / (N_i0 sigma_i))    s.t.  sum N_i = W,    sum N_i p_i = W p*,    p* =
-    c + h F / W
+    min_N  sum_i N_i log(N_i / (N_i0 sigma_i))
+    s.t.   sum N_i = W,    sum N_i p_i = W p*,    p* = c + h F / W
 
 are an exponential tilt, N_i = W w_i with
 
-    w_i = m_i sigma_i exp(b·p_i) / S,    S = sum_j m_j sigma_j exp(b·p_j),    sum_i w_i p_i +
-    delta(b) = p*
+    w_i = m_i sigma_i exp(b·p_i) / S,    S = sum_j m_j sigma_j exp(b·p_j)
+    sum_i w_i p_i + delta(b) = p*
 
 where delta, nothing to speak of while a cell s is small against 1/|b|, lets the center come up to
 the edges of the outermost squares, and not only to their middles:
@@ -29,8 +29,9 @@ With k_i = mu_i W w_i what the cell's friction carries, f_i = dg/dk_i and G0 = s
 f_i k_i (p_i - p_bar)^T, the friction's force varies at a given twist by
 
     db = A^-1 [dp* - sum_i w_i (p_i - p_bar)(dlog m_i + dlog sigma_i)]
-    df = sum_i f_i k_i (dlog mu_i + dlog m_i + dlog sigma_i) + G0 (dlog W - sum_i w_i (dlog m_i +
-    dlog sigma_i)) + G1 db dp* = dc + h dF / W + F dh / W - (p* - c) dlog W
+    df = sum_i f_i k_i (dlog mu_i + dlog m_i + dlog sigma_i)
+         + G0 (dlog W - sum_i w_i (dlog m_i + dlog sigma_i)) + G1 db
+    dp* = dc + h dF / W + F dh / W - (p* - c) dlog W
 """
 
 from math import exp, sqrt
