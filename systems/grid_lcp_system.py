@@ -63,8 +63,7 @@ class GridLcpSystem(LeafSystem):
         - tipping_steps
 
     * pusher_state: vector of 4, x and y of the disc's center p_WP, m, and its velocity v_WP, m/s.
-    If
-      it is not connected, or NaN, there is no pusher.
+      If it is not connected, or NaN, there is no pusher.
     * applied_wrench: vector of 3, force on B's origin in W, N, and moment, N m, constant during a
       step. If it is not connected, or not finite, there is no wrench. Only in the inertial regime.
     * pose: vector of 3, q = (x, y, theta) of B in W, m and rad.
