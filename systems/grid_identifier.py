@@ -7,7 +7,7 @@ them down. When a push has ended, `identify` learns from the log. The estimate i
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from math import nan
 from typing import Any
 
@@ -224,7 +224,11 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         }
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)
-        self._declare_outputs(_make_estimate(describe_prior(obj, ensemble, seed, used), None))
+        # What is held before any push takes a fifth of a station's making, and not every user of
+        # this system looks at it: it is made when an output first shows it.
+        self._declare_outputs(
+            cache(lambda: _make_estimate(describe_prior(obj, ensemble, seed, used), None))
+        )
 
     def Learn(self, log: PushLog, start: Identification | None = None) -> Identification:
         """Identifies the object from a log as the system does when a push ends.
@@ -239,11 +243,15 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         """Selects the pushes of a log that are learned from."""
         return log[: self.max_learning_pushes]
 
-    def _declare_outputs(self, prior: Estimate) -> None:
-        """Declares the output ports; before the first estimate they show the prior."""
+    def _declare_outputs(self, make_prior: Callable[[], Estimate]) -> None:
+        """Declares the output ports; before the first estimate they show the prior.
+
+        Args:
+            make_prior: makes the prior in the form of an estimate; the same at every call.
+        """
 
         def declare(name: str, size: int, show: Callable[[Estimate], Any]) -> None:
-            self._declare_vector(name, size, lambda now: show(now.estimate or prior))
+            self._declare_vector(name, size, lambda now: show(now.estimate or make_prior()))
 
         n = self.obj.n
         declare("mass", n, lambda estimate: estimate.found.params.mass)
@@ -259,7 +267,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         )
         declare("loss", 1, lambda estimate: [estimate.loss])
         self._declare_vector("num_pushes", 1, lambda now: [len(now.log)])
-        self._declare_value("identification", lambda now: (now.estimate or prior).found)
+        self._declare_value(
+            "identification", lambda now: (now.estimate or make_prior()).found, lazily=True
+        )
         self._declare_value("push_log", lambda now: now.log)
         self._declare_value("message", lambda now: now.message)
         self.DeclareVectorOutputPort(

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 from numpy.typing import ArrayLike
-from pydrake.common.value import AbstractValue
+from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from gridpush_drake.identification.learning import describe_prior
@@ -66,15 +66,20 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
             name, size, weakly(self._calc_vector, show), {self._remembered}
         )
 
-    def _declare_value(self, name: str, show: Callable[[S], Any]) -> None:
+    def _declare_value(self, name: str, show: Callable[[S], Any], lazily: bool = False) -> None:
         """Declares an output port for an abstract value that is a function of the state.
 
-        Its type is the one that the function gives for the state at the beginning.
+        Args:
+            name: of the port.
+            show: gives the port's value; its type is the one that it gives for the state at the
+                beginning.
+            lazily: True where this first value is not to be made before somebody asks for it. Then
+                it must be of a class of this project, all of which are of one type for Drake.
         """
-        first = show(self._begin)
+        first = None if lazily else show(self._begin)
         self.DeclareAbstractOutputPort(
             name,
-            lambda: AbstractValue.Make(first),
+            lambda: Value[object](None) if first is None else AbstractValue.Make(first),
             weakly(self._calc_value, show),
             {self._remembered},
         )

@@ -165,6 +165,23 @@ def test_later_pushes_are_logged_but_not_learned_from():
     np.testing.assert_array_equal(run.eval("mass"), mass)
 
 
+def test_the_prior_is_made_when_it_is_first_looked_at(monkeypatch):
+    obj, _ = make_hammer()
+    made = []
+
+    def describe(*arguments):
+        made.append(arguments)
+        return describe_prior(*arguments)
+
+    monkeypatch.setattr("gridpush_drake.systems.grid_identifier.describe_prior", describe)
+    system = GridIdentifier(obj)
+    context = system.CreateDefaultContext()
+    assert not made
+    for name in ("mass", "friction_std", "identification"):
+        system.GetOutputPort(name).Eval(context)
+    assert len(made) == 1
+
+
 def test_prior_before_the_first_push():
     obj, _ = make_hammer()
     system = GridIdentifier(obj)
