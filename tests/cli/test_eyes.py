@@ -209,7 +209,7 @@ def test_calibrate_prints_a_board_and_finds_the_camera(capsys, tmp_path):
             (tmp_path / "photo.png", "--board", "2x2:0.04:0.01:300"),
             "0 of the board's tags (300 to 303) are in view",
         ),
-        ((), "expected either a photograph, or --print"),
+        ((), "expected either a photograph, or --intrinsics FOLDER, or --print BOARD.pdf"),
         (("--print", tmp_path / "board.png"), "board.png'; expected a PDF file's name"),
     ]:
         done = run_gridpush(capsys, "calibrate", *extra, *arguments, "--force")
