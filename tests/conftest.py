@@ -1,6 +1,8 @@
 """`--budget SECONDS`: tests that would begin later are skipped, and say so; CI runs slow ones while there is time."""
 
 import signal
+import subprocess
+import sys
 from time import monotonic
 
 import pytest
@@ -8,9 +10,22 @@ import pytest
 BEGIN = monotonic()
 
 
-def pytest_configure():
-    """A suite that is run under nohup inherits an ignored SIGHUP; the tests of signals need it."""
+WARM_UP = "from gridpush_drake.dynamics.warm_up import compile_rollouts; compile_rollouts()"
+"""Python code that compiles the kernels, or finds them compiled."""
+
+
+def pytest_configure(config):
+    """Prepares what a suite takes from its surroundings.
+
+    A suite that is run under nohup inherits an ignored SIGHUP; the tests of signals need it. And
+    kernels are compiled by one process before several workers begin: of two that compile at once,
+    one would find some kernels in the cache and compile others, and the same sum can then differ in
+    its last bit between two kernels that share it.
+    """
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    begins_workers = not hasattr(config, "workerinput") and config.getoption("numprocesses", None)
+    if begins_workers and not config.getoption("collectonly"):
+        subprocess.run([sys.executable, "-c", WARM_UP], check=False)
 
 
 def pytest_addoption(parser):
