@@ -75,10 +75,10 @@ def lanes(points, heading, back, front, width):
 def search_finely(outline, surface, aim, pitch, turn, phase):
     """Distance from `aim` of the nearest place on a fine grid of points, m, and headings, degrees; NaN without one."""
     g = Gripper()
-    inner, table = outline.buffer(-g.margin), surface.polygon.buffer(g.table_clearance)
+    inner, table = outline.buffer(-g.pad_margin), surface.polygon.buffer(g.table_clearance)
     grown, core = (
         outline.buffer(g.object_clearance),
-        outline.buffer(-g.margin - g.pad_width / 2 + 1e-6),
+        outline.buffer(-g.pad_margin - g.pad_width / 2 + 1e-6),
     )
     for shape in (inner, table, grown):
         shapely.prepare(shape)
