@@ -7,10 +7,12 @@ from gridpush_drake.bench.perception import (
     OutlineJob,
     OutlineScore,
     PhotoScore,
+    TagJob,
     TrackJob,
     TrackScore,
     find_photographs,
     run_outline,
+    run_tag,
     run_track,
     tabulate_outlines,
     tabulate_photos,
@@ -40,7 +42,7 @@ def test_a_rendered_push_is_tracked_past_the_arm():
 
 @pytest.mark.slow
 def test_a_tag_is_tracked():
-    score = run_track(TrackJob("claw_hammer", 1, 0, tag=True))
+    score = run_tag(TagJob("claw_hammer", 1, 0))
     errors = np.array(score.errors)
     assert len(errors) == score.frames - score.lost > score.frames / 2
     assert np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()) < 3e-4
