@@ -370,12 +370,26 @@ def trim_path(path: tuple[Sample, ...], still: float) -> tuple[Array, Array]:
     """
     t = np.array([sample.t for sample in path])
     xy = np.array([sample.tip[:2] for sample in path])
+    part = find_motion(xy, still)
+    return (t[:1], xy[:1]) if part is None else (t[part], xy[part])
+
+
+def find_motion(xy: Array, still: float) -> slice | None:
+    """Finds the part of a path in which the tip moves.
+
+    Args:
+        xy: (K, 2) places of the tip, m.
+        still: distance within which the tip stands, m.
+
+    Returns:
+        The rows from the tip's last moment at its first place to its first moment at its last
+        place; None where it never moved.
+    """
     moved = np.flatnonzero(np.linalg.norm(xy - xy[0], axis=1) > still)
     moving = np.flatnonzero(np.linalg.norm(xy - xy[-1], axis=1) > still)
     if not len(moved) or not len(moving):
-        return t[:1], xy[:1]
-    part = slice(max(moved[0] - 1, 0), moving[-1] + 2)
-    return t[part], xy[part]
+        return None
+    return slice(max(int(moved[0]) - 1, 0), int(moving[-1]) + 2)
 
 
 def _add_coast(episode: Episode, t: Array, xy: Array, coast: float) -> tuple[Array, Array]:

@@ -19,8 +19,9 @@ from gridpush_drake.errors import MAX_NUMBER, PushLogError, PushLogWarning
 from gridpush_drake.files import exists
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.pose_delay import MS, ChosenDelay, choose_delay
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.importers.two_clocks import MAX_GAP, add_force, warn_of_delay
+from gridpush_drake.pushes.pose_delay import choose_delay
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
 
@@ -34,10 +35,6 @@ FORCE_SIZE = 3
 
 MAX_SHOWN = 200
 """Largest number of characters of another package's message that are shown."""
-
-MAX_GAP = 6
-"""Longest gap between two messages across which poses are interpolated, in median periods of their
-topic."""
 
 QUATERNION_TOLERANCE = 0.01
 """Largest difference of a quaternion's length from 1."""
@@ -211,12 +208,13 @@ class BagImporter:
             )
         for text in found.unusable:
             warn(f"{path}: {text}", PushLogWarning, stacklevel=2)
-        _tell_delay(path, chosen, late - rest, self.tip_delay)
+        warn_of_delay(path, chosen, offset=late - rest + self.tip_delay)
         if force is None:
             return found.log, self.obj
         values = -force.values if self.negate_force else force.values
         felt = (
-            _add_force(*each, force.t, values) for each in zip(found.log, found.begins, strict=True)
+            add_force(*each, force.t, values[:, :2])
+            for each in zip(found.log, found.begins, strict=True)
         )
         return replace(found.log, pushes=tuple(felt)), self.obj
 
@@ -318,39 +316,6 @@ def interpolate(track: Track, t: Array) -> Array:
     after = np.clip(np.searchsorted(track.t, t), 1, len(steps))
     gap = (steps[after - 1] > MAX_GAP * np.median(steps)) & (np.abs(track.t[after] - t) > 0)
     return np.where(gap[:, None], np.nan, np.hstack([values, turns]))
-
-
-def _add_force(seen: ObservedPush, begin: float, t: Array, force: Array) -> ObservedPush:
-    """A push that began at `begin`, s, with the forces that were measured while it lasted."""
-    during = (t >= begin) & (t <= begin + seen.push.duration)
-    return (
-        replace(seen, force_t=t[during] - begin, force=force[during, :2]) if during.any() else seen
-    )
-
-
-def _tell_delay(path: Path, chosen: ChosenDelay, shifted: float, tip_delay: float) -> None:
-    """Warns of a delay that was found and taken out, or of one that contradicts what was told.
-
-    Args:
-        path: of the bag.
-        chosen: the delay of the samples.
-        shifted: by how much the object's track was shifted before they were made, s.
-        tip_delay: of the tip's stamps, s.
-    """
-    found = chosen.found
-    if found is None:
-        return
-    applied = not chosen.told_by and chosen.value == found.value
-    if not (applied or chosen.is_contradicted):
-        return
-    total = found.value + shifted + tip_delay
-    size = f"{total * MS:.0f} ± {found.std * MS:.0f} ms late, by {found.pushes} pushes"
-    what = (
-        "--object-delay says otherwise, and is believed"
-        if not applied
-        else f"this was taken out; --object-delay {total:.4g} says so"
-    )
-    warn(f"{path}: the object's poses are {size}; {what}", PushLogWarning, stacklevel=3)
 
 
 def _make_track(path: Path, messages: "list[_Message]", name: str) -> Track:

@@ -33,8 +33,13 @@ from gridpush_drake.files import MEGABYTE, read_bytes, read_text
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers.mit import OBJECT_OPTION, TIP_RADIUS, make_mit_object
-from gridpush_drake.pushes.importers.two_clocks import Tracks, make_episode
-from gridpush_drake.pushes.pose_delay import MS, ChosenDelay, choose_episodes_delay
+from gridpush_drake.pushes.importers.two_clocks import (
+    Tracks,
+    add_force,
+    make_episode,
+    warn_of_delay,
+)
+from gridpush_drake.pushes.pose_delay import choose_episodes_delay
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,
@@ -145,7 +150,7 @@ class MitTrackedImporter:
             told=self.object_delay,
             told_by="--object-delay",
         )
-        _tell_delay(path, delay)
+        warn_of_delay(path, delay)
         options = replace(options, pose_delay=delay.value)
         pushes = [
             seen
@@ -289,11 +294,8 @@ def _write_down(
         raise PushLogError(f"{path}: the push could not be written down: {error}") from error
     if seen is None or WRENCH not in tables:
         return seen
-    t = tables[WRENCH][:, 0] - find_begin(episode, options)
-    during = (t >= 0) & (t <= seen.push.duration)
-    if not during.any():
-        return seen
-    return replace(seen, force_t=t[during], force=tables[WRENCH][during, 1:3])
+    wrench = tables[WRENCH]
+    return add_force(seen, find_begin(episode, options), wrench[:, 0], wrench[:, 1:3])
 
 
 def _orient_forces(path: Path, pushes: list[ObservedPush]) -> list[ObservedPush]:
@@ -316,17 +318,3 @@ def _orient_forces(path: Path, pushes: list[ObservedPush]) -> list[ObservedPush]
         stacklevel=3,
     )
     return [seen if seen.force is None else replace(seen, force=-seen.force) for seen in pushes]
-
-
-def _tell_delay(path: Path, delay: ChosenDelay) -> None:
-    """Warns of a delay that was found and taken out, or of one that contradicts what was told."""
-    found = delay.found
-    if found is None or not (delay.is_contradicted or delay.value == found.value):
-        return
-    size = f"{found.value * MS:.0f} ± {found.std * MS:.0f} ms late, by {found.pushes} pushes"
-    what = (
-        "--object-delay says otherwise, and is believed"
-        if delay.is_contradicted
-        else f"this was taken out; --object-delay {found.value:.4g} says so"
-    )
-    warn(f"{path}: the object's poses are {size}; {what}", PushLogWarning, stacklevel=3)

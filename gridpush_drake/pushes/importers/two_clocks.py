@@ -1,4 +1,6 @@
-"""One push from two tracks: the tip's places and the object's poses, each with times of its own.
+"""What importers of tracks share, whose tip, object and force have times of their own.
+
+`make_episode` makes one push of the tip's places and the object's poses.
 
 The tracks are not resampled. Where the object was seen, the tip's place is interpolated; where only
 the tip was seen, the object counts as not seen. So nothing is said of the object at a time at which
@@ -6,16 +8,20 @@ nobody looked, above all not after its last pose: a push whose end nobody saw is
 model up to the last pose only.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from warnings import warn
 
 import numpy as np
 
+from gridpush_drake.errors import PushLogWarning
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.pushes.segmentation import Episode, RecordOptions, Sample
+from gridpush_drake.pushes.pose_delay import MS, ChosenDelay
+from gridpush_drake.pushes.push_log import ObservedPush
+from gridpush_drake.pushes.segmentation import Episode, RecordOptions, Sample, find_motion
 
-MAX_BRIDGED = 6.0
-"""The tip's place is interpolated between two of its rows that are at most this many of its median
-periods apart."""
+MAX_GAP = 6
+"""Median periods of a track across which nothing is interpolated: a longer gap is left empty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +57,10 @@ def make_episode(tracks: Tracks, record: RecordOptions) -> Episode | None:
     """
     t = tracks.tip_t
     tip = tracks.tip
-    moved = np.flatnonzero(np.linalg.norm(tip - tip[0], axis=1) > record.still)
-    moving = np.flatnonzero(np.linalg.norm(tip - tip[-1], axis=1) > record.still)
-    if not len(moved) or not len(moving):
+    motion = find_motion(tip, record.still)
+    if motion is None:
         return None
-    # the last row before the tip has moved, and the first one from which it moves no more
-    begin = t[max(moved[0] - 1, 0)]
-    end = t[min(moving[-1] + 1, len(t) - 1)]
+    begin, end = t[motion][[0, -1]]
 
     samples = _merge(tracks)
     before = tuple(one for one in samples if one.t < begin)
@@ -76,7 +79,7 @@ def _merge(tracks: Tracks) -> list[Sample]:
     inside = (tracks.tip_t[0] <= t) & (t <= tracks.tip_t[-1])
     steps = np.diff(tracks.tip_t)
     after = np.clip(np.searchsorted(tracks.tip_t, t), 1, len(steps))
-    bridged = (steps[after - 1] <= MAX_BRIDGED * np.median(steps)) | np.isin(t, tracks.tip_t)
+    bridged = (steps[after - 1] <= MAX_GAP * np.median(steps)) | np.isin(t, tracks.tip_t)
     # Before the log of the tip and after it, the tip is where it was first and last seen.
     tip = np.column_stack([np.interp(t, tracks.tip_t, tracks.tip[:, axis]) for axis in (0, 1)])
     poses = np.full((len(t), 3), np.nan)
@@ -87,3 +90,46 @@ def _merge(tracks: Tracks) -> list[Sample]:
         Sample(t=time, pose=tuple(pose), tip=(x, y, 0.0), velocity=still)
         for time, pose, (x, y) in zip(t.tolist(), poses.tolist(), tip.tolist(), strict=True)
     ]
+
+
+def add_force(seen: ObservedPush, begin: float, t: Array, force: Array) -> ObservedPush:
+    """Adds to a push the forces that were measured while it lasted.
+
+    Args:
+        seen: the push.
+        begin: when it began, s.
+        t: (F,) times of the forces by the same clock, s.
+        force: (F, 2) force on the object in W, N.
+
+    Returns:
+        The push with its forces; itself where none was measured meanwhile.
+    """
+    since = t - begin
+    during = (since >= 0) & (since <= seen.push.duration)
+    return replace(seen, force_t=since[during], force=force[during]) if during.any() else seen
+
+
+def warn_of_delay(path: Path, chosen: ChosenDelay, offset: float = 0.0) -> None:
+    """Warns of a delay that was found and taken out, or of one that contradicts what was told.
+
+    It is called by an importer's `read`, to whose caller the warning goes.
+
+    Args:
+        path: the file.
+        chosen: the delay of the object's poses.
+        offset: what `--object-delay` would say more than `chosen` for the same poses, s.
+    """
+    found = chosen.found
+    if found is None:
+        return
+    applied = not chosen.told_by and chosen.value == found.value
+    if not (applied or chosen.is_contradicted):
+        return
+    total = found.value + offset
+    size = f"{total * MS:.0f} ± {found.std * MS:.0f} ms late, by {found.pushes} pushes"
+    what = (
+        f"this was taken out; --object-delay {total:.4g} says so"
+        if applied
+        else "--object-delay says otherwise, and is believed"
+    )
+    warn(f"{path}: the object's poses are {size}; {what}", PushLogWarning, stacklevel=3)
