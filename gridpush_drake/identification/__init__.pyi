@@ -1,4 +1,5 @@
 from .hypotheses import DEFAULT_HYPOTHESES as DEFAULT_HYPOTHESES
+from .hypotheses import Concentrated as Concentrated
 from .hypotheses import LoadHypothesis as LoadHypothesis
 from .hypotheses import LoadPrior as LoadPrior
 from .hypotheses import RigidBottom as RigidBottom

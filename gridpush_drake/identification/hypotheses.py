@@ -13,7 +13,11 @@ Shipped are
 
       log k ~ N(log k_0, a_p² C + sigma_p² h h^T)
 
-* `RigidBottom`: a flat rigid bottom, which stands on corners of the outline's convex hull.
+* `RigidBottom`: a flat rigid bottom, which stands on corners of the outline's convex hull;
+* `Concentrated`: the load is gathered in the middle, or out at the rim. With q the squared distance
+  from the middle, standardized over the cells,
+
+      log k ~ N(log k_0, a_r² C + sigma_r² q q^T)
 
 A further hypothesis is a class with the attributes and the method of `LoadHypothesis`, passed as
 `identify(..., ensemble=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, Mine())))`. Theory:
@@ -21,7 +25,7 @@ A further hypothesis is a class with the attributes and the method of `LoadHypot
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Protocol
 
@@ -68,6 +72,10 @@ MIN_PART = 0.08
 ALIKE = 0.8
 """Two cuts whose h are correlated by more than this are alike, and only the better one is
 fitted."""
+
+EQUAL_DISTANCES = 1e-9
+"""If the squared distances of the cells from the middle scatter by less than this share of a cell's
+area, all cells count as equally far from it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +177,17 @@ class LoadHypothesis(Protocol):
         ...
 
 
+def _check_positive(hypothesis: "SmoothField | Concentrated") -> None:
+    """Raises IdentificationError: a number of a hypothesis is not positive and finite."""
+    for field in fields(hypothesis):
+        value = getattr(hypothesis, field.name)
+        if not 0 < value < np.inf:
+            raise IdentificationError(
+                f"{type(hypothesis).__name__}: {field.name} is {value}; "
+                "expected a positive finite number"
+            )
+
+
 @dataclass(frozen=True)
 class SmoothField:
     """Neighboring cells bear alike: log k ~ N(log k_0, a² C).
@@ -186,12 +205,7 @@ class SmoothField:
 
     def __post_init__(self) -> None:
         """Raises IdentificationError: a number is not positive and finite."""
-        for name in ("amplitude", "range_cells"):
-            value = getattr(self, name)
-            if not 0 < value < np.inf:
-                raise IdentificationError(
-                    f"SmoothField: {name} is {value}; expected a positive finite number"
-                )
+        _check_positive(self)
 
     @property
     def name(self) -> str:
@@ -260,6 +274,54 @@ class RigidBottom:
         p_BC[corners] = p_corners
         factor = calc_prior_factor(np.diag(variance), 1.0, setting.log_contact_friction_std)
         return [LoadPrior(mean=mean, factor=factor, weight=self.weight, p_BC=p_BC)]
+
+
+@dataclass(frozen=True)
+class Concentrated:
+    """The load is gathered in the middle of the object, as in a bowl, or out at its rim.
+
+    How far out the load lies is what turns an object most when it is pushed, and a smooth field has
+    no single freedom for it. Here one number shifts the load inwards or outwards; within that,
+    neighboring cells bear alike.
+
+    Attributes:
+        weight: prior weight. (All shipped smooth fields together weigh 12.0.)
+        radius_std: sigma_r, standard deviation of how much log k changes over one standard
+            deviation of the squared distance from the middle.
+        amplitude: a_r, standard deviation of log k beside that.
+        range_cells: correlation range beside that, cells.
+    """
+
+    weight: float = 1.0
+    radius_std: float = 2.0
+    amplitude: float = 0.3
+    range_cells: float = RANGE_CELLS
+
+    def __post_init__(self) -> None:
+        """Raises IdentificationError: a number is not positive and finite."""
+        _check_positive(self)
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return "concentrated"
+
+    @property
+    def needs_pushes(self) -> bool:
+        """False: the prior is the same for all pushes."""
+        return False
+
+    def propose(self, setting: Setting) -> list[LoadPrior]:
+        """Proposes it; nothing where all cells are equally far from the middle."""
+        obj = setting.obj
+        q = calc_radius_mode(obj)
+        if not q.any():
+            return []
+        # C(log k) = a_r² C + sigma_r² q q^T
+        C = setting.calc_smooth_covariance(self.range_cells)
+        covariance = self.amplitude**2 * C + self.radius_std**2 * np.outer(q, q)
+        factor = calc_prior_factor(covariance, 1.0, setting.log_contact_friction_std)
+        return [LoadPrior(mean=setting.z0, factor=factor, weight=self.weight, p_BC=obj.p_BC)]
 
 
 @dataclass(frozen=True)
@@ -338,6 +400,7 @@ class TwoParts:
 DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
     *(SmoothField(amplitude) for amplitude in AMPLITUDES),
     RigidBottom(),
+    Concentrated(),
     TwoParts(),
 )
 """The hypotheses that `identify` weighs unless it is told others."""
@@ -368,6 +431,22 @@ def calc_prior_factor(C: Array, amplitude: float, log_contact_friction_std: floa
     return np.asarray(
         block_diag(amplitude * np.linalg.cholesky(C), np.diag([log_contact_friction_std]))
     )
+
+
+def calc_radius_mode(obj: GridObject) -> Array:
+    """Calculates q (n,), the squared distance of each cell from the centroid of all, standardized.
+
+    Its mean over the cells is 0 and its variance 1. It is 0 everywhere where all cells are equally
+    far from the centroid.
+    """
+    arm = obj.p_BC - obj.p_BC.mean(axis=0)
+    distance2 = (arm * arm).sum(axis=1)
+    difference = distance2 - distance2.mean()
+    std = float(difference.std())
+    # Distances that differ by rounding alone are equal.
+    if std <= EQUAL_DISTANCES * obj.cell_size**2:
+        return np.zeros(obj.n)
+    return np.asarray(difference / std)
 
 
 def find_corners(obj: GridObject) -> tuple[IntArray, Array]:

@@ -1,24 +1,32 @@
 """Ideas of how an object bears on the table, and the cuts by which it may be of two parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
+from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.identification.hypotheses import (
     ALIKE,
     CUT_ANGLES,
+    DEFAULT_HYPOTHESES,
     MIN_PART,
+    Concentrated,
     LinearizedPushes,
     Setting,
     TwoParts,
     calc_cut_evidence,
+    calc_radius_mode,
     calc_smooth_covariance,
     find_corners,
     find_cuts,
 )
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
@@ -125,3 +133,60 @@ def test_corners_are_those_of_the_convex_hull() -> None:
     cells, places = find_corners(obj)
     assert len(cells) == 4
     np.testing.assert_allclose(np.abs(places), np.abs(places).max())
+
+
+def test_the_radius_mode_is_the_squared_distance_from_the_middle_standardized() -> None:
+    obj = make_shape("claw_hammer", 40)
+    q = calc_radius_mode(obj)
+    assert q.mean() == pytest.approx(0, abs=1e-12) and q.std() == pytest.approx(1)
+    distance2 = ((obj.p_BC - obj.p_BC.mean(axis=0)) ** 2).sum(axis=1)
+    slope, level = np.polyfit(distance2, q, 1)
+    np.testing.assert_allclose(slope * distance2 + level, q, atol=1e-9)
+    # It says the same of an object that is turned and moved.
+    turned = replace(obj, p_BC=obj.p_BC @ [[0.6, 0.8], [-0.8, 0.6]] + [0.3, -0.2])
+    np.testing.assert_allclose(calc_radius_mode(turned), q, atol=1e-9)
+
+
+@pytest.mark.parametrize("cells", [1, 4])
+def test_cells_that_are_all_as_far_from_the_middle_have_no_radius(cells: int) -> None:
+    obj = make_shape("square", cells)
+    assert obj.n == cells and not calc_radius_mode(obj).any()
+    assert Concentrated().propose(Setting(obj, np.zeros(obj.n + 1), MU_STD)) == []
+
+
+def test_the_prior_of_a_concentrated_load_is_that_of_its_equation() -> None:
+    obj = make_shape("l_bracket", 20)
+    z0 = np.random.default_rng(3).normal(0, 1, obj.n + 1)
+    asked = Concentrated(weight=0.5, radius_std=1.5, amplitude=0.2, range_cells=3.0)
+    (prior,) = asked.propose(Setting(obj, z0, MU_STD))
+    q = calc_radius_mode(obj)
+    C = 0.2**2 * calc_smooth_covariance(obj, 3.0) + 1.5**2 * np.outer(q, q)
+    np.testing.assert_allclose(prior.factor @ prior.factor.T, block_diag(C, MU_STD**2), atol=1e-9)
+    np.testing.assert_array_equal(prior.mean, z0)
+    assert prior.weight == 0.5 and prior.p_BC is obj.p_BC and not asked.needs_pushes
+
+
+@pytest.mark.parametrize("field", ["weight", "radius_std", "amplitude", "range_cells"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_a_concentrated_load_has_positive_numbers(field: str, value: float) -> None:
+    with pytest.raises(IdentificationError, match=rf"Concentrated: {field} is .*; expected a pos"):
+        Concentrated(**{field: value})
+
+
+def test_a_bowl_is_learned_better_where_its_radius_is_a_freedom_of_its_own() -> None:
+    without = tuple(one for one in DEFAULT_HYPOTHESES if one.name != "concentrated")
+    errors: dict[str, list[float]] = {"with": [], "without": []}
+    weights = []
+    for seed, name in enumerate(("square", "l_bracket", "claw_hammer")):
+        obj = make_shape(name, 40)
+        r = np.linalg.norm(obj.p_BC - obj.p_BC.mean(axis=0), axis=1) / obj.radius_of_gyration
+        load = np.exp(-0.5 * (r / 0.4) ** 2) + 1e-3
+        truth = CellParameters(load / load.sum(), np.full(obj.n, 0.35), 0.4, patch_ratio=0.2)
+        train = make_pokes(obj, truth, 5, 10 + seed, noise=(5e-4, 3.5e-3))
+        test = make_pokes(obj, truth, 10, 100 + seed)
+        for key, hypotheses in (("with", DEFAULT_HYPOTHESES), ("without", without)):
+            found = identify(obj, train, ensemble=MapEnsemble(hypotheses=hypotheses))
+            errors[key].append(calc_mean_cell_error(obj, found.params, test, found.physics))
+            weights += [one.weight for one in found.hypotheses if one.name == "concentrated"]
+    assert np.mean(errors["with"]) < 0.6 * np.mean(errors["without"])
+    assert min(weights) > 0.5
