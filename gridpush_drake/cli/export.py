@@ -7,6 +7,7 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found, print_notice
+from gridpush_drake.identification.absolute import SIGMAS, AbsoluteEstimate, describe_sources
 from gridpush_drake.multibody.mjcf import WriteMjcf
 from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 
@@ -88,19 +89,24 @@ def export(
         )
     else:
         drawn = loaded.model.samples(samples, seed)
+    absolute = None if loaded.model is None else loaded.model.absolute
+    note = "" if absolute is None else describe_weighed(absolute)
+    if samples is not None and note:
+        note = f"A draw of what is known: {note}"
     for params, path in zip(drawn, outs, strict=True):
         if chosen == "sdf":
-            WriteSdf(obj, params, path, force, base=base, height=height)
+            WriteSdf(obj, params, path, force, base=base, height=height, note=note)
         else:
             write = WriteUrdf if chosen == "urdf" else WriteMjcf
-            write(obj, params, path, force, height=height)
-    if obj.prior.total_mass is None:
+            write(obj, params, path, force, height=height, note=note)
+    if obj.prior.total_mass is None and absolute is None:
         print_notice(f"{obj.name}: its file has no total_mass; {mass:.3g} kg is assumed")
     source = "learned model" if loaded.model else "object, mass and friction spread evenly"
     found = {
         "object": obj.name,
         "cells": obj.n,
         "total_mass": mass,
+        "total_mass_interval": None if absolute is None else absolute.mass_interval,
         "format": chosen,
         "base": base,
         "height": height,
@@ -117,6 +123,25 @@ def export(
         line += f", {count_noun(samples, 'draw')} of seed {seed}"
         written = [f"Wrote {outs[0]} to {outs[-1].name}." if samples > 1 else f"Wrote {outs[0]}."]
     print_found(found, [line, *written], json)
+
+
+def describe_weighed(absolute: AbsoluteEstimate) -> str:
+    """Says how well mass, center of mass, friction and inertia of an exported object are known."""
+    low, high = absolute.mass_interval
+    x, y = absolute.center_of_mass * MM
+    std = absolute.center_std * MM
+    words = [
+        f"weighed by {describe_sources(absolute)}; with a probability of 95 %, mass "
+        f"{absolute.total_mass:.4g} kg ({low:.4g} to {high:.4g} kg)",
+        f"center of mass x {x:.1f} ± {SIGMAS * std[0]:.1f} mm, y {y:.1f} ± "
+        f"{SIGMAS * std[1]:.1f} mm",
+    ]
+    low, high = absolute.inertia_interval
+    words.append(f"inertia about z {absolute.inertia:.3g} kg m² ({low:.3g} to {high:.3g} kg m²)")
+    if absolute.pushes:
+        low, high = absolute.friction_interval
+        words.append(f"mean friction {absolute.friction:.3f} ({low:.3f} to {high:.3f})")
+    return ", ".join(words) + "."
 
 
 def name_samples(out: Path, count: int) -> list[Path]:

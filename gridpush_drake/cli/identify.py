@@ -14,8 +14,10 @@ from gridpush_drake.identification.learning import identify as search
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.prediction import calc_training_errors, doubt_center, doubt_fit
 from gridpush_drake.identification.result import Identification, IdentificationStatus
+from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.pushes.plausibility import explain_no_contact
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.weighings import WeighingLog
 from gridpush_drake.report.page import make_report
 
 Method = Literal[
@@ -54,6 +56,15 @@ def identify(
             help="Also write a report with figures, as one page for the browser.",
         ),
     ] = None,
+    weighings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="WEIGHINGS.csv",
+            help="Presses at the table's edge and lifts of the same object. With them the model "
+            "says mass and center of mass in absolute numbers and, with the forces of pushes, the "
+            "mean friction. docs/reference/files.md has the columns.",
+        ),
+    ] = None,
     method: Annotated[
         Method,
         typer.Option(
@@ -88,10 +99,11 @@ def identify(
         raise options.OptionError(
             "--budget: goes with a --method other than default, which ends by itself"
         )
-    options.check_outputs(force, out, report, inputs=(object_file, pushes))
+    options.check_outputs(force, out, report, inputs=(object_file, pushes, weighings))
     obj = options.load_object(object_file, largest_piece)
     full = options.load_log(pushes, obj)
     log = full.supported
+    weighed = None if weighings is None else WeighingLog.read_csv(weighings)
     options.compile_kernels()
     with search_progress(f"identifying {obj.name}", budget) as progress:
         result = search(
@@ -99,6 +111,8 @@ def identify(
         )
     if not result.push_names:
         raise PushLogError(explain_no_contact(obj, log))
+    if weighed is not None:
+        result = weigh_model(result, weighed, seed=seed)
     write_model(out, result, force)
     if report is not None:
         write_whole(report, make_report(result, log), force)
@@ -153,7 +167,29 @@ def describe_result(result: Identification, log: PushLog) -> dict[str, Any]:
         "contact_friction_std": result.std.contact_friction,
         "center_of_friction": result.identifiability.center_of_friction,
         "force": None if result.force is None else asdict(result.force),
+        "absolute": describe_absolute(result),
         "statements": result.identifiability.statements,
+    }
+
+
+def describe_absolute(result: Identification) -> dict[str, Any] | None:
+    """Returns what weighings say, for machines, in SI units; None where there are none."""
+    found = result.absolute
+    if found is None:
+        return None
+    return {
+        "total_mass": found.total_mass,
+        "total_mass_interval": found.mass_interval,
+        "center_of_mass": found.center_of_mass,
+        "center_of_mass_covariance": found.center_covariance,
+        "friction": found.friction if found.pushes else None,
+        "friction_interval": found.friction_interval if found.pushes else None,
+        "inertia": found.inertia,
+        "inertia_interval": found.inertia_interval,
+        "presses": found.presses,
+        "lifts": found.lifts,
+        "pushes": found.pushes,
+        "agreement": found.agreement,
     }
 
 

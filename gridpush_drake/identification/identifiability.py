@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.absolute import SIGMAS, AbsoluteEstimate, describe_sources
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.posterior import (
     CELLS,
@@ -81,7 +82,11 @@ class Identifiability:
 
 
 def calc_identifiability(
-    obj: GridObject, params: CellParameters, posterior: Posterior, force: ForceScale | None = None
+    obj: GridObject,
+    params: CellParameters,
+    posterior: Posterior,
+    force: ForceScale | None = None,
+    absolute: AbsoluteEstimate | None = None,
 ) -> Identifiability:
     """Says what a posterior determines.
 
@@ -90,6 +95,7 @@ def calc_identifiability(
         params: the estimate, whose total mass scales the mass bounds.
         posterior: what is known of the logarithms of the cells' friction.
         force: the scale that measured forces give; None where there are none.
+        absolute: what weighings say; None of an object that was not weighed.
 
     Returns:
         The report.
@@ -122,6 +128,11 @@ def calc_identifiability(
     if force is not None:
         # The first statement is that the common scale is not known: with forces it is.
         statements = (_describe_force(obj, force, wide, box), *statements[1:])
+    if absolute is not None:
+        # The object's mass is known now, whatever the forces bounded it to.
+        mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj, None)
+        box = _cut_box(wide, absolute)
+        statements = (_describe_weighings(absolute), *statements)
     return Identifiability(
         relative_friction=share,
         relative_friction_std=np.sqrt(np.maximum(np.diag(share_covariance), 0.0)),
@@ -322,6 +333,41 @@ def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array)
         f"and {mean[1]:.3f}, and the box of possible centers of mass is {_describe_size(box)}; "
         f"without forces it would be {_describe_size(wide)}."
     )
+
+
+def _cut_box(box: Array, absolute: AbsoluteEstimate) -> Array:
+    """Cuts a box (2, 2) of centers of mass down to where weighings say that the center is.
+
+    If both have no point in common, the weighings are believed.
+    """
+    reach = SIGMAS * absolute.center_std
+    known = np.array([absolute.center_of_mass - reach, absolute.center_of_mass + reach])
+    both = np.array([np.maximum(box[0], known[0]), np.minimum(box[1], known[1])])
+    return both if (both[0] < both[1]).all() else known
+
+
+def _describe_weighings(absolute: AbsoluteEstimate) -> str:
+    """Says what weighings show."""
+    low, high = absolute.mass_interval
+    least, most = absolute.friction_interval
+    x, y = absolute.center_of_mass * MM
+    std = absolute.center_std * MM
+    words = (
+        f"Weighed by {describe_sources(absolute)}: the object weighs {absolute.total_mass:.3g} kg "
+        f"({low:.3g} to {high:.3g} kg with a probability of 95 %), and its center of mass is at "
+        f"x {x:.1f} ± {std[0]:.1f} mm, y {y:.1f} ± {std[1]:.1f} mm (one standard deviation). "
+    )
+    if absolute.pushes:
+        words += f"The mean friction coefficient is {absolute.friction:.3f} "
+        words += f"({least:.3f} to {most:.3f})."
+    else:
+        words += "The forces of no push were measured, so that the friction stays as supposed."
+    if absolute.contradictory:
+        words += (
+            " But these observations contradict each other: are the edge, the places and the "
+            "signs of the forces right?"
+        )
+    return words
 
 
 def _describe_patterns(obj: GridObject, patterns: int, cells: int) -> str:

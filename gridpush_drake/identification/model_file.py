@@ -19,6 +19,7 @@ from gridpush_drake.dynamics.physics import GRAVITY, Physics, SpinModel
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.absolute import ABSOLUTE, AbsoluteEstimate
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.noise import NoiseModel
@@ -82,6 +83,36 @@ class ForceSchema(StrictSchema):
     pushes: Annotated[int, Field(ge=1)]
     against: Annotated[int, Field(ge=0)] = 0
     gravity: Positive = GRAVITY
+
+
+class QuantitySchema(StrictSchema):
+    """A positive number, and bounds between which it is with a probability of 95 %."""
+
+    value: Positive
+    low: Positive
+    high: Positive
+
+
+class AbsoluteSchema(StrictSchema):
+    """What weighings say; see `AbsoluteEstimate`.
+
+    Mass, center of mass, friction and inertia are for reading: they follow from the mean and the
+    covariance of log m, c_x, c_y and log mu.
+    """
+
+    total_mass: QuantitySchema
+    center_of_mass: Point
+    center_of_mass_std: Point
+    friction: QuantitySchema | None = None
+    inertia: QuantitySchema | None = None
+    presses: Annotated[int, Field(ge=0)]
+    lifts: Annotated[int, Field(ge=0)]
+    pushes: Annotated[int, Field(ge=0)] = 0
+    agreement: Annotated[float, Field(ge=0, le=1)] = 1.0
+    gyration: NotNegative = 0.0
+    gyration_std: NotNegative = 0.0
+    mean: Annotated[list[float], Field(min_length=ABSOLUTE, max_length=ABSOLUTE)]
+    covariance: str
 
 
 class NoiseSchema(StrictSchema):
@@ -151,6 +182,7 @@ class ModelSchema(StrictSchema):
     cells: CellValuesSchema
     identifiability: IdentifiabilitySchema
     force: ForceSchema | None = None
+    absolute: AbsoluteSchema | None = None
     history: list[Annotated[tuple[int, float, str], Strict(False)]]
     posterior: PosteriorSchema
 
@@ -368,6 +400,7 @@ def _describe(result: Identification) -> ModelSchema:
             learned_directions=int(known.learned_directions),
         ),
         force=None if result.force is None else _describe_force(result.force),
+        absolute=None if result.absolute is None else _describe_absolute(result.absolute),
         history=[(entry.simulations, float(entry.loss), entry.stage) for entry in result.history],
         posterior=PosteriorSchema(
             mean=spread.mean.tolist(),
@@ -383,6 +416,46 @@ def _describe_force(force: ForceScale) -> ForceSchema:
     if force.gravity == GRAVITY:
         del told["gravity"]
     return ForceSchema(**told)
+
+
+def _describe_absolute(absolute: AbsoluteEstimate) -> AbsoluteSchema:
+    """Sets what people read, and the estimate itself."""
+    low, high = absolute.mass_interval
+    told: dict[str, Any] = {}
+    if absolute.pushes:
+        least, most = absolute.friction_interval
+        told["friction"] = QuantitySchema(value=absolute.friction, low=least, high=most)
+    if absolute.gyration > 0:
+        least, most = absolute.inertia_interval
+        told["inertia"] = QuantitySchema(value=absolute.inertia, low=least, high=most)
+    return AbsoluteSchema(
+        total_mass=QuantitySchema(value=absolute.total_mass, low=low, high=high),
+        center_of_mass=absolute.center_of_mass.tolist(),
+        center_of_mass_std=absolute.center_std.tolist(),
+        presses=absolute.presses,
+        lifts=absolute.lifts,
+        pushes=absolute.pushes,
+        agreement=absolute.agreement,
+        gyration=absolute.gyration,
+        gyration_std=absolute.gyration_std,
+        mean=absolute.mean.tolist(),
+        covariance=pack_symmetric(absolute.covariance),
+        **told,
+    )
+
+
+def _restore_absolute(schema: AbsoluteSchema) -> AbsoluteEstimate:
+    """Makes an estimate again of what a file says."""
+    return AbsoluteEstimate(
+        mean=np.array(schema.mean),
+        covariance=unpack_symmetric("absolute.covariance", schema.covariance, ABSOLUTE),
+        presses=schema.presses,
+        lifts=schema.lifts,
+        pushes=schema.pushes,
+        agreement=schema.agreement,
+        gyration=schema.gyration,
+        gyration_std=schema.gyration_std,
+    )
 
 
 def _describe_physics(physics: Physics) -> PhysicsSchema:
@@ -435,12 +508,13 @@ def _restore(schema: ModelSchema) -> Identification:
     ]
     # What the file says for people only is worked out again.
     force = None if schema.force is None else ForceScale(**schema.force.model_dump())
+    absolute = None if schema.absolute is None else _restore_absolute(schema.absolute)
     return Identification(
         obj=obj,
         params=params,
         std=std,
         posterior=posterior,
-        identifiability=calc_identifiability(obj, params, posterior, force),
+        identifiability=calc_identifiability(obj, params, posterior, force, absolute),
         method=schema.method,
         physics=Physics(**schema.physics.model_dump()),
         status=schema.status,
@@ -454,6 +528,7 @@ def _restore(schema: ModelSchema) -> Identification:
         unused_pushes=tuple(schema.unused_pushes),
         outliers=tuple(outliers),
         force=force,
+        absolute=absolute,
         interval_scale=schema.interval_scale,
         noise=NoiseModel() if schema.noise is None else NoiseModel(**schema.noise.model_dump()),
     )

@@ -9,6 +9,8 @@ import numpy as np
 from gridpush_drake.dynamics.physics import Physics, Regime
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.absolute import AbsoluteEstimate
+from gridpush_drake.identification.absolute_masses import draw_absolute_parameters
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import Identifiability
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
@@ -114,6 +116,8 @@ class Identification:
         noise: what the method took for granted of the noise, at scale one.
         hypotheses: evidence and weight of each hypothesis of how the object bears on the table;
             empty for other methods than the default.
+        absolute: mass, center of mass and mean friction of an object that was weighed; None of one
+            that was not.
     """
 
     obj: GridObject
@@ -138,6 +142,7 @@ class Identification:
     interval_scale: float = 1.0
     noise: NoiseModel = field(default_factory=NoiseModel)
     hypotheses: tuple[HypothesisEvidence, ...] = ()
+    absolute: AbsoluteEstimate | None = None
 
     def __repr__(self) -> str:
         """Object, status and how well it is known, in two lines."""
@@ -192,7 +197,8 @@ class Identification:
     def samples(self, k: int, seed: int = 0) -> list[CellParameters]:
         """Draws parameter sets that agree with the pushes.
 
-        Every cell's friction is the estimate's.
+        Every cell's friction is the estimate's, unless the object was weighed: then masses and
+        frictions vary as far as that leaves them open.
 
         Args:
             k: how many.
@@ -208,7 +214,11 @@ class Identification:
             raise IdentificationError(
                 f"samples: k is {k}, seed {seed}; expected whole numbers, 0 or more"
             )
-        return self.posterior.draw_parameters(self.params, k, seed)
+        if self.absolute is None:
+            return self.posterior.draw_parameters(self.params, k, seed)
+        return draw_absolute_parameters(
+            self.obj, self.params, self.posterior, self.absolute, k, seed
+        )
 
     @property
     def relative_friction(self) -> Array:
@@ -225,7 +235,8 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     `Identifiability.center_of_mass_box`. Where next to nothing is known, first order says more than
     can be: along no direction is the center less sure than one that may be anywhere in the object.
     A center of mass that was told is where it was told: what pushes show is the center of friction,
-    from which it differs as frictions do.
+    from which it differs as frictions do. That of an object that was weighed is what the weighings
+    said.
 
     Args:
         found: the identification.
@@ -233,6 +244,8 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     Returns:
         p_BBcm (2,), m, body frame, and its covariance (2, 2), m².
     """
+    if found.absolute is not None:
+        return found.absolute.center_of_mass, found.absolute.center_covariance
     prior = found.obj.prior
     if prior.center_of_mass is not None:
         return np.array(prior.center_of_mass), prior.center_of_mass_std**2 * np.eye(2)

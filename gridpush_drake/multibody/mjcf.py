@@ -28,6 +28,7 @@ from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.multibody.sdformat import add_note
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -122,13 +123,14 @@ def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Ar
     return springs, slip, impedance
 
 
-def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
+def make_mjcf(obj: GridObject, params: CellParameters, height: float, note: str = "") -> str:
     """Makes the model's text: a table at z = 0 and the object on it.
 
     Args:
         obj: the object, whose name body and joint have.
         params: its cells' masses and frictions.
         height: its height, m.
+        note: a further comment for whoever reads the file, such as how well its numbers are known.
 
     Raises:
         ObjectError: the object's name is empty, or the height is not more than the feet's.
@@ -139,6 +141,7 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
         raise ObjectError(f"height is {height!r}; expected more than {FOOT_RADIUS} m")
     mujoco = Element("mujoco", model=obj.name)
     mujoco.append(ElementTree.Comment(NOTICE.format(height=params.push_height, wall=WALL_RADIUS)))
+    add_note(mujoco, note)
     _add(
         mujoco,
         "option",
@@ -194,7 +197,13 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
 
 
 def WriteMjcf(
-    obj: GridObject, params: CellParameters, path: Path | str, force: bool, *, height: float
+    obj: GridObject,
+    params: CellParameters,
+    path: Path | str,
+    force: bool,
+    *,
+    height: float,
+    note: str = "",
 ) -> None:
     """Writes the model to a file.
 
@@ -204,12 +213,13 @@ def WriteMjcf(
         path: the file.
         force: whether an existing file may be replaced.
         height: the object's height, m.
+        note: a further comment for whoever reads the file.
 
     Raises:
         OutputError: the file cannot be written.
         ObjectError: as `make_mjcf`.
     """
-    write_whole(path, make_mjcf(obj, params, height), force)
+    write_whole(path, make_mjcf(obj, params, height, note), force)
 
 
 def _add_cells(body: Element, obj: GridObject, params: CellParameters, height: float) -> None:

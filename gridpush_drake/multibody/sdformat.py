@@ -73,6 +73,7 @@ def make_sdf(
     spheres_per_cell: SpheresPerCell = 1,
     side_stiffness: float = SIDE_STIFFNESS,
     gravity: float = GRAVITY,
+    note: str = "",
 ) -> str:
     """Makes the model's text; the model and its link have the object's name.
 
@@ -86,6 +87,7 @@ def make_sdf(
         spheres_per_cell: 1 or 4, see `AddGridObject`.
         side_stiffness: stiffness of the outline's contacts, N/m.
         gravity: gravity that the spheres are made for, m/s².
+        note: a further comment for whoever reads the file, such as how well its numbers are known.
 
     Raises:
         ObjectError: `base` is neither, a size is out of range, or SDFormat has no such names.
@@ -107,6 +109,7 @@ def make_sdf(
     ElementTree.register_namespace("drake", DRAKE)
     sdf = Element("sdf", version=VERSION)
     sdf.append(ElementTree.Comment(NOTICE))
+    add_note(sdf, note)
     model = ElementTree.SubElement(sdf, "model", name=obj.name)
     link = ElementTree.SubElement(model, "link", name=obj.name)
     _add_inertia(link, obj, params, height)
@@ -130,15 +133,21 @@ def WriteSdf(
     base: Base = "free",
     height: float = DEFAULT_HEIGHT,
     spheres_per_cell: SpheresPerCell = 1,
+    note: str = "",
 ) -> None:
     """Writes what `make_sdf` makes to a file.
 
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
-    write_whole(
-        path, make_sdf(obj, params, base, height=height, spheres_per_cell=spheres_per_cell), force
-    )
+    text = make_sdf(obj, params, base, height=height, spheres_per_cell=spheres_per_cell, note=note)
+    write_whole(path, text, force)
+
+
+def add_note(parent: Element, note: str) -> None:
+    """Adds a comment, where there is one to add; XML allows no two hyphens within."""
+    if note:
+        parent.append(ElementTree.Comment(f" {note.replace('--', '- -')} "))
 
 
 def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height: float) -> None:
@@ -241,13 +250,16 @@ LIMIT = (
 """Notice in a URDF file, besides `NOTICE`."""
 
 
-def make_urdf(obj: GridObject, params: CellParameters, *, height: float = DEFAULT_HEIGHT) -> str:
+def make_urdf(
+    obj: GridObject, params: CellParameters, *, height: float = DEFAULT_HEIGHT, note: str = ""
+) -> str:
     """Makes the text of a URDF model, whose robot and link have the object's name.
 
     Args:
         obj: the object.
         params: its cells' masses and frictions.
         height: its height, m.
+        note: a further comment for whoever reads the file.
 
     Raises:
         ObjectError, ParameterError: as `make_sdf`.
@@ -257,6 +269,7 @@ def make_urdf(obj: GridObject, params: CellParameters, *, height: float = DEFAUL
     assert source is not None
     robot = Element("robot", name=obj.name)
     robot.append(ElementTree.Comment(NOTICE + LIMIT))
+    add_note(robot, note)
     link = ElementTree.SubElement(robot, "link", name=obj.name)
     for part in source:
         made = ElementTree.SubElement(link, part.tag, part.attrib)
@@ -287,13 +300,14 @@ def WriteUrdf(
     force: bool = False,
     *,
     height: float = DEFAULT_HEIGHT,
+    note: str = "",
 ) -> None:
     """Writes what `make_urdf` makes to a file.
 
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
-    write_whole(path, make_urdf(obj, params, height=height), force)
+    write_whole(path, make_urdf(obj, params, height=height, note=note), force)
 
 
 def _add_shape(made: Element, part: Element) -> None:

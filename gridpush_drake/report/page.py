@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from gridpush_drake import __version__
 from gridpush_drake.dynamics.physics import GRAVITY
+from gridpush_drake.identification.absolute import AbsoluteEstimate
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
@@ -23,6 +24,7 @@ from gridpush_drake.identification.prediction import (
     summarize_errors,
 )
 from gridpush_drake.identification.result import Identification, IdentificationStatus
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.sight import Sight
 from gridpush_drake.pushes.push_log import PushLog
@@ -109,11 +111,49 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
                 true_friction,
             )
         )
+    if result.absolute is not None:
+        rows += _list_absolute(result.absolute, told, obj)
+    return rows
+
+
+def _list_absolute(
+    absolute: AbsoluteEstimate,
+    told: Callable[[Callable[[CellParameters], str]], str],
+    obj: GridObject,
+) -> list[Row]:
+    """Lists what weighings say, each with the bounds that hold with a probability of 95 %."""
+    rows = [
+        (
+            "center of mass, weighed",
+            _point(absolute.center_of_mass, absolute.center_std),
+            told(lambda true: _point(true.center_of_mass(obj))),
+        )
+    ]
+    if absolute.pushes:
+        low, high = absolute.friction_interval
+        rows.append(
+            (
+                "mean friction, of forces and weighings",
+                f"{absolute.friction:.3f}, {low:.3f} to {high:.3f}",
+                told(lambda true: f"{float(true.mass @ true.friction) / true.total_mass:.3f}"),
+            )
+        )
+    low, high = absolute.inertia_interval
+    rows.append(
+        (
+            "inertia about the vertical axis",
+            f"{absolute.inertia:.3g} kg m², {low:.3g} to {high:.3g} kg m²",
+            told(lambda true: f"{true.inertia(obj):.3g} kg m²"),
+        )
+    )
     return rows
 
 
 def _describe_mass_source(result: Identification) -> str:
     """Says where the total mass is from; nothing of one that was told."""
+    if result.absolute is not None:
+        low, high = result.absolute.mass_interval
+        return f", weighed: {low:.3g} to {high:.3g} kg with a probability of 95 %"
     if result.obj.prior.total_mass:
         return ""
     if result.force is None:

@@ -245,3 +245,58 @@ def test_refuses_what_cannot_be_true(refuses, block, tmp_path):
     ):
         log.write_text(header + rows)
         refuses("identify", block, log, "--out", tmp_path / "model.yaml", says=[log, *says])
+
+
+@pytest.fixture
+def weighings(tmp_path):
+    """The block of the tests, whose edge lies along y: a weight of 7.5 N, 40 mm inside the edge."""
+    path = tmp_path / "weighings.csv"
+    path.write_text(
+        "kind,object_x,object_y,object_theta,place_x,place_y,force,edge_x,edge_y,edge_angle,"
+        "force_std\n"
+        "press,-0.04,0,0,0.03,0,10.0,0,0,0,0.05\n"
+        "press,-0.04,0.1,3.14159265,0.03,0.1,10.0,0,0,0,0.05\n"
+        "lift,-0.04,0,0,0.01,0,7.5,,,,0.05\n"
+    )
+    return path
+
+
+def test_weighings_give_absolute_numbers(gridpush, block, pushes, weighings, tmp_path):
+    model, report = tmp_path / "learned.yaml", tmp_path / "report.html"
+    outcome = gridpush(
+        "identify", block, pushes, "--weighings", weighings, "--out", model, "--report", report,
+        "--json",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    found = json.loads(outcome.out)["absolute"]
+    low, high = found["total_mass_interval"]
+    assert low < 7.5 / 9.81 < high < 1.05 * low
+    assert found["center_of_mass"][0] == pytest.approx(0, abs=0.002)
+    assert (found["presses"], found["lifts"], found["friction"]) == (2, 1, None)
+    learned = read_model(model)
+    assert learned.params.total_mass == found["total_mass"]
+    assert yaml.safe_load(model.read_text())["absolute"]["total_mass"]["low"] == low
+    assert "weighed: " in report.read_text()
+    told = gridpush("identify", block, pushes, "--weighings", weighings, "--out", model, "--force")
+    assert "Weighed by 2 presses at the edge and 1 lift: the object weighs 0.76" in told.out
+    for name in ("block.sdf", "block.urdf", "block.xml"):
+        exported = gridpush("export", model, tmp_path / name)
+        assert exported.code == 0 and "is assumed" not in exported.err
+        text = (tmp_path / name).read_text()
+        assert "weighed by 2 presses at the edge and 1 lift; with a probability of 95 %" in text
+    drawn = gridpush("export", model, tmp_path / "block.sdf", "--samples", "2")
+    assert drawn.code == 0, drawn.err
+    masses = [
+        float((tmp_path / f"block_{i}.sdf").read_text().split("<mass>")[1].split("<")[0])
+        for i in (1, 2)
+    ]
+    assert masses[0] != masses[1]
+
+
+def test_names_what_is_wrong_with_weighings(refuses, block, pushes, weighings, tmp_path):
+    weighings.write_text(weighings.read_text().replace("lift", "left"))
+    arguments = ("identify", block, pushes, "--weighings", weighings)
+    says = [f"{weighings}, line 4, column kind: is 'left'; expected 'press' or 'lift'"]
+    refuses(*arguments, "--out", tmp_path / "learned.yaml", says=says)
+    outcome = ("--out", weighings)
+    refuses(*arguments, *outcome, says=[weighings])

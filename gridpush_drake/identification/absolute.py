@@ -1,0 +1,450 @@
+"""Mass, center of mass and mean friction in absolute numbers, with what is known of each.
+
+Slow pushes show how friction is spread over an object, and none of its absolute numbers. Three
+things that a robot feels anyway do. With m the mass, c the center of mass, mu the mean friction
+coefficient, and n the outward normal of a table's edge through the point E:
+
+    force of pushes   K = mu m g                             (`force_scale`)
+    press at an edge  F = m g b / a                          the object begins to tilt about the edge
+                      b = n·(E - c_W),  a = n·(P - E)        P is where the tip presses
+    lift              W = m g,  torque = m g (-l_y, l_x)     l = c_W - G, G is between the pads
+
+with c_W = p + R(theta) c for an object that lies at the pose (p, theta). No friction enters the
+press. One press gives the product of mass and lever arm, two at other overhangs or over another
+edge give both. The unknowns are u = (log m, c, log mu), the error of every pose and that of every
+place at which the tip pressed. All have normal priors, and least squares and Laplace's
+approximation give estimate and covariance (`docs/theory/identification.md`, section 11).
+
+How the estimate changes a learned model is not here but in `weighed_model`.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from gridpush_drake.dynamics.physics import GRAVITY
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.geometry.se2 import Array, make_rotation, turn_left
+from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.pushes.weighings import (
+    ANGLE_STD,
+    POSITION_STD,
+    TIP_STD,
+    EdgePress,
+    Lift,
+    WeighingLog,
+)
+
+SIGMAS = 1.96
+"""Number of standard deviations from the estimate to the ends of an interval: 95 % are within."""
+
+LOG_MASS = 0
+"""Index of log m among the unknowns."""
+
+CENTER = slice(1, 3)
+"""Indices of the center of mass among the unknowns."""
+
+LOG_FRICTION = 3
+"""Index of log mu among the unknowns."""
+
+ABSOLUTE = 4
+"""Number of unknowns that are wanted; those after them are errors of poses and places."""
+
+START_SIGMAS = (-1.5, 0.0, 1.5)
+"""Standard deviations of the prior from its mean at which the mass is begun with. From far off the
+least squares might end in a side valley."""
+
+MAX_STEPS = 60
+"""Largest number of steps of the least squares."""
+
+STEP_TOLERANCE = 1e-10
+"""Largest change of an unknown, in standard deviations of its prior, that counts as none."""
+
+FIRST_DAMPING = 1e-3
+"""Damping of the first step, by Levenberg and Marquardt."""
+
+MAX_DAMPING = 1e12
+"""Damping at which the search ends, as no step makes the sum of squares smaller."""
+
+MAX_LOG_CHANGE = 2.0
+"""Largest change of log m or log mu in one step."""
+
+DOUBT = 1e-3
+"""Probability of a sum of squares as large as the one that is left, below which weighings, forces
+and pushes are said to contradict each other."""
+
+
+@dataclass(frozen=True)
+class AbsolutePrior:
+    """What is held of mass and friction before anything is measured: next to nothing.
+
+    Both logarithms are normal, with mean and standard deviation of the even distribution between
+    the bounds. Beyond the bounds values are not impossible, only less and less probable.
+
+    Attributes:
+        mass: least and greatest mass that is likely, kg.
+        friction: least and greatest mean friction coefficient that is likely.
+    """
+
+    mass: tuple[float, float] = (0.1, 3.0)
+    friction: tuple[float, float] = (0.1, 0.9)
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in (("mass", self.mass), ("friction", self.friction)):
+            if not 0 < low < high < np.inf:
+                raise IdentificationError(
+                    f"{name} is {(low, high)!r}; expected 0 < least < greatest"
+                )
+
+    @property
+    def log_mass(self) -> tuple[float, float]:
+        """Mean and standard deviation of log m."""
+        return _match(self.mass)
+
+    @property
+    def log_friction(self) -> tuple[float, float]:
+        """Mean and standard deviation of log mu."""
+        return _match(self.friction)
+
+
+def _match(bounds: tuple[float, float]) -> tuple[float, float]:
+    """Mean and standard deviation of a logarithm that is evenly distributed between bounds."""
+    low, high = np.log(bounds)
+    return float(low + high) / 2, float(high - low) / np.sqrt(12)
+
+
+@dataclass(frozen=True)
+class PoseNoise:
+    """How far off places and poses are that weighings rest on, as standard deviations.
+
+    Attributes:
+        position: of an object's seen position, per axis, m.
+        angle: of its seen heading, rad.
+        tip: of the fingertip's distance from the edge, m.
+    """
+
+    position: float = POSITION_STD
+    angle: float = ANGLE_STD
+    tip: float = TIP_STD
+
+    def __post_init__(self) -> None:
+        for name in ("position", "angle", "tip"):
+            value = getattr(self, name)
+            if not 0 < value < np.inf:
+                raise IdentificationError(f"{name} is {value!r}; expected a positive number")
+
+
+@dataclass(frozen=True, eq=False)
+class AbsoluteEstimate:
+    """Mass, center of mass and mean friction, and how well they are known.
+
+    Attributes:
+        mean: (4,) log m, the center of mass c in the body frame, m, and log mu; m in kg.
+        covariance: (4, 4).
+        presses: number of presses at an edge that it rests on.
+        lifts: number of lifts.
+        pushes: number of pushes whose forces were measured.
+        agreement: probability of observations that agree as badly as these do, or worse.
+        gyration: radius of gyration about the vertical axis through c, m; 0 where it is not known.
+        gyration_std: its standard deviation, m.
+    """
+
+    mean: Array
+    covariance: Array
+    presses: int = 0
+    lifts: int = 0
+    pushes: int = 0
+    agreement: float = 1.0
+    gyration: float = 0.0
+    gyration_std: float = 0.0
+
+    @property
+    def total_mass(self) -> float:
+        """The mass m, kg."""
+        return float(np.exp(self.mean[LOG_MASS]))
+
+    @property
+    def mass_interval(self) -> tuple[float, float]:
+        """Bounds between which the mass is with a probability of 95 %, kg."""
+        return self._calc_interval(LOG_MASS)
+
+    @property
+    def friction(self) -> float:
+        """The mean friction coefficient mu = sum mu_i m_i / sum m_i."""
+        return float(np.exp(self.mean[LOG_FRICTION]))
+
+    @property
+    def friction_interval(self) -> tuple[float, float]:
+        """Bounds between which the mean friction is with a probability of 95 %."""
+        return self._calc_interval(LOG_FRICTION)
+
+    @property
+    def center_of_mass(self) -> Array:
+        """(2,) the center of mass p_BBcm, body frame, m."""
+        return self.mean[CENTER]
+
+    @property
+    def center_covariance(self) -> Array:
+        """(2, 2) covariance of the center of mass, m²."""
+        return self.covariance[CENTER, CENTER]
+
+    @property
+    def center_std(self) -> Array:
+        """(2,) standard deviations of the center of mass along x and y of the body frame, m."""
+        return np.sqrt(np.diag(self.center_covariance))
+
+    @property
+    def inertia(self) -> float:
+        """Moment of inertia about the vertical axis through the center of mass, kg m²."""
+        return self.total_mass * self.gyration**2
+
+    @property
+    def inertia_interval(self) -> tuple[float, float]:
+        """Bounds between which the moment of inertia is with a probability of 95 %, kg m²."""
+        relative = 2 * self.gyration_std / self.gyration if self.gyration > 0 else 0.0
+        std = float(np.hypot(np.sqrt(self.covariance[LOG_MASS, LOG_MASS]), relative))
+        factor = float(np.exp(SIGMAS * std))
+        return self.inertia / factor, self.inertia * factor
+
+    @property
+    def contradictory(self) -> bool:
+        """Whether the observations contradict each other."""
+        return self.agreement < DOUBT
+
+    def _calc_interval(self, index: int) -> tuple[float, float]:
+        """Bounds of an unknown whose logarithm is normal, of a probability of 95 %."""
+        reach = SIGMAS * float(np.sqrt(self.covariance[index, index]))
+        low, high = np.exp(self.mean[index] + np.array([-reach, reach])).tolist()
+        return low, high
+
+
+@dataclass(frozen=True, eq=False)
+class WeighingProblem:
+    """The least-squares problem: unknowns, their priors, and the whitened residuals.
+
+    Attributes:
+        log: the weighings.
+        center: (2,) where the center of mass is expected, body frame, m.
+        center_covariance: (2, 2) of that, m².
+        force: what measured forces say; None where there are none.
+        prior: what is held of mass and friction beforehand.
+        noise: of poses and places.
+        gravity: m/s².
+    """
+
+    log: WeighingLog
+    center: Array
+    center_covariance: Array
+    force: ForceScale | None = None
+    prior: AbsolutePrior = field(default_factory=AbsolutePrior)
+    noise: PoseNoise = field(default_factory=PoseNoise)
+    gravity: float = GRAVITY
+
+    @cached_property
+    def rests(self) -> list[tuple[float, ...]]:
+        """The different poses of all weighings; weighings with the very same pose share it."""
+        poses = [one.pose for one in (*self.log.presses, *self.log.lifts)]
+        return list(dict.fromkeys(tuple(pose.tolist()) for pose in poses))
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return ABSOLUTE + 3 * len(self.rests) + len(self.log.presses)
+
+    def make_prior(self) -> tuple[Array, Array]:
+        """Mean (N,) of the unknowns beforehand, and the root (N, N) of their covariance.
+
+        The errors of poses and places are unknowns in units of their standard deviations.
+        """
+        mass, mass_std = self.prior.log_mass
+        friction, friction_std = self.prior.log_friction
+        mean = np.zeros(self.size)
+        mean[:ABSOLUTE] = (mass, *self.center, friction)
+        root = np.eye(self.size)
+        root[LOG_MASS, LOG_MASS] = mass_std
+        root[CENTER, CENTER] = np.linalg.cholesky(self.center_covariance)
+        root[LOG_FRICTION, LOG_FRICTION] = friction_std
+        return mean, root
+
+    def calc_residuals(self, u: Array) -> tuple[Array, Array]:
+        """Calculates the residuals of the observations, each over its standard deviation.
+
+        Args:
+            u: (N,) the unknowns.
+
+        Returns:
+            The residuals (M,), and their derivatives (M, N).
+        """
+        rests = self.rests
+        residuals: list[float] = []
+        rows: list[Array] = []
+        for i, press in enumerate(self.log.presses):
+            rest = ABSOLUTE + 3 * rests.index(tuple(press.pose.tolist()))
+            place = ABSOLUTE + 3 * len(rests) + i
+            r, row = self._calc_press(u, press, rest, place)
+            residuals.append(r)
+            rows.append(row)
+        for lift in self.log.lifts:
+            rest = ABSOLUTE + 3 * rests.index(tuple(lift.pose.tolist()))
+            r_lift, row_lift = self._calc_lift(u, lift, rest)
+            residuals.extend(r_lift)
+            rows.extend(row_lift)
+        if self.force is not None:
+            # log K = log mu + log m + log g
+            log_scale = u[LOG_MASS] + u[LOG_FRICTION] + np.log(self.gravity)
+            std = self.force.relative_std
+            row = np.zeros(self.size)
+            row[[LOG_MASS, LOG_FRICTION]] = 1 / std
+            residuals.append(float(log_scale - np.log(self.force.friction)) / std)
+            rows.append(row)
+        return np.array(residuals), np.array(rows).reshape(-1, self.size)
+
+    def _place_center(self, u: Array, pose: Array, rest: int) -> tuple[Array, Array]:
+        """Calculates where the center of mass is in W, and the derivatives.
+
+        Args:
+            u: (N,) the unknowns.
+            pose: (3,) X_WB as it was seen.
+            rest: index of the first of the pose's three errors among the unknowns.
+
+        Returns:
+            c_W (2,), m, and its derivatives (2, N).
+        """
+        position = self.noise.position
+        angle = self.noise.angle
+        p = pose[:2] + position * u[rest : rest + 2]
+        R = make_rotation(pose[2] + angle * u[rest + 2])
+        arm = R @ u[CENTER]
+        J = np.zeros((2, self.size))
+        J[:, CENTER] = R
+        J[:, rest : rest + 2] = position * np.eye(2)
+        # d(R c)/dtheta is R c, turned left.
+        J[:, rest + 2] = angle * turn_left(arm)
+        return p + arm, J
+
+    def _calc_press(self, u: Array, press: EdgePress, rest: int, place: int) -> tuple[float, Array]:
+        """Calculates the residual of a press, and its derivatives (N,)."""
+        weight = self.gravity * np.exp(u[LOG_MASS])
+        c_W, J_c = self._place_center(u, press.pose, rest)
+        n = press.normal
+        # F = m g b / a
+        b = float(n @ (press.edge_point - c_W))
+        a = press.arm + self.noise.tip * u[place]
+        force = weight * b / a
+        row = -weight / a * (n @ J_c)
+        row[LOG_MASS] = force
+        row[place] = -force / a * self.noise.tip
+        return float(force - press.force) / press.force_std, row / press.force_std
+
+    def _calc_lift(self, u: Array, lift: Lift, rest: int) -> tuple[list[float], list[Array]]:
+        """Calculates the residuals of a lift, and their derivatives (N,) each."""
+        weight = self.gravity * np.exp(u[LOG_MASS])
+        row = np.zeros(self.size)
+        row[LOG_MASS] = weight
+        residuals = [float(weight - lift.weight) / lift.weight_std]
+        rows = [row / lift.weight_std]
+        if lift.torque is None:
+            return residuals, rows
+        # torque = m g (-l_y, l_x)
+        c_W, J_c = self._place_center(u, lift.pose, rest)
+        torque = weight * turn_left(c_W - lift.place)
+        J = weight * np.stack([-J_c[1], J_c[0]])
+        J[:, LOG_MASS] = torque
+        residuals.extend(((torque - lift.torque) / lift.torque_std).tolist())
+        rows.extend(J / lift.torque_std)
+        return residuals, rows
+
+
+def estimate_absolute(problem: WeighingProblem) -> AbsoluteEstimate:
+    """Estimates mass, center of mass and mean friction.
+
+    Args:
+        problem: what was observed, and what was held beforehand.
+
+    Returns:
+        The estimate, without radius of gyration.
+
+    Raises:
+        IdentificationError: nothing was weighed, and no force was measured.
+    """
+    if not len(problem.log) and problem.force is None:
+        raise IdentificationError("weighings: there are none; expected at least one, or a force")
+    mean, root = problem.make_prior()
+    found = []
+    for sigmas in START_SIGMAS:
+        start = np.zeros(problem.size)
+        start[LOG_MASS] = sigmas
+        found.append(_minimize(problem, mean, root, start))
+    loss, v = min(found, key=lambda one: one[0])
+    u = mean + root @ v
+    residuals, J = problem.calc_residuals(u)
+    # Laplace: the covariance is the inverse of the Gauss-Newton Hessian.
+    by_v = J @ root
+    covariance = root @ np.linalg.inv(np.eye(problem.size) + by_v.T @ by_v) @ root.T
+    # At the minimum the whole sum of squares, priors included, is a chi square with as many
+    # degrees of freedom as there are observations.
+    agreement = float(chi2.sf(2 * loss, len(residuals)))
+    return AbsoluteEstimate(
+        mean=u[:ABSOLUTE],
+        covariance=(covariance + covariance.T)[:ABSOLUTE, :ABSOLUTE] / 2,
+        presses=len(problem.log.presses),
+        lifts=len(problem.log.lifts),
+        pushes=0 if problem.force is None else problem.force.pushes,
+        agreement=agreement,
+    )
+
+
+def _minimize(
+    problem: WeighingProblem, mean: Array, root: Array, start: Array
+) -> tuple[float, Array]:
+    """Minimizes half the sum of squares by the method of Levenberg and Marquardt.
+
+    Args:
+        problem: the observations.
+        mean: (N,) of the unknowns beforehand.
+        root: (N, N) of their covariance: u = mean + root v, v ~ N(0, I).
+        start: (N,) v to begin with.
+
+    Returns:
+        The loss, and v (N,).
+    """
+
+    def calc(v: Array) -> tuple[float, Array, Array]:
+        """Loss, gradient (N,) and Gauss-Newton Hessian (N, N) at v."""
+        r, J = problem.calc_residuals(mean + root @ v)
+        by_v = J @ root
+        hessian = np.eye(len(v)) + by_v.T @ by_v
+        return float(r @ r + v @ v) / 2, by_v.T @ r + v, hessian
+
+    v = start
+    loss, gradient, hessian = calc(v)
+    damping = FIRST_DAMPING
+    for _ in range(MAX_STEPS):
+        step = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+        logs = (root @ step)[[LOG_MASS, LOG_FRICTION]]
+        step *= min(1.0, MAX_LOG_CHANGE / max(float(np.abs(logs).max()), MAX_LOG_CHANGE))
+        tried = calc(v + step)
+        if tried[0] > loss:
+            damping *= 10
+            if damping > MAX_DAMPING:
+                break
+            continue
+        v = v + step
+        loss, gradient, hessian = tried
+        damping /= 10
+        if np.abs(step).max() < STEP_TOLERANCE:
+            break
+    return loss, v
+
+
+def describe_sources(estimate: AbsoluteEstimate) -> str:
+    """Names what an estimate rests on: "3 presses at the edge and 1 lift"."""
+    counted = (
+        (estimate.presses, "press at the edge", "presses at the edge"),
+        (estimate.lifts, "lift", "lifts"),
+        (estimate.pushes, "push with measured forces", "pushes with measured forces"),
+    )
+    named = [f"{n} {one if n == 1 else many}" for n, one, many in counted if n]
+    return " and ".join(filter(None, [", ".join(named[:-1]), named[-1]]))

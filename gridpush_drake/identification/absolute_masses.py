@@ -1,0 +1,139 @@
+"""Masses and frictions of cells that agree with a friction that pushes showed, and with a weight.
+
+Pushes say where an object is heavy and rough, up to a scale and to what friction hides; weighings
+say the scale, and where the center of mass is (`absolute`). Together: the shares k_i of the
+friction stay as the pushes showed them. The masses are the shares nearest to them, in relative
+entropy, whose center is the center of mass,
+
+    m_i = m a_i,    a_i ~ k_i exp(b·p_i),    sum a_i p_i = c
+
+and the friction coefficients are what is left, mu_i = mu m k_i / m_i, so that their mean is mu
+(`docs/theory/identification.md`, section 11).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.absolute import (
+    ABSOLUTE,
+    CENTER,
+    LOG_FRICTION,
+    LOG_MASS,
+    AbsoluteEstimate,
+)
+from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+MAX_TILT_STEPS = 50
+"""Largest number of Newton steps that tilt loads to a center."""
+
+TILT_TOLERANCE = 1e-9
+"""Largest distance of tilted loads' center from where it should be, relative to their extent."""
+
+MAX_TILT = 30.0
+"""Largest exponent by which tilting changes loads. A center at the object's very rim would need
+more."""
+
+MAX_FRICTION = 1.5
+"""Greatest friction coefficient that is given to a cell. What pushes and a center of mass far off
+would ask for beyond it is not believed."""
+
+
+def make_absolute_parameters(
+    obj: GridObject, params: CellParameters, share: Array, numbers: Array
+) -> CellParameters:
+    """Makes the parameters of an object with given absolute numbers.
+
+    Args:
+        obj: the object.
+        params: whose contact friction, push height and patches are taken.
+        share: (n,) k, positive, summing to one.
+        numbers: (4,) log m, the center of mass, m, and log mu, as in `AbsoluteEstimate.mean`.
+    """
+    a = tilt_to_center(share, obj.p_BC, numbers[CENTER])
+    mass = float(np.exp(numbers[LOG_MASS]))
+    friction = float(np.exp(numbers[LOG_FRICTION]))
+    return replace(params, mass=mass * a, friction=np.minimum(friction * share / a, MAX_FRICTION))
+
+
+def draw_absolute_parameters(
+    obj: GridObject,
+    params: CellParameters,
+    posterior: Posterior,
+    absolute: AbsoluteEstimate,
+    count: int,
+    seed: int = 0,
+) -> list[CellParameters]:
+    """Draws parameters that agree with pushes and weighings.
+
+    Args:
+        obj: the object.
+        params: the estimate.
+        posterior: the spread of the relative friction.
+        absolute: mass, center of mass and mean friction.
+        count: how many draws.
+        seed: seed of the draws.
+
+    Returns:
+        The parameters. Where no forces of pushes were measured, their mean friction is the
+        estimate's.
+    """
+    shares, contact_friction = posterior.draw(count, seed)
+    rng = np.random.default_rng((seed, ABSOLUTE))
+    numbers = rng.multivariate_normal(absolute.mean, absolute.covariance, count)
+    if not absolute.pushes:
+        numbers[:, LOG_FRICTION] = np.log(params.mass @ params.friction / params.total_mass)
+    return [
+        replace(make_absolute_parameters(obj, params, x, u), contact_friction=float(mu_c))
+        for x, u, mu_c in zip(shares, numbers, contact_friction, strict=True)
+    ]
+
+
+def tilt_to_center(share: Array, p_BC: Array, center: Array) -> Array:
+    """Tilts loads so that their center is at a place: a_i ~ x_i exp(b·p_i), sum a_i p_i = c.
+
+    These are the loads nearest to x, in relative entropy, with that center. b minimizes the convex
+    log sum x_i exp(b·(p_i - c)), and is found by Newton's method.
+
+    Args:
+        share: (n,) x, positive, summing to one.
+        p_BC: (n, 2) where the loads are, m.
+        center: (2,) where their center should be, m.
+
+    Returns:
+        (n,) a, summing to one. If the place is beyond the loads, their center comes as near to it
+        as `MAX_TILT` lets it.
+    """
+    size = float(np.abs(p_BC - p_BC.mean(axis=0)).max()) or 1.0
+    arm = (p_BC - center) / size
+    b = np.zeros(2)
+
+    def tilt(b: Array) -> tuple[float, Array]:
+        """The convex function at b, and the loads (n,)."""
+        exponent = arm @ b
+        highest = float(exponent.max())
+        weight = share * np.exp(exponent - highest)
+        total = float(weight.sum())
+        return highest + float(np.log(total)), weight / total
+
+    value, a = tilt(b)
+    for _ in range(MAX_TILT_STEPS):
+        off = a @ arm
+        if np.abs(off).max() < TILT_TOLERANCE:
+            break
+        spread = (a[:, None] * arm).T @ arm - np.outer(off, off)
+        step = -np.linalg.lstsq(spread, off, rcond=None)[0]
+        step *= min(1.0, MAX_TILT / max(float(np.abs(arm @ step).max()), MAX_TILT))
+        # A step that does not make the function smaller is halved.
+        tried = tilt(b + step)
+        while tried[0] > value and np.abs(step).max() > TILT_TOLERANCE:
+            step = step / 2
+            tried = tilt(b + step)
+        if np.abs(arm @ (b + step)).max() > MAX_TILT:
+            break
+        b = b + step
+        value, a = tried
+    return np.asarray(a)

@@ -1,0 +1,165 @@
+"""A learned model whose object was weighed: absolute masses, frictions and center of mass.
+
+`weigh_model` takes what pushes said and what weighings say, and returns the model with both. How
+the absolute numbers are estimated is in `absolute`, and how masses and frictions of the cells
+follow from them in `absolute_masses`.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.absolute import (
+    LOG_FRICTION,
+    LOG_MASS,
+    AbsoluteEstimate,
+    AbsolutePrior,
+    PoseNoise,
+    WeighingProblem,
+    estimate_absolute,
+)
+from gridpush_drake.identification.absolute_masses import make_absolute_parameters, tilt_to_center
+from gridpush_drake.identification.identifiability import calc_identifiability
+from gridpush_drake.identification.result import Identification, calc_center_of_mass
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.weighings import WeighingLog
+
+FRICTION_GRADIENT = 0.3
+"""Standard deviation of how much log mu_i changes, evenly, along one radius of gyration of the
+load, beforehand. It lets the center of mass be elsewhere than the center of friction."""
+
+DRAWS = 64
+"""Number of draws from the posterior by which the spread of the radius of gyration is computed."""
+
+WHOLE_OBJECT = 1e-6
+"""Ridge on the covariance of the center of mass, as a share of the squared radius of gyration, so
+that the center of an object that is a thin line has a covariance, too."""
+
+
+def weigh_model(
+    found: Identification,
+    log: WeighingLog,
+    *,
+    prior: AbsolutePrior | None = None,
+    noise: PoseNoise | None = None,
+    seed: int = 0,
+) -> Identification:
+    """Adds weighings to a learned model.
+
+    Args:
+        found: what pushes said, and their forces where they were measured.
+        log: the weighings.
+        prior: what is held of mass and friction beforehand.
+        noise: of the poses and places of the weighings.
+        seed: of the draws by which the spread of the inertia is computed.
+
+    Returns:
+        The model with absolute masses and frictions, and their estimate in `absolute`.
+
+    Raises:
+        IdentificationError: there is no weighing.
+    """
+    if not len(log):
+        raise IdentificationError("weighings: there are none; expected at least one")
+    center, covariance = calc_center_prior(found)
+    problem = WeighingProblem(
+        log=log,
+        center=center,
+        center_covariance=covariance,
+        force=found.force,
+        prior=prior or AbsolutePrior(),
+        noise=noise or PoseNoise(),
+        gravity=found.physics.gravity,
+    )
+    estimate = _add_gyration(found, estimate_absolute(problem), seed)
+    return apply_absolute(found, estimate)
+
+
+def calc_center_prior(
+    found: Identification, gradient: float = FRICTION_GRADIENT
+) -> tuple[Array, Array]:
+    """Calculates where pushes say that the center of mass is, and how surely.
+
+    It is the center of friction, moved by what friction may change along the object: with log mu_i
+    = b·(p_i - c), b ~ N(0, s²/r² I), and M = sum x_i (p_i - c) (p_i - c)^T, by -M b. A center of
+    mass that was told is where it was told.
+
+    Args:
+        found: what was learned.
+        gradient: s, the standard deviation of log mu_i along one radius of gyration r.
+
+    Returns:
+        p_BBcm (2,), m, body frame, and its covariance (2, 2), m².
+    """
+    obj = found.obj
+    center, covariance = calc_center_of_mass(found)
+    if obj.prior.center_of_mass is None:
+        low = obj.prior.friction_min
+        high = obj.prior.friction_max
+        s = min(gradient, float(np.log(high / low)) / np.sqrt(12))
+        share = found.posterior.calc_share()
+        arm = obj.p_BC - share @ obj.p_BC
+        M = (share[:, None] * arm).T @ arm
+        covariance = covariance + s**2 / max(float(np.trace(M)), np.finfo(float).tiny) * M @ M
+    ridge = WHOLE_OBJECT * obj.radius_of_gyration**2
+    return center, covariance + ridge * np.eye(2)
+
+
+def apply_absolute(found: Identification, estimate: AbsoluteEstimate) -> Identification:
+    """Gives a model the absolute numbers of an estimate.
+
+    Args:
+        found: the model; its relative friction stays as it is.
+        estimate: mass, center of mass and mean friction.
+
+    Returns:
+        The model, with masses, frictions, standard deviations and statements of the estimate.
+    """
+    obj = found.obj
+    share = found.params.relative_friction()
+    # Without measured forces, the mean friction stays as it was supposed.
+    numbers = estimate.mean.copy()
+    if not estimate.pushes:
+        supposed = float(found.params.mass @ found.params.friction) / found.params.total_mass
+        numbers[LOG_FRICTION] = np.log(supposed)
+    params = make_absolute_parameters(obj, found.params, share, numbers)
+    # The scales' variances are added to those of the shares.
+    relative = found.std.mass / found.params.mass
+    log_mass = estimate.covariance[LOG_MASS, LOG_MASS]
+    log_friction = estimate.covariance[LOG_FRICTION, LOG_FRICTION]
+    std = CellParameters(
+        mass=params.mass * np.sqrt(relative**2 + log_mass),
+        friction=params.friction * np.sqrt(log_friction),
+        contact_friction=found.std.contact_friction,
+    )
+    return replace(
+        found,
+        params=params,
+        std=std,
+        absolute=estimate,
+        identifiability=calc_identifiability(obj, params, found.posterior, found.force, estimate),
+    )
+
+
+def _add_gyration(found: Identification, estimate: AbsoluteEstimate, seed: int) -> AbsoluteEstimate:
+    """Adds the radius of gyration to an estimate: of the map of masses, and of draws of it."""
+    obj = found.obj
+    rng = np.random.default_rng((seed, DRAWS))
+    shares = found.posterior.draw(DRAWS, seed)[0]
+    centers = rng.multivariate_normal(
+        estimate.center_of_mass, estimate.center_covariance, len(shares)
+    )
+    best = _calc_gyration(obj, found.params.relative_friction(), estimate.center_of_mass)
+    drawn = [_calc_gyration(obj, x, c) for x, c in zip(shares, centers, strict=True)]
+    return replace(estimate, gyration=best, gyration_std=float(np.std(drawn)))
+
+
+def _calc_gyration(obj: GridObject, share: Array, center: Array) -> float:
+    """Radius of gyration, m, of the masses with these shares (n,) of friction and this center."""
+    a = tilt_to_center(share, obj.p_BC, center)
+    arm = obj.p_BC - a @ obj.p_BC
+    # Each cell is a square plate, with s²/6 about its own center.
+    return float(np.sqrt(a @ (arm**2).sum(axis=1) + obj.cell_size**2 / 6))

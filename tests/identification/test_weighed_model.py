@@ -1,0 +1,163 @@
+"""A learned model whose object was weighed: what it says of cells, in files, and of draws."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake.dynamics.physics import GRAVITY
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.absolute_masses import tilt_to_center
+from gridpush_drake.identification.model_file import read_model, write_model
+from gridpush_drake.identification.result import calc_center_of_mass
+from gridpush_drake.identification.weighed_model import calc_center_prior, weigh_model
+from gridpush_drake.pushes.weighings import WeighingLog
+from gridpush_drake.report.page import list_numbers
+from tests.helpers.weighed_objects import Truth, make_problem
+from tests.identification.test_force_scale import MASS, learn, make_case
+
+
+@pytest.fixture(scope="module")
+def learned():
+    return learn(3)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return make_case()[1]
+
+
+@pytest.fixture(scope="module")
+def weighed(learned, truth):
+    obj = learned.obj
+    made = Truth(MASS, truth.center_of_mass(obj), float(truth.mass @ truth.friction) / MASS)
+    headings = (0.0, np.pi, np.pi / 2)
+    rng = np.random.default_rng(1)
+    log = make_problem(made, rng, headings, force_std=0.05).log
+    return weigh_model(learned, log)
+
+
+def test_mass_center_and_friction_are_near_the_truth(weighed, truth):
+    obj = weighed.obj
+    found = weighed.absolute
+    low, high = found.mass_interval
+    assert low < MASS < high < 1.05 * low
+    off = found.center_of_mass - truth.center_of_mass(obj)
+    assert (np.abs(off) < 3 * found.center_std).all() and np.abs(off).max() < 0.003
+    low, high = found.friction_interval
+    assert low < truth.mass @ truth.friction / MASS < high < 1.5 * low
+    low, high = found.inertia_interval
+    assert low < truth.inertia(obj) < high
+    assert abs(found.inertia / truth.inertia(obj) - 1) < 0.1
+
+
+def test_cells_have_what_is_known(weighed, learned):
+    params = weighed.params
+    found = weighed.absolute
+    assert params.total_mass == pytest.approx(found.total_mass)
+    np.testing.assert_allclose(params.center_of_mass(weighed.obj), found.center_of_mass, atol=1e-7)
+    assert params.mass @ params.friction / params.total_mass == pytest.approx(found.friction)
+    # What the pushes showed is kept.
+    np.testing.assert_allclose(
+        params.relative_friction(), learned.params.relative_friction(), rtol=1e-9
+    )
+    center, covariance = calc_center_of_mass(weighed)
+    np.testing.assert_array_equal(center, found.center_of_mass)
+    np.testing.assert_array_equal(covariance, found.center_covariance)
+    known = weighed.identifiability
+    assert known.mass_min.sum() < found.total_mass < known.mass_max.sum()
+    assert np.diff(known.center_of_mass_box, axis=0).max() < 0.01
+    assert known.statements[0].startswith(
+        "Weighed by 6 presses at the edge, 1 lift and 6 pushes with measured forces: "
+    )
+
+
+def test_a_center_may_be_elsewhere_than_that_of_friction(learned):
+    center, covariance = calc_center_prior(learned)
+    np.testing.assert_allclose(center, learned.params.center_of_mass(learned.obj), atol=1e-9)
+    alone = calc_center_of_mass(learned)[1]
+    assert (np.diag(covariance) > np.diag(alone)).all()
+    even = replace(
+        learned, obj=replace(learned.obj, prior=replace(learned.obj.prior, friction_max=0.3501,
+        friction_min=0.3499))
+    )  # fmt: skip
+    np.testing.assert_allclose(calc_center_prior(even)[1], alone, rtol=1e-2)
+
+
+def test_draws_spread_as_is_said(weighed):
+    draws = weighed.samples(300, seed=2)
+    found = weighed.absolute
+    masses = np.array([draw.total_mass for draw in draws])
+    low, high = found.mass_interval
+    assert 0.9 < ((masses > low) & (masses < high)).mean() < 0.99
+    scales = np.array([draw.mass @ draw.friction for draw in draws]) * GRAVITY
+    assert 0.3 < np.std(np.log(scales)) / weighed.force.relative_std < 1.7
+    centers = np.array([draw.center_of_mass(weighed.obj) for draw in draws])
+    np.testing.assert_allclose(centers.std(axis=0), found.center_std, rtol=0.2)
+    again = weighed.samples(300, seed=2)
+    assert all((one.mass == other.mass).all() for one, other in zip(draws, again, strict=True))
+
+
+def test_a_model_file_keeps_it(tmp_path, weighed):
+    write_model(tmp_path / "model.yaml", weighed)
+    back = read_model(tmp_path / "model.yaml")
+    np.testing.assert_array_equal(back.absolute.mean, weighed.absolute.mean)
+    np.testing.assert_array_equal(back.absolute.covariance, weighed.absolute.covariance)
+    assert back.absolute.inertia_interval == weighed.absolute.inertia_interval
+    assert back.identifiability.statements == weighed.identifiability.statements
+    np.testing.assert_array_equal(back.params.mass, weighed.params.mass)
+    np.testing.assert_array_equal(back.params.friction, weighed.params.friction)
+    text = (tmp_path / "model.yaml").read_text()
+    assert "absolute:" in text and "low:" in text
+    (tmp_path / "bad.yaml").write_text(text.replace("presses: 6", "presses: -6"))
+    with pytest.raises(IdentificationError, match=r"bad\.yaml.*absolute\.presses"):
+        read_model(tmp_path / "bad.yaml")
+
+
+def test_the_report_tells_it_beside_the_truth(weighed, truth):
+    rows = {name: (found, true) for name, found, true in list_numbers(weighed, truth)}
+    assert "weighed: " in rows["total mass"][0]
+    assert rows["total mass"][1] == f"{MASS:.3g} kg"
+    for name in (
+        "center of mass, weighed",
+        "mean friction, of forces and weighings",
+        "inertia about the vertical axis",
+    ):
+        assert all(rows[name])
+
+
+def test_without_forces_the_friction_stays_as_supposed(learned, weighed):
+    log = make_problem(Truth(MASS, np.zeros(2), 0.4), np.random.default_rng(1)).log
+    unmoved = weigh_model(replace(learned, force=None), log)
+    params = unmoved.params
+    supposed = learned.params.mass @ learned.params.friction / learned.params.total_mass
+    assert params.mass @ params.friction / params.total_mass == pytest.approx(supposed)
+    assert "forces of no push were measured" in unmoved.identifiability.statements[0]
+
+
+def test_no_weighing_is_refused(learned):
+    with pytest.raises(IdentificationError, match="there are none"):
+        weigh_model(learned, WeighingLog())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tilted_loads_have_the_center_and_are_the_nearest(seed):
+    rng = np.random.default_rng(seed)
+    p = rng.uniform(-0.1, 0.1, (40, 2))
+    share = rng.dirichlet(np.ones(40))
+    center = 0.5 * share @ p + 0.5 * p[rng.integers(40)]
+    a = tilt_to_center(share, p, center)
+    np.testing.assert_allclose(a @ p, center, atol=1e-9)
+    assert a.sum() == pytest.approx(1)
+    # Any other loads with that center are farther off in relative entropy.
+    nearest = a @ np.log(a / share)
+    null = np.linalg.svd(np.vstack([np.ones(40), p.T]))[2][3:]
+    for _ in range(20):
+        other = a + 0.01 * a.min() * (rng.standard_normal(37) @ null)
+        assert other @ np.log(other / share) > nearest
+
+
+def test_a_center_that_no_loads_have_is_come_near_to():
+    p = np.array([[-0.1, 0.0], [0.1, 0.0], [0.0, 0.05]])
+    a = tilt_to_center(np.full(3, 1 / 3), p, np.array([0.2, 0.0]))
+    assert np.isfinite(a).all() and (a > 0).all() and a[1] > 0.9
