@@ -7,7 +7,7 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found, print_notice
-from gridpush_drake.identification.absolute import SIGMAS, AbsoluteEstimate, describe_sources
+from gridpush_drake.identification.absolute import describe_weighed
 from gridpush_drake.multibody.mjcf import WriteMjcf
 from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 
@@ -123,25 +123,6 @@ def export(
         line += f", {count_noun(samples, 'draw')} of seed {seed}"
         written = [f"Wrote {outs[0]} to {outs[-1].name}." if samples > 1 else f"Wrote {outs[0]}."]
     print_found(found, [line, *written], json)
-
-
-def describe_weighed(absolute: AbsoluteEstimate) -> str:
-    """Says how well mass, center of mass, friction and inertia of an exported object are known."""
-    low, high = absolute.mass_interval
-    x, y = absolute.center_of_mass * MM
-    std = absolute.center_std * MM
-    words = [
-        f"weighed by {describe_sources(absolute)}; with a probability of 95 %, mass "
-        f"{absolute.total_mass:.4g} kg ({low:.4g} to {high:.4g} kg)",
-        f"center of mass x {x:.1f} ± {SIGMAS * std[0]:.1f} mm, y {y:.1f} ± "
-        f"{SIGMAS * std[1]:.1f} mm",
-    ]
-    low, high = absolute.inertia_interval
-    words.append(f"inertia about z {absolute.inertia:.3g} kg m² ({low:.3g} to {high:.3g} kg m²)")
-    if absolute.pushes:
-        low, high = absolute.friction_interval
-        words.append(f"mean friction {absolute.friction:.3f} ({low:.3f} to {high:.3f})")
-    return ", ".join(words) + "."
 
 
 def name_samples(out: Path, count: int) -> list[Path]:

@@ -167,29 +167,8 @@ def describe_result(result: Identification, log: PushLog) -> dict[str, Any]:
         "contact_friction_std": result.std.contact_friction,
         "center_of_friction": result.identifiability.center_of_friction,
         "force": None if result.force is None else asdict(result.force),
-        "absolute": describe_absolute(result),
+        "absolute": result.absolute and result.absolute.summarize(),
         "statements": result.identifiability.statements,
-    }
-
-
-def describe_absolute(result: Identification) -> dict[str, Any] | None:
-    """Returns what weighings say, for machines, in SI units; None where there are none."""
-    found = result.absolute
-    if found is None:
-        return None
-    return {
-        "total_mass": found.total_mass,
-        "total_mass_interval": found.mass_interval,
-        "center_of_mass": found.center_of_mass,
-        "center_of_mass_covariance": found.center_covariance,
-        "friction": found.friction if found.pushes else None,
-        "friction_interval": found.friction_interval if found.pushes else None,
-        "inertia": found.inertia,
-        "inertia_interval": found.inertia_interval,
-        "presses": found.presses,
-        "lifts": found.lifts,
-        "pushes": found.pushes,
-        "agreement": found.agreement,
     }
 
 

@@ -20,6 +20,7 @@ How the estimate changes a learned model is not here but in `weighed_model`.
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -36,6 +37,9 @@ from gridpush_drake.pushes.weighings import (
     Lift,
     WeighingLog,
 )
+
+MM = 1e3
+"""Millimeters in a meter."""
 
 SIGMAS = 1.96
 """Number of standard deviations from the estimate to the ends of an interval: 95 % are within."""
@@ -212,6 +216,24 @@ class AbsoluteEstimate:
     def contradictory(self) -> bool:
         """Whether the observations contradict each other."""
         return self.agreement < DOUBT
+
+    def summarize(self) -> dict[str, Any]:
+        """Returns all numbers by name, in SI units; friction is None where no force was measured."""
+        rubs = self.pushes > 0
+        return {
+            "total_mass": self.total_mass,
+            "total_mass_interval": self.mass_interval,
+            "center_of_mass": self.center_of_mass,
+            "center_of_mass_covariance": self.center_covariance,
+            "friction": self.friction if rubs else None,
+            "friction_interval": self.friction_interval if rubs else None,
+            "inertia": self.inertia,
+            "inertia_interval": self.inertia_interval,
+            "presses": self.presses,
+            "lifts": self.lifts,
+            "pushes": self.pushes,
+            "agreement": self.agreement,
+        }
 
     def _calc_interval(self, index: int) -> tuple[float, float]:
         """Bounds of an unknown whose logarithm is normal, of a probability of 95 %."""
@@ -448,3 +470,22 @@ def describe_sources(estimate: AbsoluteEstimate) -> str:
     )
     named = [f"{n} {one if n == 1 else many}" for n, one, many in counted if n]
     return " and ".join(filter(None, [", ".join(named[:-1]), named[-1]]))
+
+
+def describe_weighed(absolute: AbsoluteEstimate) -> str:
+    """Says how well mass, center of mass, inertia and friction are known, in a sentence."""
+    low, high = absolute.mass_interval
+    x, y = absolute.center_of_mass * MM
+    std = absolute.center_std * MM
+    words = [
+        f"weighed by {describe_sources(absolute)}; with a probability of 95 %, mass "
+        f"{absolute.total_mass:.4g} kg ({low:.4g} to {high:.4g} kg)",
+        f"center of mass x {x:.1f} ± {SIGMAS * std[0]:.1f} mm, y {y:.1f} ± "
+        f"{SIGMAS * std[1]:.1f} mm",
+    ]
+    low, high = absolute.inertia_interval
+    words.append(f"inertia about z {absolute.inertia:.3g} kg m² ({low:.3g} to {high:.3g} kg m²)")
+    if absolute.pushes:
+        low, high = absolute.friction_interval
+        words.append(f"mean friction {absolute.friction:.3f} ({low:.3f} to {high:.3f})")
+    return ", ".join(words) + "."

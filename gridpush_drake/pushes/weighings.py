@@ -232,6 +232,7 @@ class WeighingLog:
             try:
                 made = _parse_row(path, line, cells)
             except PushLogError as error:
+                # A record knows neither its file nor its line; what reads its cells does.
                 if str(error).startswith(str(path)):
                     raise
                 raise PushLogError(f"{path}, line {line}: {error}") from error
@@ -255,10 +256,12 @@ class WeighingLog:
         for press in self.presses:
             edge = [*press.edge_point, press.edge_angle]
             where = [*press.pose, *press.place, press.force, *edge]
+            # A press has no torque.
             writer.writerow([PRESS, *_write(where), "", "", *_write([press.force_std]), ""])
         for lift in self.lifts:
             where = [*lift.pose, *lift.place, lift.weight]
             torque = ["", ""] if lift.torque is None else _write(lift.torque)
+            # A lift has no edge, and not always a torque.
             stds = _write([lift.weight_std, lift.torque_std])
             writer.writerow([LIFT, *_write(where), "", "", "", *torque, *stds])
         write_whole(path, text.getvalue(), force)
@@ -300,6 +303,7 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> EdgePress | Lift
         """Reads a standard deviation; the default where the cell is empty."""
         return default if is_empty(cells.get(name, "")) else read([name])[0]
 
+    # What both kinds have.
     kind = cells[KIND].strip()
     pose = np.array(read(POSE))
     place = np.array(read(PLACE))
