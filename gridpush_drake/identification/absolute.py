@@ -5,7 +5,7 @@ things that a robot feels anyway do. With m the mass, c the center of mass, mu t
 coefficient, and n the outward normal of a table's edge through the point E:
 
     force of pushes   K = mu m g                             (`force_scale`)
-    press at an edge  F = m g b / a                          the object begins to tilt about the edge
+    press at an edge  F = m g b / a                          it begins to tilt about the edge
                       b = n·(E - c_W),  a = n·(P - E)        P is where the tip presses
     lift              W = m g,  torque = m g (-l_y, l_x)     l = c_W - G, G is between the pads
 
@@ -218,7 +218,7 @@ class AbsoluteEstimate:
         return self.agreement < DOUBT
 
     def summarize(self) -> dict[str, Any]:
-        """Returns all numbers by name, in SI units; friction is None where no force was measured."""
+        """Returns all numbers by name, in SI units; friction is None without measured forces."""
         rubs = self.pushes > 0
         return {
             "total_mass": self.total_mass,
@@ -267,7 +267,8 @@ class WeighingProblem:
     @cached_property
     def rests(self) -> list[tuple[float, ...]]:
         """The different poses of all weighings; weighings with the very same pose share it."""
-        poses = [one.pose for one in (*self.log.presses, *self.log.lifts)]
+        made: list[EdgePress | Lift] = [*self.log.presses, *self.log.lifts]
+        poses = [one.pose for one in made]
         return list(dict.fromkeys(tuple(pose.tolist()) for pose in poses))
 
     @property
