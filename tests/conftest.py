@@ -18,9 +18,7 @@ def pytest_configure(config):
     """Prepares what a suite takes from its surroundings.
 
     A suite that is run under nohup inherits an ignored SIGHUP; the tests of signals need it. And
-    kernels are compiled by one process before several workers begin: of two that compile at once,
-    one would find some kernels in the cache and compile others, and the same sum can then differ in
-    its last bit between two kernels that share it.
+    kernels are compiled before several workers begin, so that no test is timed while one waits.
     """
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     begins_workers = not hasattr(config, "workerinput") and config.getoption("numprocesses", None)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.first_compilation import have_rollouts_compiled
 from gridpush_drake.dynamics.kernels.contact import Edges
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.inputs import Body, Load, Pushes, Scheme, Steps
@@ -60,6 +61,7 @@ def run_kernel(
     Returns:
         The record.
     """
+    have_rollouts_compiled()
     record = make_record(len(dts))
     prepared = _prepare(obj, params, physics, table, ahead)
     if memory is None:
@@ -96,6 +98,7 @@ def run_pushes(
     Returns:
         The poses (rows, 3) that are recorded, and whether the object was touched (P,).
     """
+    have_rollouts_compiled()
     poses = np.empty((rows, 3))
     touched = np.empty(len(pushes.radii), np.bool_)
     prepared = _prepare(obj, params, physics, table)

@@ -8,11 +8,10 @@ leave it in the cache: the first one finds it there when it gets so far.
 import numba
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.compiled import compile_for, get_cache
+from gridpush_drake.dynamics.kernels.compiled import compile_for
 from gridpush_drake.dynamics.kernels.forward_sensitivity import Columns, step_columns
 from gridpush_drake.dynamics.kernels.inputs import Body
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps
-from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
 from gridpush_drake.dynamics.kernels.step_derivative import StepDerivative
 from gridpush_drake.dynamics.kernels.step_start import StepStart
 from gridpush_drake.dynamics.physics import Physics, Regime
@@ -35,11 +34,6 @@ DURATION = 0.02
 """Duration of the push, s."""
 
 REGIMES: tuple[Regime, ...] = ("inertial", "quasi_static")
-
-
-def is_compiled() -> bool:
-    """Whether the rollouts are in the cache, as it seems by the names of its files."""
-    return all(get_cache(each).list_files() for each in (rollout, rollout_pushes))
 
 
 def make_square() -> GridObject:
