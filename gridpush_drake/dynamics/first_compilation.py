@@ -18,8 +18,7 @@ import sys
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-
-import numba
+from types import FunctionType
 
 from gridpush_drake.dynamics.kernels.compiled import get_cache
 from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
@@ -45,7 +44,8 @@ def have_rollouts_compiled() -> None:
 
     Several processes may call it at once: one has them compiled, the others wait for it.
     """
-    if os.environ.get(COMPILES) or numba.config.DISABLE_JIT or not sys.executable or is_compiled():
+    interpreted = isinstance(rollout, FunctionType)  # where NUMBA_DISABLE_JIT is set
+    if os.environ.get(COMPILES) or interpreted or not sys.executable or is_compiled():
         return
     folder = get_cache(rollout).cache_path
     if not folder:
