@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 from numpy.typing import ArrayLike
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from gridpush_drake.identification.learning import describe_prior
@@ -23,6 +23,10 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.worker import Worker, make_worker
 
 S = TypeVar("S")
+
+
+class _NotAskedFor:
+    """Stands in a port whose value nobody has asked for yet."""
 
 
 class AbstractStateSystem(LeafSystem, Generic[S]):
@@ -76,10 +80,10 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
             lazily: True where this first value is not to be made before somebody asks for it. Then
                 it must be of a class of this project, all of which are of one type for Drake.
         """
-        first = None if lazily else show(self._begin)
+        first = _NotAskedFor() if lazily else show(self._begin)
         self.DeclareAbstractOutputPort(
             name,
-            lambda: Value[object](None) if first is None else AbstractValue.Make(first),
+            lambda: AbstractValue.Make(first),
             weakly(self._calc_value, show),
             {self._remembered},
         )
