@@ -18,14 +18,17 @@ from pydrake.common.yaml import yaml_dump_typed
 from pydrake.multibody.parsing import ModelDirectives
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.results import Results
 from gridpush_drake.bench.table import CONFIDENCE, MM, PERCENT, Share, Table, Value, calc_mean
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.files import is_file, make_folder
 from gridpush_drake.station.pregrasp_task import PreGraspRecord
 from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.run_recorder import RunRecorder, import_rosbags
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario
 from gridpush_drake.station.scene import use_object
-from gridpush_drake.station.task import TaskRecord, TaskStatus
+from gridpush_drake.station.task import Progress, StationTask, TaskRecord, TaskStatus
 from gridpush_drake.station.tasks import TASKS, calc_center_error
 
 SCENARIO = "scenario.yaml"
@@ -36,6 +39,12 @@ EPISODES = "episodes.jsonl"
 
 TABLE = "table.md"
 """File in a campaign's folder that says what came of all episodes."""
+
+RECORDINGS = "recordings"
+"""Folder in a campaign's folder for the recordings of episodes, an MCAP file each."""
+
+SUFFIX = ".mcap"
+"""Ending of a recording's name."""
 
 REPLAYS = "replays"
 """Folder in a campaign's folder for episodes that are run again."""
@@ -73,6 +82,8 @@ class EpisodeJob:
         object_hash: hash of the object's file where it is not a shipped one; empty otherwise.
         task: name of the task, one of TASKS.
         scenario: all else, as YAML.
+        recording: the MCAP file that the episode is recorded in; empty for none. Episodes are the
+            same with and without.
     """
 
     object: str
@@ -80,10 +91,17 @@ class EpisodeJob:
     object_hash: str = ""
     task: str = field(default="pregrasp", compare=False)
     scenario: str = field(default="", compare=False)
+    recording: str = field(default="", compare=False)
 
     def describe(self) -> str:
         """Says in a few words which episode it is."""
         return f"{Path(self.object).stem}, seed {self.seed}"
+
+    def name_recording(self) -> str:
+        """Names the episode's recording: by object, by its file's hash if it has one, and seed."""
+        return "-".join(
+            filter(None, [Path(self.object).stem, self.object_hash, f"{self.seed}{SUFFIX}"])
+        )
 
 
 @dataclass(frozen=True)
@@ -125,15 +143,21 @@ class Episode:
 def run_episode(job: EpisodeJob) -> Episode:
     """Runs an episode.
 
-    What the package refuses, and whatever else goes wrong in it, is how the episode ended.
+    What the package refuses, and whatever else goes wrong in it, is how the episode ended. If the
+    job asks for a recording, it is written when the episode has ended, whatever came of it; an
+    episode that could not be run has none.
+
+    Raises:
+        OutputError: the recording cannot be written.
     """
     begin = perf_counter()
+    recorder = RunRecorder() if job.recording else None
     try:
         scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
         told = use_object(scenario, job.object)
         scenario.seed = job.seed
         task = TASKS[job.task].station(resolve(scenario, told=told))
-        record = task.run()
+        record = task.run(progress=_watch(task, recorder))
     except GridPushError as error:
         return Episode(
             object=job.object,
@@ -158,11 +182,21 @@ def run_episode(job: EpisodeJob) -> Episode:
         )
     if record.status == TaskStatus.INTERRUPTED:
         raise KeyboardInterrupt
+    if recorder is not None:
+        # A recording of an episode that is run again takes the place of the earlier one
+        recorder.write(Path(job.recording), record, force=True)
     fell = bool(np.isnan(task.read("object.pose_true")).any())
     done = TASKS[job.task].done
     ends = {done: str(done), TaskStatus.DROPPED: DROPPED, TaskStatus.NOT_LIFTED: NOT_LIFTED}
     outcome = DROPPED if fell else ends.get(record.status, GAVE_UP)
     return _make_episode(job, record, outcome, perf_counter() - begin)
+
+
+def _watch(task: StationTask[Any], recorder: RunRecorder | None) -> Progress | None:
+    """Makes what a running task tells after each step, so that it is recorded; None for nothing."""
+    if recorder is None:
+        return None
+    return lambda status, logged: recorder.note(task)
 
 
 def _make_episode(job: EpisodeJob, record: TaskRecord, outcome: str, wall: float) -> Episode:
@@ -333,6 +367,7 @@ def run(
     seeds: Sequence[int],
     folder: Path,
     execution: Execution = QUIET,
+    record: bool = False,
 ) -> Campaign:
     """Runs the episodes that are not known yet.
 
@@ -344,12 +379,16 @@ def run(
         seeds: seeds of the episodes with each object.
         folder: folder of the campaign, where the scenario lies.
         execution: how the episodes are run.
+        record: whether each episode is recorded, in RECORDINGS in the folder. An episode that is
+            known but was not recorded is run again.
 
     Returns:
         All episodes, those that were known before among them.
 
     Raises:
         GridPushError: there is no object or no seed; see `run_jobs`.
+        MissingExtraError: episodes are to be recorded, and `rosbags` is not installed.
+        OutputError: the folder of the recordings, or one of them, cannot be written.
     """
     if not objects or not seeds:
         raise GridPushError(f"{'seeds' if objects else 'objects'}: none; expected at least one")
@@ -359,8 +398,52 @@ def run(
         for seed in seeds
         for name, digest in objects.items()
     ]
+    if record:
+        jobs = _record_all(jobs, folder, execution.results)
     found = run_jobs(run_episode, jobs, EpisodeJob.describe, execution)
     order = {name: at for at, name in enumerate(objects)}
     return Campaign(
         task, folder, sorted(found, key=lambda episode: (order[episode.object], episode.seed))
     )
+
+
+def drop_recordings(folder: Path) -> None:
+    """Removes the recordings of a campaign that is begun anew: they are of other episodes.
+
+    Args:
+        folder: folder of the campaign.
+
+    Raises:
+        OutputError: one cannot be removed.
+    """
+    for path in (folder / RECORDINGS).glob(f"*{SUFFIX}"):
+        try:
+            path.unlink()
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be removed: {error.strerror}") from error
+
+
+def _record_all(
+    jobs: Sequence[EpisodeJob], folder: Path, results: Results | None
+) -> list[EpisodeJob]:
+    """Tells each job where its episode is recorded, and forgets results of those that were not.
+
+    Args:
+        jobs: the jobs.
+        folder: folder of the campaign.
+        results: the results that are kept; None for none.
+
+    Returns:
+        The jobs, each with the full path of its recording, as a worker may be in another folder.
+    """
+    import_rosbags()
+    recordings = folder.resolve() / RECORDINGS
+    make_folder(recordings)
+    recorded = [replace(job, recording=str(recordings / job.name_recording())) for job in jobs]
+    known = {} if results is None else results.find(run_episode, recorded)
+    for at, episode in known.items():
+        # One that could not be run would have no recording the next time either
+        has_none = episode.status in (REFUSED, BROKEN)
+        if results is not None and not has_none and not is_file(recorded[at].recording):
+            results.forget(recorded[at])
+    return recorded

@@ -80,6 +80,10 @@ class Results:
                 f"({error.title})"
             ) from error
 
+    def forget(self, job: Any) -> None:
+        """Lets a finished job be done again. In the file a later result counts, not an earlier."""
+        self.lines.pop(make_key(job), None)
+
     def append(self, function: Callable[[Any], Result], job: Any, result: Result) -> None:
         """Writes a function's result of a job at once.
 

@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
+from gridpush_drake.bench.campaign import (
+    EPISODES,
+    RECORDINGS,
+    SCENARIO,
+    TABLE,
+    describe_settings,
+    drop_recordings,
+    run,
+)
 from gridpush_drake.bench.results import Results, hash_content, open_results
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line, print_table
@@ -13,6 +21,7 @@ from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.files import exists, make_folder, read_bytes, read_text, write_whole
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.run_recorder import import_rosbags
 from gridpush_drake.station.scenario import MAX_SEED, PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, read_scenario
 from gridpush_drake.station.scene import use_object
@@ -71,6 +80,15 @@ def campaign(
     task: Annotated[
         TaskName, typer.Option(help="What the robot should do; `gridpush demo --help` explains it.")
     ] = TaskName.pregrasp,
+    record: Annotated[
+        bool,
+        typer.Option(
+            "--record",
+            help=f"Write each episode as an MCAP file with standard ROS 2 messages, for Foxglove, "
+            f"too, to the folder {RECORDINGS} in DIR. Episodes that DIR holds without a recording "
+            "are run again.",
+        ),
+    ] = False,
     workers: options.Workers = options.WORKERS,
     dask: options.Dask = None,
     force: options.Force = False,
@@ -80,10 +98,17 @@ def campaign(
 
     A run is called an episode. The command counts how many episodes ended with the object held,
     dropped or given up, and why. It writes scenario.yaml, episodes.jsonl (one line for each
-    episode, as soon as it ends) and table.md.
+    episode, as soon as it ends) and table.md, and with --record a recording of each episode.
 
     Example: gridpush campaign grasp --seeds 0:20 --objects claw_hammer,pliers --out campaign
     """
+    if record:
+        if dask is not None:
+            raise options.OptionError(
+                "--record: goes with workers on this computer only, as they write the recordings; "
+                "expected no --dask"
+            )
+        import_rosbags()
     scenario = read_scenario(scenario_file)
     chosen = _find_objects(scenario, objects)
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
@@ -95,6 +120,8 @@ def campaign(
     def begin() -> Results:
         make_folder(out)
         results = open_results(out / EPISODES, "campaign", describe_settings(task, scenario), force)
+        if force:
+            drop_recordings(out)
         path = out / SCENARIO
         text = format_scenario(scenario)
         if force or not exists(path):
@@ -107,14 +134,15 @@ def campaign(
         return results
 
     with options.executing("campaign", workers, dask, begin) as execution:
-        found = run(task, scenario, chosen, numbers, out, execution)
+        found = run(task, scenario, chosen, numbers, out, execution, record)
     table = found.tabulate()
     write_whole(out / TABLE, table.to_markdown(), force=True)
     if json:
         print_json(found.to_dict())
         return
     print_table(table)
-    print_line(f"\nIn {out}: {SCENARIO}, {EPISODES}, {TABLE}.")
+    recordings = f", {RECORDINGS}" if record else ""
+    print_line(f"\nIn {out}: {SCENARIO}, {EPISODES}, {TABLE}{recordings}.")
 
 
 def parse_seeds(option: str, text: str, most: int) -> list[int]:

@@ -185,5 +185,5 @@ def ExportGrasping(builder: DiagramBuilder, state: OutputPort, grasping: GraspEx
         grasping: the executor of grasps.
     """
     builder.ExportInput(grasping.GetInputPort("grasp_command"), "grasp_command")
-    ExportOutputs(builder, grasping, "grasp", ("status",))
+    ExportOutputs(builder, grasping, "grasp", ("status", "gripper_position"))
     builder.ExportOutput(state, "gripper.state")

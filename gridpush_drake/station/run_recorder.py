@@ -4,7 +4,11 @@ While a task runs, `note` reads what changes; `write` adds what the identifier s
 writes one file. It needs the package `rosbags`, and no ROS:
 
     /object_pose, /tip_pose      geometry_msgs/PoseStamped, as the learner read them
+    /tip_command                 geometry_msgs/PoseStamped: where the tip should be
     /joint_states                sensor_msgs/JointState of the arm
+    /joint_commands              sensor_msgs/JointState: the positions that the joints should take
+    /gripper_states              sensor_msgs/JointState of the fingers, with a gripper
+    /gripper_command             std_msgs/Float64: the opening that is asked for, m, with a gripper
     /wrench                      geometry_msgs/WrenchStamped on the arm's flange
     /center_of_mass              geometry_msgs/PoseWithCovarianceStamped, with each estimate
     /push                        nav_msgs/Path, with each push that begins
@@ -45,11 +49,20 @@ CAMERA = "rgbd_noise"
 """Name of the system whose pictures are recorded."""
 
 PICTURE_TOPIC = "/camera/color/compressed"
+"""Topic of the pictures, which only a run with a simulated color and depth camera has."""
+
+GRIPPER_TOPIC = "/gripper_states"
+GRIPPER_COMMAND_TOPIC = "/gripper_command"
+"""Topics that only a run of a robot with a gripper has."""
 
 TOPICS = {
     "/object_pose": "geometry_msgs/msg/PoseStamped",
     "/tip_pose": "geometry_msgs/msg/PoseStamped",
+    "/tip_command": "geometry_msgs/msg/PoseStamped",
     "/joint_states": "sensor_msgs/msg/JointState",
+    "/joint_commands": "sensor_msgs/msg/JointState",
+    GRIPPER_TOPIC: "sensor_msgs/msg/JointState",
+    GRIPPER_COMMAND_TOPIC: "std_msgs/msg/Float64",
     "/wrench": "geometry_msgs/msg/WrenchStamped",
     "/center_of_mass": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "/push": "nav_msgs/msg/Path",
@@ -88,6 +101,7 @@ class RunRecorder:
         self._messages: list[tuple[float, str, Any]] = []
         self._task: StationTask[Any] | None = None
         self._joints: list[str] = []
+        self._fingers: list[str] = []
         self._load: TipLoad | None = None
         self._phase = ""
         self._push = 0
@@ -100,6 +114,8 @@ class RunRecorder:
             self._begin(task)
         time = float(task.simulator.get_context().get_time())
         self._note_arm(task, time)
+        self._note_commands(task, time)
+        self._note_gripper(task, time)
         self._note_doing(task, time)
         self._note_estimate(task, time)
         self._note_picture(task, time)
@@ -147,18 +163,18 @@ class RunRecorder:
         """Looks at the robot of a task that is noted for the first time."""
         self._task = task
         station = task.station
-        arm = GetRobotInPlant(station.plant, station.robot).arm
-        self._joints = list_joints(station.plant, arm)
+        models = GetRobotInPlant(station.plant, station.robot)
+        self._joints = list_joints(station.plant, models.arm)
+        self._fingers = []
+        if models.gripper is not None:
+            self._fingers = list_joints(station.plant, models.gripper)
         self._load = TipLoad(MakeControlPlant(station.robot), station.robot)
 
     def _note_arm(self, task: StationTask[Any], time: float) -> None:
         robot = task.station.robot
         names = ("position_measured", "velocity_estimated", "torque_external")
         q, v, torque = (np.array(task.read(f"{robot.arm_model}.{name}")) for name in names)
-        header = self._make_header(time)
-        no_efforts = np.zeros(0)
-        state = self._make("sensor_msgs/msg/JointState", header, self._joints, q, v, no_efforts)
-        self._add(time, "/joint_states", state)
+        self._add(time, "/joint_states", self._make_joint_state(time, self._joints, q, v))
         assert self._load is not None
         force, moment = self._load.calc_wrench(q, torque)
         wrench = self._make(
@@ -166,6 +182,29 @@ class RunRecorder:
         )
         header = self._make_header(time, robot.arm.flange_frame)
         self._add(time, "/wrench", self._make("geometry_msgs/msg/WrenchStamped", header, wrench))
+
+    def _note_commands(self, task: StationTask[Any], time: float) -> None:
+        """Where the tip should be, and which positions the arm's joints should take."""
+        X_WP = task.read("executor.tip_pose")
+        w, x, y, z = X_WP.rotation().ToQuaternion().wxyz()
+        pose = self._make_turned_pose(time, X_WP.translation(), np.array([x, y, z, w]))
+        self._add(time, "/tip_command", pose)
+        # A real arm is told what its guard lets pass, a simulated one what its driver is told.
+        station = task.station
+        arm_port = f"{station.robot.arm_model}.position_commanded"
+        port = "guard.position" if station.HasOutputPort("guard.position") else arm_port
+        q = np.array(task.read(port))
+        self._add(time, "/joint_commands", self._make_joint_state(time, self._joints, q))
+
+    def _note_gripper(self, task: StationTask[Any], time: float) -> None:
+        """Where the gripper's fingers are, and how far it should open."""
+        if not self._fingers:
+            return
+        positions, velocities = np.split(np.array(task.read("gripper.state")), 2)
+        state = self._make_joint_state(time, self._fingers, positions, velocities)
+        self._add(time, GRIPPER_TOPIC, state)
+        opening = float(task.read("grasp.gripper_position")[0])
+        self._add(time, GRIPPER_COMMAND_TOPIC, self._make("std_msgs/msg/Float64", opening))
 
     def _note_doing(self, task: StationTask[Any], time: float) -> None:
         """What the robot does, and the push that it has begun."""
@@ -227,15 +266,29 @@ class RunRecorder:
         stamp = self._make("builtin_interfaces/msg/Time", seconds, nanoseconds)
         return self._make("std_msgs/msg/Header", stamp, frame)
 
+    def _make_joint_state(
+        self, time: float, names: list[str], positions: Array, velocities: Array | None = None
+    ) -> Any:
+        """A `JointState` without efforts; without velocities, too, where they are not given."""
+        no_numbers = np.zeros(0)
+        speeds = no_numbers if velocities is None else velocities
+        header = self._make_header(time)
+        kind = "sensor_msgs/msg/JointState"
+        return self._make(kind, header, names, positions, speeds, no_numbers)
+
     def _make_vector(self, numbers: Array) -> Any:
         return self._make("geometry_msgs/msg/Vector3", *(float(number) for number in numbers))
 
     def _make_pose(self, time: float, place: Array, yaw: float) -> Any:
         """A `PoseStamped` in the frame `world`, at a place (3,), upright but for its yaw."""
-        turn = (0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
+        turn = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
+        return self._make_turned_pose(time, place, turn)
+
+    def _make_turned_pose(self, time: float, place: Array, turn: Array) -> Any:
+        """A `PoseStamped` in the frame `world`, at a place (3,), with a quaternion (x, y, z, w)."""
         pose = self._make(
             "geometry_msgs/msg/Pose",
             self._make("geometry_msgs/msg/Point", *(float(number) for number in place)),
-            self._make("geometry_msgs/msg/Quaternion", *turn),
+            self._make("geometry_msgs/msg/Quaternion", *(float(number) for number in turn)),
         )
         return self._make("geometry_msgs/msg/PoseStamped", self._make_header(time), pose)

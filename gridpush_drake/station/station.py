@@ -361,11 +361,12 @@ class Station(Diagram):
         - iiwa.position_measured
         - ...
         - grasp.status
+        - grasp.gripper_position
         - gripper.state
 
     - ``push_command``: vector of 6, a push, see `PushCommand`.
     - ``grasp_command``: vector of 6, a grasp, see `GraspCommand`; it need not be connected. The
-      station has this port, ``grasp.status`` and ``gripper.state`` only with a gripper.
+      station has this port, the ports of ``grasp`` and ``gripper.state`` only with a gripper.
     - ``executor.status``: abstract `PushStatus`, how the executor of pushes stands.
     - ``executor.tip_pose``: abstract `RigidTransform`, desired X_WP of the tip, in a push as well
       as in a grasp.
@@ -377,6 +378,7 @@ class Station(Diagram):
     - ``iiwa.position_measured`` and the other ports of the arm: see Drake's `SimIiwaDriver`. They
       begin with the name that the scene gives to the arm's model, which may be ``panda``.
     - ``grasp.status``: abstract `GraspStatus`, how the executor of grasps stands.
+    - ``grasp.gripper_position``: vector of 1, the opening that the gripper is asked for, m.
     - ``gripper.state``: vector of 4, positions of the left and right finger, m, and their
       velocities, m/s.
 

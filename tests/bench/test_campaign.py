@@ -17,12 +17,14 @@ from gridpush_drake.bench.campaign import (
     DROPPED,
     GAVE_UP,
     NOT_LIFTED,
+    RECORDINGS,
     REFUSED,
     Campaign,
     Episode,
     EpisodeJob,
     Share,
     describe_settings,
+    drop_recordings,
     run,
     run_episode,
 )
@@ -30,7 +32,8 @@ from gridpush_drake.bench.executor import LostJobsError
 from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.results import open_results
 from gridpush_drake.cli.demo import demo
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario
 from gridpush_drake.station.tasks import TASKS, TaskName
@@ -151,7 +154,7 @@ class Instead:
     """An executor that makes episodes up, until it was asked for `most`."""
 
     def __init__(self, most=1000):
-        self.most, self.asked = most, []
+        self.most, self.asked, self.recordings = most, [], []
 
     def run(self, function, jobs):
         assert function is run_episode
@@ -159,6 +162,7 @@ class Instead:
             if len(self.asked) == self.most:
                 raise KeyboardInterrupt
             self.asked.append((job.object, job.seed))
+            self.recordings.append(job.recording)
             yield None
             yield (
                 i,
@@ -168,13 +172,16 @@ class Instead:
             )
 
 
-def run_instead(folder, seeds, executor, objects=("pliers", "toolbox"), scenario=None, force=False):
+def run_instead(
+    folder, seeds, executor, objects=("pliers", "toolbox"), scenario=None, force=False, record=False
+):
     scenario = scenario or PushScenario()
     results = open_results(
         folder / "episodes.jsonl", "campaign", describe_settings("pregrasp", scenario), force
     )
     execution = Execution(results=results, executor=executor)
-    return run("pregrasp", scenario, dict.fromkeys(objects, ""), seeds, folder, execution)
+    names = dict.fromkeys(objects, "")
+    return run("pregrasp", scenario, names, seeds, folder, execution, record)
 
 
 def test_episodes_that_are_there_are_not_run_again(tmp_path):
@@ -206,6 +213,64 @@ def test_episodes_that_are_there_are_not_run_again(tmp_path):
     anew = Instead()
     run_instead(tmp_path, [0], anew, scenario=changed, force=True)
     assert len(anew.asked) == 2
+
+
+def test_episodes_that_were_not_recorded_are_run_again_to_be_recorded(tmp_path):
+    pytest.importorskip("rosbags")
+    run_instead(tmp_path, range(2), Instead(), objects=("pliers",))
+    # Seed 0 gave up, which is worth a recording; that of seed 1 is there
+    (tmp_path / RECORDINGS).mkdir()
+    (tmp_path / RECORDINGS / "pliers-1.mcap").write_bytes(b"")
+    again = Instead()
+    campaign = run_instead(tmp_path, range(2), again, objects=("pliers",), record=True)
+    assert again.asked == [("pliers", 0)]
+    assert again.recordings == [str(tmp_path / RECORDINGS / "pliers-0.mcap")]
+    assert [episode.seed for episode in campaign.episodes] == [0, 1]
+    drop_recordings(tmp_path)
+    assert not list((tmp_path / RECORDINGS).iterdir())
+    both = Instead()
+    run_instead(tmp_path, range(2), both, objects=("pliers",), record=True)
+    assert both.asked == [("pliers", 0), ("pliers", 1)]
+
+
+def test_an_episode_that_could_not_be_run_is_not_run_again_for_its_recording(tmp_path):
+    pytest.importorskip("rosbags")
+
+    class Refusing(Instead):
+        def run(self, function, jobs):
+            for found in super().run(function, jobs):
+                yield found and (found[0], replace(found[1], status=REFUSED))
+
+    run_instead(tmp_path, [3], Refusing(), record=True)
+    again = Instead()
+    run_instead(tmp_path, [3], again, record=True)
+    assert again.asked == []
+
+
+def test_objects_of_one_name_are_recorded_in_files_of_their_own():
+    jobs = [EpisodeJob(f"/{folder}/a.yaml", 7, object_hash=folder) for folder in ("x", "y")]
+    assert [job.name_recording() for job in jobs] == ["a-x-7.mcap", "a-y-7.mcap"]
+
+
+def test_a_recording_that_cannot_be_written_ends_the_campaign(tmp_path):
+    pytest.importorskip("rosbags")
+    scenario = PushScenario.model_validate(
+        {
+            "base": "planar",
+            "object": "open_book",
+            "pokes": {"count": 1, "test_count": 0},
+        }
+    )
+    scenario.directives = make_robot_directives("gantry", grasping=False)
+    job = EpisodeJob(
+        "open_book",
+        0,
+        task="identify",
+        scenario=format_scenario(scenario),
+        recording=str(tmp_path / "missing" / "a.mcap"),
+    )
+    with pytest.raises(OutputError, match="missing does not exist"):
+        run_episode(job)
 
 
 def test_what_ends_every_worker_is_named_when_the_rest_is_done(tmp_path):

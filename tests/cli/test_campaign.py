@@ -54,6 +54,10 @@ def test_refuses_other_seeds(text):
         (["--seeds", "0:3", "--objects", "pliers,"], ["--objects", "pliers,", "commas"]),
         (["--seeds", "0:3", "--task", "dance"], ["--task", "dance"]),
         (["--seeds", "0:3", "--objects", "none/such.yaml"], ["none/such.yaml"]),
+        (
+            ["--seeds", "0:3", "--dask", "tcp://a:8786", "--record"],
+            ["--record", "on this computer", "no --dask"],
+        ),
         (["--seeds", "0:3", "--dask", "nowhere"], ["--dask", "nowhere", "tcp://host:8786"]),
     ],
 )

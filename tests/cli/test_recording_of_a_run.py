@@ -8,6 +8,8 @@ import pytest
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.run_recorder import TOPICS
 from tests.helpers.command_line import run_gridpush
+from tests.helpers.rerun_files import ENTITIES, print_rerun
+from tests.helpers.two_processes import find_obstacle, run_in_namespace
 
 pytest.importorskip("rosbags")
 
@@ -32,6 +34,17 @@ def read_topics(path):
     return topics
 
 
+def read_pushes(capsys, file, folder):
+    """Reads the pushes from a recording again, by way of a folder."""
+    poses = ["--object-topic", "/object_pose", "--tip-topic", "/tip_pose"]
+    read = run_gridpush(
+        capsys, "import", "bag", file, "--object", "open_book", *poses, "--out-dir", folder
+    )
+    assert read.code == 0, read.err
+    (log,) = folder.glob("*.csv")
+    return PushLog.read_csv(log)
+
+
 def test_a_demo_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path):
     (tmp_path / "scenario.yaml").write_text(SCENARIO)
     out, file = tmp_path / "out", tmp_path / "run.mcap"
@@ -41,12 +54,22 @@ def test_a_demo_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path):
     assert str(file) in json.loads(done.out)["written"]
     assert file.read_bytes().startswith(b"\x89MCAP0")
     topics = read_topics(file)
-    assert topics.keys() == TOPICS.keys() - {"/camera/color/compressed"}
+    of_others = {"/camera/color/compressed", "/gripper_states", "/gripper_command"}
+    assert topics.keys() == TOPICS.keys() - of_others
     times = [time for time, _ in topics["/joint_states"]]
     assert np.diff(times).min() > 0.05
     state = topics["/joint_states"][-1][1]
     assert state.name == [f"iiwa_joint_{k}" for k in range(1, 8)]
     assert len(state.position) == len(state.velocity) == 7
+    # The arm follows what it is told, and the tip is where it is told to be
+    told = topics["/joint_commands"][-1][1]
+    assert told.name == state.name
+    np.testing.assert_allclose(told.position, state.position, atol=0.02)
+    wanted, there = topics["/tip_command"], topics["/tip_pose"]
+    assert len(wanted) == len(times)
+    at_end = [message.pose.position for message in (wanted[-1][1], there[-1][1])]
+    gap = [at_end[0].x - at_end[1].x, at_end[0].y - at_end[1].y, at_end[0].z - at_end[1].z]
+    assert np.linalg.norm(gap) < 0.01
     felt = [m.wrench.force for _, m in topics["/wrench"]]
     assert 1.0 < max(np.linalg.norm([f.x, f.y, f.z]) for f in felt) < 30.0
     assert len(topics["/push"]) == 1
@@ -54,14 +77,8 @@ def test_a_demo_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path):
     spread = topics["/center_of_mass"][-1][1].pose.covariance
     assert 0 < spread[0] < 0.01
 
-    again = tmp_path / "again"
-    poses = ["--object-topic", "/object_pose", "--tip-topic", "/tip_pose"]
-    read = run_gridpush(
-        capsys, "import", "bag", file, "--object", "open_book", *poses, "--out-dir", again
-    )
-    assert read.code == 0, read.err
-    (log,) = again.glob("*.csv")
-    first, second = PushLog.read_csv(out / "pushes.csv"), PushLog.read_csv(log)
+    first = PushLog.read_csv(out / "pushes.csv")
+    second = read_pushes(capsys, file, tmp_path / "again")
     assert len(first) == len(second) == 1
     for one, other in zip(first, second, strict=True):
         np.testing.assert_allclose(other.final_pose, one.final_pose, atol=2e-3)
@@ -78,3 +95,44 @@ def test_a_file_that_exists_is_not_replaced_unasked(capsys, tmp_path):
     assert done.code == 2
     assert "run.mcap" in done.err
     assert file.read_text() == "mine"
+
+
+def test_the_episodes_of_a_campaign_are_recorded(capsys, tmp_path):
+    (tmp_path / "scenario.yaml").write_text(SCENARIO)
+    out = tmp_path / "out"
+    arguments = ["--task", "identify", "--seeds", "3", "--out", out, "--workers", 1, "--record"]
+    done = run_gridpush(capsys, "campaign", tmp_path / "scenario.yaml", *arguments)
+    assert done.code == 0, done.err
+    assert "recordings" in done.out
+    (file,) = (out / "recordings").iterdir()
+    assert file.name == "open_book-3.mcap"
+    assert len(read_pushes(capsys, file, tmp_path / "again")) == 1
+
+
+@pytest.mark.slow
+def test_a_robots_run_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path):
+    """Twin and robot are processes of their own, and the robot writes what it saw and did."""
+    obstacle = find_obstacle()
+    if obstacle:
+        pytest.skip(obstacle)
+    told = run_in_namespace("record_a_run", tmp_path)
+    assert told["robot"]["code"] == 0, told["robot"]["err"]
+    file = tmp_path / "run.mcap"
+    assert f"The run is recorded in {file}." in " ".join(told["robot"]["err"].split())
+    topics = read_topics(file)
+    poses = {"/object_pose", "/tip_pose", "/tip_command"}
+    joints = {"/joint_states", "/joint_commands", "/wrench"}
+    assert topics.keys() == poses | joints | {"/push", "/phase", "/center_of_mass"}
+    felt = [m.wrench.force for _, m in topics["/wrench"]]
+    assert 1.0 < max(np.linalg.norm([f.x, f.y, f.z]) for f in felt) < 30.0
+    first = PushLog.read_csv(tmp_path / "robot" / "pushes.csv")
+    second = read_pushes(capsys, file, tmp_path / "again")
+    assert len(first) == len(second) == 1
+    np.testing.assert_allclose(second[0].final_pose, first[0].final_pose, atol=2e-3)
+    assert second[0].push.length == pytest.approx(first[0].push.length, abs=3e-3)
+
+    # One and the same run was shown in the Rerun viewer, too, where that is installed
+    if told["rerun"]:
+        printed = print_rerun(tmp_path / "run.rrd")
+        for entity in ENTITIES:
+            assert entity in printed, entity

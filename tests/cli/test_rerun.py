@@ -1,13 +1,11 @@
 """`--rerun`: a run as a file for the Rerun viewer."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
 from gridpush_drake.station.rerun_view import DEVIATIONS, calc_ellipse
 from tests.helpers.command_line import run_gridpush
+from tests.helpers.rerun_files import ENTITIES, print_rerun
 
 SCENARIO = """
 object: open_book
@@ -15,16 +13,6 @@ object_pose: [0.55, 0.0, 0.0]
 base: planar
 pokes: {count: 1, test_count: 0, speed: 0.06}
 """
-
-ENTITIES = (
-    "/world/object",
-    "/world/object/cells",
-    "/world/object/center_of_mass",
-    "/world/tip",
-    "/world/push",
-    "/known/pushes",
-    "/known/center_of_mass_x_mm",
-)
 
 
 def test_the_ellipse_is_that_of_the_covariance():
@@ -42,14 +30,9 @@ def test_a_demo_is_written_for_the_viewer(capsys, tmp_path):
     done = run_gridpush(capsys, "demo", *arguments, "--out", tmp_path / "out", "--rerun", file)
     assert done.code == 0, done.err
     assert list(tmp_path.glob("*.rrd")) == [file]
-    printed = subprocess.run(
-        [sys.executable, "-m", "rerun", "rrd", "print", str(file)],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    printed = print_rerun(file)
     for entity in ENTITIES:
-        assert entity in printed.stdout, entity
+        assert entity in printed, entity
     again = run_gridpush(capsys, "demo", *arguments, "--out", tmp_path / "b", "--rerun", file)
     assert again.code == 2
     assert "run.rrd" in again.err

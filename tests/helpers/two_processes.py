@@ -14,6 +14,7 @@ import sys
 import termios
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -282,6 +283,21 @@ def lose_twin(folder: Path) -> dict:
     return told
 
 
+def record_a_run(folder: Path) -> dict:
+    """The controller records a whole run, for Rerun, too, where that is installed."""
+    has_rerun = find_spec("rerun") is not None
+    watch, twin = Watch(), start("twin", folder)
+    watch.until(lambda: bool(watch.statuses and watch.poses), "the twin")
+    more = ["--task", "identify", "--go", "--json", "--out", str(folder / "robot")]
+    more += ["--record", str(folder / "run.mcap")]
+    more += ["--rerun", str(folder / "run.rrd")] if has_rerun else []
+    robot = start("robot", folder, *more)
+    watch.until(lambda: robot.poll() is not None, "the end")
+    twin.send_signal(signal.SIGINT)
+    twin.communicate(timeout=PATIENCE)
+    return {"robot": end(robot, "robot", folder), "rerun": has_rerun}
+
+
 def see_by_pictures(folder: Path, rate: str = str(SEEING_RATE)) -> dict:
     """The object is found in the pictures of the twin's camera, followed in them, and pushed; then nobody looks."""
     (folder / "scenario.yaml").write_text(SEEN_SCENARIO)
@@ -332,7 +348,14 @@ def whole_story(folder: Path, *seeds: str) -> list[dict]:
 
 STORIES = {
     story.__name__: story
-    for story in (lose_controller, lose_terminal, lose_twin, see_by_pictures, whole_story)
+    for story in (
+        lose_controller,
+        lose_terminal,
+        lose_twin,
+        record_a_run,
+        see_by_pictures,
+        whole_story,
+    )
 }
 
 
