@@ -10,12 +10,15 @@ writes one file. It needs the package `rosbags`, and no ROS:
     /gripper_states              sensor_msgs/JointState of the fingers, with a gripper
     /gripper_command             std_msgs/Float64: the opening that is asked for, m, with a gripper
     /wrench                      geometry_msgs/WrenchStamped on the arm's flange
+    /tf                          tf2_msgs/TFMessage: the frame `object`, as the learner read it
     /center_of_mass              geometry_msgs/PoseWithCovarianceStamped, with each estimate
+    /cells                       visualization_msgs/MarkerArray: the cells, colored by the masses
+                                 of each estimate, in the frame `object`
     /push                        nav_msgs/Path, with each push that begins
     /phase                       std_msgs/String, whenever the robot does something else
     /camera/color/compressed     sensor_msgs/CompressedImage (JPEG), with a color and depth camera
 
-Poses are in the frame `world`, times are those of the run, from 0. `gridpush import bag` reads the
+Other poses are in the frame `world`, times are those of the run, from 0. `gridpush import bag` reads the
 same pushes from it again.
 """
 
@@ -27,6 +30,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from gridpush_drake.display.cell_colors import CellColors
 from gridpush_drake.extras import import_extra
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, make_rotation
@@ -64,12 +68,23 @@ TOPICS = {
     GRIPPER_TOPIC: "sensor_msgs/msg/JointState",
     GRIPPER_COMMAND_TOPIC: "std_msgs/msg/Float64",
     "/wrench": "geometry_msgs/msg/WrenchStamped",
+    "/tf": "tf2_msgs/msg/TFMessage",
     "/center_of_mass": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/cells": "visualization_msgs/msg/MarkerArray",
     "/push": "nav_msgs/msg/Path",
     "/phase": "std_msgs/msg/String",
     PICTURE_TOPIC: "sensor_msgs/msg/CompressedImage",
 }
 """Types of the messages, by topic."""
+
+OBJECT = "object"
+"""Frame of the object, in which the cells are."""
+
+CELL_HEIGHT = 0.005
+"""Height of the cells that are shown, m."""
+
+SEEN_SIZE = 0.95
+"""Side of a cell that is shown, as a share of its true side: so that cells can be told apart."""
 
 POSE_COVARIANCE = 36
 """Numbers of a pose's covariance."""
@@ -139,6 +154,7 @@ class RunRecorder:
             if np.isfinite([x, y, theta]).all():
                 place = np.array([x, y, 0.0])
                 self._add(sample.t, "/object_pose", self._make_pose(sample.t, place, theta))
+                self._add(sample.t, "/tf", self._make_frame(sample.t, place, theta))
         # `rosbags` writes a folder of its own; what is wanted is the one file in it.
         with TemporaryDirectory() as scratch:
             folder = Path(scratch) / "run"
@@ -223,7 +239,7 @@ class RunRecorder:
         self._add(time, "/push", self._make("nav_msgs/msg/Path", self._make_header(time), ends))
 
     def _note_estimate(self, task: StationTask[Any], time: float) -> None:
-        """The center of mass in W and its covariance, which turns with the object."""
+        """The center of mass in W and its covariance, which turns with the object; and cells."""
         found: Identification = task.read("estimate.identification")
         pose = np.array(task.read("object.pose"))
         if found is self._estimate or not found.push_names or not np.isfinite(pose).all():
@@ -239,6 +255,7 @@ class RunRecorder:
         )
         message = self._make("geometry_msgs/msg/PoseWithCovarianceStamped", at.header, uncertain)
         self._add(time, "/center_of_mass", message)
+        self._add(time, "/cells", self._make_cells(time, found))
 
     def _note_picture(self, task: StationTask[Any], time: float) -> None:
         """The newest picture of a simulated camera, once."""
@@ -254,6 +271,45 @@ class RunRecorder:
         header = self._make_header(time, "camera")
         message = self._make("sensor_msgs/msg/CompressedImage", header, "jpeg", jpeg.ravel())
         self._add(time, PICTURE_TOPIC, message)
+
+    def _make_cells(self, time: float, found: Identification) -> Any:
+        """The cells as one list of cubes in the frame of the object."""
+        obj = found.obj
+        side = SEEN_SIZE * obj.grid.cell_size
+        points = [self._make_point(np.append(p_BC, CELL_HEIGHT / 2)) for p_BC in obj.p_BC]
+        colors = [
+            self._make("std_msgs/msg/ColorRGBA", *(float(share) for share in color), 1.0)
+            for color in CellColors().calc_colors(found.params.mass, found.params.friction)
+        ]
+        marker_type = self._store.types["visualization_msgs/msg/Marker"]
+        marker = marker_type(
+            header=self._make_header(time, OBJECT),
+            ns="cells",
+            id=0,
+            type=marker_type.CUBE_LIST,
+            action=marker_type.ADD,
+            pose=self._make_pose(time, np.zeros(3), 0.0).pose,
+            scale=self._make_vector(np.array([side, side, CELL_HEIGHT])),
+            color=self._make("std_msgs/msg/ColorRGBA", 0.0, 0.0, 0.0, 1.0),
+            # 0 s: until the next estimate takes its place
+            lifetime=self._make("builtin_interfaces/msg/Duration", 0, 0),
+            frame_locked=True,
+            points=points,
+            colors=colors,
+            texture_resource="",
+            texture=self._make_no_picture(time),
+            uv_coordinates=[],
+            text="",
+            mesh_resource="",
+            mesh_file=self._make("visualization_msgs/msg/MeshFile", "", np.zeros(0, np.uint8)),
+            mesh_use_embedded_materials=False,
+        )
+        return self._make("visualization_msgs/msg/MarkerArray", [marker])
+
+    def _make_no_picture(self, time: float) -> Any:
+        header = self._make_header(time)
+        nothing = np.zeros(0, np.uint8)
+        return self._make("sensor_msgs/msg/CompressedImage", header, "", nothing)
 
     def _add(self, time: float, topic: str, message: Any) -> None:
         self._messages.append((time, topic, message))
@@ -279,16 +335,35 @@ class RunRecorder:
     def _make_vector(self, numbers: Array) -> Any:
         return self._make("geometry_msgs/msg/Vector3", *(float(number) for number in numbers))
 
+    def _make_point(self, place: Array) -> Any:
+        return self._make("geometry_msgs/msg/Point", *(float(number) for number in place))
+
+    def _make_frame(self, time: float, place: Array, yaw: float) -> Any:
+        """A `TFMessage` that says where the frame of the object is in `world`."""
+        turn = (float(number) for number in make_quaternion(yaw))
+        transform = self._make(
+            "geometry_msgs/msg/Transform",
+            self._make_vector(place),
+            self._make("geometry_msgs/msg/Quaternion", *turn),
+        )
+        kind = "geometry_msgs/msg/TransformStamped"
+        stamped = self._make(kind, self._make_header(time), OBJECT, transform)
+        return self._make("tf2_msgs/msg/TFMessage", [stamped])
+
     def _make_pose(self, time: float, place: Array, yaw: float) -> Any:
         """A `PoseStamped` in the frame `world`, at a place (3,), upright but for its yaw."""
-        turn = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
-        return self._make_turned_pose(time, place, turn)
+        return self._make_turned_pose(time, place, make_quaternion(yaw))
 
     def _make_turned_pose(self, time: float, place: Array, turn: Array) -> Any:
         """A `PoseStamped` in the frame `world`, at a place (3,), with a quaternion (x, y, z, w)."""
         pose = self._make(
             "geometry_msgs/msg/Pose",
-            self._make("geometry_msgs/msg/Point", *(float(number) for number in place)),
+            self._make_point(place),
             self._make("geometry_msgs/msg/Quaternion", *(float(number) for number in turn)),
         )
         return self._make("geometry_msgs/msg/PoseStamped", self._make_header(time), pose)
+
+
+def make_quaternion(yaw: float) -> Array:
+    """Returns the quaternion (x, y, z, w) of a rotation by a yaw, rad, about the vertical."""
+    return np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])

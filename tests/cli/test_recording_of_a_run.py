@@ -5,8 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from gridpush_drake.cli.options import load_object
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.run_recorder import TOPICS
+from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.run_recorder import TOPICS, RunRecorder
+from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.tasks import TASKS
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.rerun_files import ENTITIES, print_rerun
 from tests.helpers.two_processes import find_obstacle, run_in_namespace
@@ -74,6 +78,14 @@ def test_a_demo_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path):
     assert 1.0 < max(np.linalg.norm([f.x, f.y, f.z]) for f in felt) < 30.0
     assert len(topics["/push"]) == 1
     assert {"pushing", "idle"} <= {message.data for _, message in topics["/phase"]}
+    # The cells are shown in the frame of the object, which moves as the object does
+    (cells,) = topics["/cells"][-1][1].markers
+    assert len(cells.points) == len(cells.colors) == load_object("open_book").n
+    (frame,) = topics["/tf"][-1][1].transforms
+    assert cells.header.frame_id == frame.child_frame_id == "object"
+    last = topics["/object_pose"][-1][1].pose
+    assert frame.transform.translation.x == last.position.x
+    assert frame.transform.rotation.z == last.orientation.z
     spread = topics["/center_of_mass"][-1][1].pose.covariance
     assert 0 < spread[0] < 0.01
 
@@ -109,6 +121,25 @@ def test_the_episodes_of_a_campaign_are_recorded(capsys, tmp_path):
     assert len(read_pushes(capsys, file, tmp_path / "again")) == 1
 
 
+def test_a_grippers_fingers_and_what_it_is_told_are_recorded(tmp_path):
+    scenario = read_scenario("grasp")
+    scenario.camera.use("ideal")
+    task = TASKS["pregrasp"].station(resolve(scenario))
+    recorder = RunRecorder()
+    task.begin(0)
+    task.simulator.AdvanceTo(0.1)
+    recorder.note(task)
+    file = tmp_path / "run.mcap"
+    recorder.write(file, task.make_record())
+    topics = read_topics(file)
+    ((_, told),) = topics["/gripper_command"]
+    ((_, fingers),) = topics["/gripper_states"]
+    assert told.data == task.station.robot.gripper.opening
+    assert len(fingers.name) == len(fingers.position) == len(fingers.velocity) == 2
+    # The opening is what is between the two fingers
+    assert fingers.position[1] - fingers.position[0] == pytest.approx(told.data, abs=5e-3)
+
+
 @pytest.mark.slow
 def test_a_robots_run_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path):
     """Twin and robot are processes of their own, and the robot writes what it saw and did."""
@@ -122,7 +153,8 @@ def test_a_robots_run_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path
     topics = read_topics(file)
     poses = {"/object_pose", "/tip_pose", "/tip_command"}
     joints = {"/joint_states", "/joint_commands", "/wrench"}
-    assert topics.keys() == poses | joints | {"/push", "/phase", "/center_of_mass"}
+    learned = {"/center_of_mass", "/cells"}
+    assert topics.keys() == poses | joints | learned | {"/push", "/phase", "/tf"}
     felt = [m.wrench.force for _, m in topics["/wrench"]]
     assert 1.0 < max(np.linalg.norm([f.x, f.y, f.z]) for f in felt) < 30.0
     first = PushLog.read_csv(tmp_path / "robot" / "pushes.csv")
