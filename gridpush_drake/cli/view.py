@@ -1,9 +1,10 @@
-"""`gridpush view`: shows a model, a log of pushes or a recording in the browser, by Meshcat."""
+"""`gridpush view`: shows a model, a log of pushes or a recording, by Meshcat or in Rerun."""
 
 import os
 import sys
 import webbrowser
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import Annotated, Any, Literal
@@ -12,16 +13,19 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_found
+from gridpush_drake.cli.view_rerun import show_model, show_pushes, show_run
 from gridpush_drake.cli.view_scene import AddModel, AddPushes, describe_colors, make_overlay
 from gridpush_drake.display.film import write_film
 from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.display.overlay import Overlay
+from gridpush_drake.display.rerun_scene import LIVE, RerunScene
 from gridpush_drake.display.server import PublishOnce, looks_like_recording, write_recording
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import exists, is_file
 from gridpush_drake.identification.model_file import looks_like_model
-from gridpush_drake.identification.prediction import predict, summarize_errors
+from gridpush_drake.identification.prediction import Prediction, predict, summarize_errors
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station.run_recording import SUFFIX, read_run
 
 Shows = Literal["mass", "friction", "relative_friction"]
 """What the colors of the cells may stand for."""
@@ -69,13 +73,28 @@ class Look:
     port: int | None
 
 
+@dataclass(frozen=True)
+class OfPushes:
+    """Options that go with a push log.
+
+    Attributes:
+        object_file: the object that was pushed; None for the one beside the log.
+        model_file: the model by which pushes are predicted; None for the one beside the log.
+        names: names of the pushes to replay; None for all.
+    """
+
+    object_file: str | None
+    model_file: Path | None
+    names: list[str] | None
+
+
 def view(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="MODEL.yaml|PUSHES.csv|RECORDING.html",
-            help="What to show: a model that `gridpush identify` wrote, an object, a push log, or "
-            "the recording.html of a demo.",
+            metavar="MODEL.yaml|PUSHES.csv|RECORDING.html|RUN.mcap",
+            help="What to show: a model that `gridpush identify` wrote, an object, a push log, "
+            "the recording.html of a demo, or, with --rerun, a run that --record wrote.",
             show_default=False,
         ),
     ],
@@ -144,11 +163,20 @@ def view(
             "Chromium, which draws it.",
         ),
     ] = None,
+    rerun: Annotated[
+        str | None,
+        typer.Option(
+            "--rerun",
+            metavar="FILE.rrd|live",
+            help="Show it in the Rerun viewer instead of the browser (live), or write a file for "
+            "that viewer. Needs pip install 'gridpush-drake\\[rerun]'.",
+        ),
+    ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Show a learned model, a log of pushes or a recording in the browser.
+    """Show a learned model, a log of pushes or a recording in the browser, or in Rerun.
 
     The pushes of a log are replayed one after the other, the observed motion beside the predicted
     one. The page is served until Enter or Ctrl-C ends the command.
@@ -157,9 +185,14 @@ def view(
     """
     kind = Path(source).suffix.lower()
     _check_options(kind, {"--object": object_file, "--model": model_file, "--push": push}, out)
+    _check_rerun(kind, rerun, {"--out": out, "--film": film, "--port": port, "--height": height})
     if height is not None and not 0 < height < float("inf"):
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
     options.check_outputs(force, out, inputs=(source,))
+    if rerun is not None:
+        of_pushes = OfPushes(object_file, model_file, push)
+        _show_in_rerun(source, rerun, of_pushes, shows, largest_piece, force, json)
+        return
     if film is not None:
         _check_recording(Path(source))
         write_film(Path(source), film, force)
@@ -205,6 +238,76 @@ def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> No
         raise ViewError(
             "--out: a recording is a page already; expected a model or a push log with --out"
         )
+
+
+def _check_rerun(kind: str, rerun: str | None, of_page: dict[str, Any]) -> None:
+    """Raises ViewError where --rerun is missing, or does not go with what is shown and how.
+
+    Args:
+        kind: ending of the source's name, in small letters.
+        rerun: what the option says; None if it is not given.
+        of_page: the options that go with a page only, by their names.
+    """
+    if rerun is None:
+        if kind == SUFFIX:
+            raise ViewError(
+                f"--rerun: missing; a run that --record wrote ({SUFFIX}) is shown with --rerun "
+                "live or --rerun FILE.rrd (Foxglove opens it as it is)"
+            )
+        return
+    if kind in (".html", ".htm"):
+        raise ViewError(
+            "--rerun: a recording.html is a page already; expected a model, a push log, or a run "
+            f"that --record wrote ({SUFFIX})"
+        )
+    for name, value in of_page.items():
+        if value is not None:
+            raise ViewError(f"{name}: goes with a page; expected no --rerun with it")
+
+
+def _show_in_rerun(
+    source: str,
+    rerun: str,
+    of_pushes: OfPushes,
+    shows: Shows,
+    largest_piece: bool,
+    force: bool,
+    json: bool,
+) -> None:
+    """Shows a model, a push log or a recorded run in the Rerun viewer, or writes a file for it."""
+    # Everything is read first, so that nothing is begun that cannot be shown
+    kind = Path(source).suffix.lower()
+    found: dict[str, Any]
+    if kind == SUFFIX:
+        run = read_run(Path(source))
+        draw = partial(show_run, run=run)
+        found = {"kind": "run", "seconds": run.end}
+        lines = [f"{source}: a run of {run.end:.0f} s"]
+    elif kind == ".csv":
+        target = _find_target(
+            Path(source), of_pushes.object_file, of_pushes.model_file, largest_piece
+        )
+        picked = _pick_pushes(Path(source), target, of_pushes.names)
+        predictions = _predict(target, picked)
+        draw = partial(show_pushes, target=target, log=picked, predictions=predictions, shows=shows)
+        found, lines = _describe_pushes(target, picked, predictions, shows)
+    else:
+        target = options.load_target(source, largest_piece)
+        draw = partial(show_model, target=target, shows=shows)
+        found = {"kind": "model" if target.model else "object", "object": target.obj.name}
+        lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(shows)]
+    scene = RerunScene(rerun, force)
+    try:
+        draw(scene)
+    except BaseException:
+        scene.drop()
+        raise
+    scene.finish()
+    if rerun == LIVE:
+        print_found({**found, "written": []}, [*lines, "It is shown in the Rerun viewer."], json)
+    else:
+        written = options.describe_written(Path(rerun))
+        print_found({**found, "written": [rerun]}, [*lines, *written], json)
 
 
 def _check_recording(path: Path) -> None:
@@ -275,16 +378,23 @@ def _show_pushes(path: Path, target: options.Target, names: list[str] | None, lo
         ViewError: the log has no push of a name.
     """
     picked = _pick_pushes(path, target, names)
-    predictions = None
-    if target.model:
-        options.compile_kernels()
-        predictions = predict(
-            target.obj, target.params, picked, physics=target.make_physics("auto")
-        )
+    predictions = _predict(target, picked)
     page = LivePage(look.port)
     height = options.choose_height(look.height, target.obj)
     AddPushes(page.meshcat, target, picked, predictions, look.shows, height)
 
+    found, lines = _describe_pushes(target, picked, predictions, look.shows)
+    overlay = make_overlay(target, look.shows, picked, predictions)
+    return Scene(page=page, overlay=overlay, found=found, lines=lines)
+
+
+def _describe_pushes(
+    target: options.Target,
+    picked: PushLog,
+    predictions: list[Prediction] | None,
+    shows: Shows,
+) -> tuple[dict[str, Any], list[str]]:
+    """Says which pushes are shown, and how well they are predicted; for machines and in lines."""
     # The model assumes a table below all of the object, so pushes over its edge are not judged
     overhanging = [seen.name for seen in picked.overhanging]
     judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
@@ -292,7 +402,7 @@ def _show_pushes(path: Path, target: options.Target, names: list[str] | None, lo
     lines = [f"{target.obj.name}: {count_noun(len(picked), 'push')}"]
     if predictions:
         lines.append("Solid: as observed. Orange: as the model predicts it.")
-        lines.append(describe_colors(look.shows))
+        lines.append(describe_colors(shows))
     for error in errors:
         if error.name == "cell":
             mean = error.mean * error.scale
@@ -305,8 +415,15 @@ def _show_pushes(path: Path, target: options.Target, names: list[str] | None, lo
         "pushes": [seen.name for seen in picked],
         "errors": [vars(error) for error in errors],
     }
-    overlay = make_overlay(target, look.shows, picked, predictions)
-    return Scene(page=page, overlay=overlay, found=found, lines=lines)
+    return found, lines
+
+
+def _predict(target: options.Target, picked: PushLog) -> list[Prediction] | None:
+    """Predicts pushes by a learned model; None where nothing was learned."""
+    if target.model is None:
+        return None
+    options.compile_kernels()
+    return predict(target.obj, target.params, picked, physics=target.make_physics("auto"))
 
 
 def _pick_pushes(path: Path, target: options.Target, names: list[str] | None) -> PushLog:

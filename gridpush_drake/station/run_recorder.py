@@ -275,7 +275,7 @@ class RunRecorder:
     def _make_cells(self, time: float, found: Identification) -> Any:
         """The cells as one list of cubes in the frame of the object."""
         obj = found.obj
-        side = SEEN_SIZE * obj.grid.cell_size
+        side = SEEN_SIZE * obj.cell_size
         points = [self._make_point(np.append(p_BC, CELL_HEIGHT / 2)) for p_BC in obj.p_BC]
         colors = [
             self._make("std_msgs/msg/ColorRGBA", *(float(share) for share in color), 1.0)

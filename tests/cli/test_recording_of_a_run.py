@@ -1,14 +1,19 @@
 """`--record`: a run as an MCAP file with standard ROS 2 messages, from which the same pushes are read again."""
 
 import json
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
 from gridpush_drake.cli.options import load_object
+from gridpush_drake.cli.view_rerun import show_run
+from gridpush_drake.identification.model_file import read_model
+from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.run_recorder import TOPICS, RunRecorder
+from gridpush_drake.station.run_recording import read_run
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.tasks import TASKS
 from tests.helpers.command_line import run_gridpush
@@ -96,6 +101,36 @@ def test_a_demo_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path):
         np.testing.assert_allclose(other.final_pose, one.final_pose, atol=2e-3)
         np.testing.assert_allclose(other.push.start, one.push.start, atol=3e-3)
         assert other.push.length == pytest.approx(one.push.length, abs=3e-3)
+
+    # What is shown of the recording is what was learned, in the body frame
+    seen = Seen()
+    show_run(seen, read_run(file))
+    learned = read_model(out / "model.yaml")
+    center, covariance = calc_center_of_mass(learned)
+    np.testing.assert_allclose(seen.calls["show_center"][0], center, atol=1e-6)
+    np.testing.assert_allclose(seen.calls["show_center"][1], covariance, atol=1e-9)
+    p_BC, side, _ = seen.calls["show_cells"]
+    np.testing.assert_allclose(p_BC, learned.obj.p_BC)
+    assert side == pytest.approx(learned.obj.cell_size)
+    assert {"show_object", "show_tip", "show_push", "say", "plot"} <= seen.calls.keys()
+
+    if find_spec("rerun"):
+        rrd = tmp_path / "run.rrd"
+        shown = run_gridpush(capsys, "view", file, "--rerun", rrd)
+        assert shown.code == 0, shown.err
+        printed = print_rerun(rrd)
+        for entity in (*ENTITIES, "/felt/force_n", "/joints/iiwa_joint_1"):
+            assert entity in printed, entity
+
+
+class Seen:
+    """A scene that only writes down the last of each kind of thing that it was to show."""
+
+    def __init__(self):
+        self.calls = {}
+
+    def __getattr__(self, name):
+        return lambda *given: self.calls.update({name: given})
 
 
 def test_a_file_that_exists_is_not_replaced_unasked(capsys, tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.station.rerun_view import DEVIATIONS, calc_ellipse
+from gridpush_drake.display.rerun_scene import DEVIATIONS, calc_ellipse
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.rerun_files import ENTITIES, print_rerun
 

@@ -1,0 +1,199 @@
+"""`RerunScene`: an object, a finger and what is known of them, as the Rerun viewer shows them.
+
+It needs the package `rerun-sdk`. What is shown when is decided elsewhere: `station.rerun_view`
+shows a run while it goes on, `cli.view_rerun` a model, a log or a recording. The entities are
+
+    world/object                      where the object is
+    world/object/cells                its cells, in colors
+    world/object/center_of_mass       the ellipse in which its center of mass is
+    world/predicted                   its outline, where a model predicts it
+    world/tip, world/push             the finger's tip, and the push that is under way
+    camera                            pictures
+    known/..., felt/..., joints/...   curves over time
+    doing                             what is being done, in words
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gridpush_drake.errors import OutputError
+from gridpush_drake.extras import import_extra
+from gridpush_drake.files import check_writable
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.result import Identification, calc_center_of_mass
+
+LIVE = "live"
+"""In the place of a file: the viewer is started, and shows everything at once."""
+
+RECORDING = ".rrd"
+"""Ending of the name of a file for the viewer."""
+
+APPLICATION = "gridpush"
+"""Name under which the viewer keeps what it shows."""
+
+TIMELINE = "time"
+"""Name of the time in the viewer, s."""
+
+UNFINISHED = ".unfinished.rrd"
+"""Ending of the file until everything is in it; it is renamed when it is whole."""
+
+MILLIMETERS = 1e3
+"""Millimeters in a meter."""
+
+ELLIPSE_POINTS = 48
+"""Corners of the polygon that stands for an ellipse."""
+
+DEVIATIONS = 2.0
+"""Standard deviations out to which the ellipse reaches."""
+
+CELL_HEIGHT = 0.004
+"""Height of the cells that are shown, m."""
+
+LINE_RADIUS = 0.001
+"""Half the width of lines, m."""
+
+RED, BLACK, BLUE, ORANGE = (220, 40, 40), (20, 20, 20), (40, 90, 200), (240, 140, 20)
+"""Colors of the push, the ellipse, the finger's tip and what is predicted."""
+
+
+class RerunScene:
+    """Tells the Rerun viewer, or a file for it, what there is."""
+
+    def __init__(self, target: str, force: bool = False) -> None:
+        """Starts the viewer, or a file.
+
+        Args:
+            target: "live", or the name of an `.rrd` file. If a viewer is open already, "live" shows
+                everything there.
+            force: whether a file that exists is replaced.
+
+        Raises:
+            MissingExtraError: `rerun-sdk` is not installed.
+            OutputError: the file has a name of another form, cannot be written, or exists.
+        """
+        self._rr = import_extra("rerun", "rerun")
+        self._path: Path | None = None
+        if target != LIVE:
+            if Path(target).suffix != RECORDING:
+                raise OutputError(
+                    f"--rerun: is {target!r}; expected {LIVE}, or a name that ends with {RECORDING}"
+                )
+            self._path = check_writable(Path(target), force)
+        self._stream = self._rr.RecordingStream(APPLICATION)
+        self._scratch: Path | None = None
+        if self._path is None:
+            self._stream.spawn()
+        else:
+            self._scratch = self._path.with_name(self._path.name + UNFINISHED)
+            self._stream.save(self._scratch)
+        self._log("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+
+    def set_time(self, time: float) -> None:
+        """Says when all that is shown from now on is so, s."""
+        self._stream.set_time(TIMELINE, duration=time)
+
+    def show_tip(self, p_WP: Array, radius: float) -> None:
+        """Shows the finger's tip as a ball at p_WP (3,), m, of a radius, m."""
+        self._log("world/tip", self._rr.Points3D([p_WP], radii=[radius], colors=[BLUE]))
+
+    def show_object(self, pose: Array, entity: str = "world/object") -> None:
+        """Shows where the object is: X_WB (3,), m and rad; an entity below it moves with it."""
+        turn = self._rr.RotationAxisAngle((0.0, 0.0, 1.0), radians=float(pose[2]))
+        place = (float(pose[0]), float(pose[1]), 0.0)
+        self._log(entity, self._rr.Transform3D(translation=place, rotation=turn))
+
+    def show_cells(self, p_BC: Array, side: float, colors: Array) -> None:
+        """Shows the object's cells.
+
+        Args:
+            p_BC: (n, 2) their middles in the body frame, m.
+            side: side of a cell, m.
+            colors: (n, 3) their colors, sRGB from 0 to 1.
+        """
+        centers = np.column_stack([p_BC, np.full(len(p_BC), CELL_HEIGHT / 2)])
+        sizes = np.tile([side, side, CELL_HEIGHT], (len(p_BC), 1))
+        cells = self._rr.Boxes3D(centers=centers, sizes=sizes, colors=colors, fill_mode="solid")
+        self._log("world/object/cells", cells)
+
+    def show_outline(self, corners: Array, entity: str = "world/predicted") -> None:
+        """Shows an outline (k, 2) in the body frame, m; `show_object` moves it."""
+        ring = np.vstack([corners, corners[:1]])
+        strip = np.column_stack([ring, np.full(len(ring), CELL_HEIGHT)])
+        lines = self._rr.LineStrips3D([strip], colors=[ORANGE], radii=[LINE_RADIUS])
+        self._log(f"{entity}/outline", lines)
+
+    def show_center(self, center: Array, covariance: Array) -> None:
+        """Shows where the center of mass is held to be, and how well it is known.
+
+        Args:
+            center: (2,) in the body frame, m. The ellipse moves with the object.
+            covariance: (2, 2) in the body frame, m².
+        """
+        ring = calc_ellipse(center, covariance)
+        strip = np.column_stack([ring, np.full(len(ring), 2 * CELL_HEIGHT)])
+        ellipse = self._rr.LineStrips3D([strip], colors=[BLACK], radii=[LINE_RADIUS])
+        self._log("world/object/center_of_mass", ellipse)
+        for axis, deviation in zip("xy", np.sqrt(np.diag(covariance)), strict=True):
+            self.plot(f"known/center_of_mass_{axis}_mm", MILLIMETERS * float(deviation))
+
+    def show_estimate(self, found: Identification, colors: Array) -> None:
+        """Shows the cells of an estimate, its center of mass, and of how many pushes it is.
+
+        Args:
+            found: the estimate.
+            colors: (n, 3) of its cells, sRGB from 0 to 1.
+        """
+        self.show_cells(found.obj.p_BC, found.obj.cell_size, colors)
+        self.show_center(*calc_center_of_mass(found))
+        self.plot("known/pushes", float(len(found.push_names)))
+
+    def show_push(self, start: Array, end: Array) -> None:
+        """Shows a push as an arrow from `start` (2,) to `end` (2,), m."""
+        origin = np.append(start, 0.0)
+        way = np.append(end, 0.0) - origin
+        self._log("world/push", self._rr.Arrows3D(origins=[origin], vectors=[way], colors=[RED]))
+
+    def show_picture(self, jpeg: bytes) -> None:
+        """Shows a picture, as the bytes of a JPEG file."""
+        self._log("camera", self._rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+
+    def plot(self, name: str, value: float) -> None:
+        """Adds a value to a curve."""
+        self._log(name, self._rr.Scalars(value))
+
+    def say(self, text: str) -> None:
+        """Adds a line to what is being done."""
+        self._log("doing", self._rr.TextLog(text))
+
+    def finish(self) -> None:
+        """Ends it: a file is whole from then on, and a viewer stays open.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        self._stream.flush()
+        self._stream.disconnect()
+        if self._path is not None and self._scratch is not None:
+            try:
+                self._scratch.replace(self._path)
+            except OSError as error:
+                raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
+
+    def drop(self) -> None:
+        """Ends it without a file, where what was to be shown cannot be."""
+        self._stream.disconnect()
+        if self._scratch is not None:
+            self._scratch.unlink(missing_ok=True)
+
+    def _log(self, entity: str, value: Any, *, static: bool = False) -> None:
+        self._stream.log(entity, value, static=static)
+
+
+def calc_ellipse(center: Array, covariance: Array) -> Array:
+    """The closed polygon (k, 2) about a center (2,) out to `DEVIATIONS` of a covariance (2, 2)."""
+    values, vectors = np.linalg.eigh(covariance)
+    angles = np.linspace(0.0, 2 * np.pi, ELLIPSE_POINTS + 1)
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    return center + DEVIATIONS * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

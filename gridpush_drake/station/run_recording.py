@@ -1,0 +1,104 @@
+"""`RunRecording`: what `RunRecorder` wrote, read again.
+
+Only files with the topics of a `RunRecorder` are read here. Poses of any bag are read by the
+importer `pushes.importers.bag`.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.extras import import_extra
+from gridpush_drake.files import is_file
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.station.run_recorder import NANOSECONDS, TOPICS
+
+SUFFIX = ".mcap"
+"""Ending of a recording's name."""
+
+MAX_SHOWN = 200
+"""Largest number of characters of another package's message that are shown."""
+
+
+class RecordingError(GridPushError):
+    """A file is no recording of a run, or lacks what is wanted of one."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunRecording:
+    """A recorded run.
+
+    Attributes:
+        path: the file.
+        topics: by topic the messages, each with its time, s, in the order of times.
+    """
+
+    path: Path
+    topics: dict[str, list[tuple[float, Any]]]
+
+    @property
+    def end(self) -> float:
+        """Time of the last message, s."""
+        return max(messages[-1][0] for messages in self.topics.values())
+
+    def get(self, topic: str) -> list[tuple[float, Any]]:
+        """Returns the messages of a topic, each with its time, s; none if it is not there."""
+        return self.topics.get(topic, [])
+
+    def require(self, topic: str) -> list[tuple[float, Any]]:
+        """Returns the messages of a topic, each with its time, s.
+
+        Raises:
+            RecordingError: it has none.
+        """
+        if topic not in self.topics:
+            raise RecordingError(
+                f"{self.path}: holds no {topic}; expected a recording that gridpush wrote with "
+                "--record"
+            )
+        return self.topics[topic]
+
+
+def read_run(path: Path) -> RunRecording:
+    """Reads a recording that `RunRecorder` wrote.
+
+    Raises:
+        MissingExtraError: `rosbags` is not installed.
+        RecordingError: there is no such file, it cannot be read, or it is of something else.
+    """
+    import_extra("rosbags", "bags")
+    from rosbags.highlevel import AnyReader
+
+    if not is_file(path):
+        raise RecordingError(f"{path}: there is no such file; expected a recording (.mcap)")
+    topics: dict[str, list[tuple[float, Any]]] = {}
+    try:
+        with AnyReader([path]) as reader:
+            ours = [each for each in reader.connections if TOPICS.get(each.topic) == each.msgtype]
+            for connection, time, data in reader.messages(connections=ours):
+                message = reader.deserialize(data, connection.msgtype)
+                topics.setdefault(connection.topic, []).append((time / NANOSECONDS, message))
+    except Exception as error:  # a damaged file makes rosbags raise almost anything
+        said = str(error)[:MAX_SHOWN] or type(error).__name__
+        raise RecordingError(f"{path}: cannot be read as a recording (.mcap): {said}") from error
+    if not topics:
+        raise RecordingError(
+            f"{path}: holds none of the topics of a run; expected a recording that gridpush wrote "
+            "with --record"
+        )
+    return RunRecording(path, topics)
+
+
+def read_planar_pose(message: Any) -> Array:
+    """Returns the planar pose (x, y, yaw), m and rad, of a `geometry_msgs/Pose`."""
+    turn = message.orientation
+    yaw = 2.0 * float(np.arctan2(turn.z, turn.w))
+    return np.array([message.position.x, message.position.y, yaw])
+
+
+def read_point(message: Any) -> Array:
+    """Returns the place (3,), m, of a `geometry_msgs/Point` or `Vector3`."""
+    return np.array([message.x, message.y, message.z])
