@@ -3,6 +3,7 @@
 import os
 import sys
 import webbrowser
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_found
-from gridpush_drake.cli.view_rerun import show_model, show_pushes, show_run
+from gridpush_drake.cli.view_rerun import show_model, show_pushes
 from gridpush_drake.cli.view_scene import AddModel, AddPushes, describe_colors, make_overlay
 from gridpush_drake.display.film import write_film
 from gridpush_drake.display.live_page import LivePage
@@ -25,6 +26,7 @@ from gridpush_drake.files import exists, is_file
 from gridpush_drake.identification.model_file import looks_like_model
 from gridpush_drake.identification.prediction import Prediction, predict, summarize_errors
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station.rerun_view import show_run
 from gridpush_drake.station.run_recording import SUFFIX, read_run
 
 Shows = Literal["mass", "friction", "relative_friction"]
@@ -185,13 +187,31 @@ def view(
     """
     kind = Path(source).suffix.lower()
     _check_options(kind, {"--object": object_file, "--model": model_file, "--push": push}, out)
-    _check_rerun(kind, rerun, {"--out": out, "--film": film, "--port": port, "--height": height})
+    of_page = {
+        "--out": out,
+        "--film": film,
+        "--port": port,
+        "--height": height,
+    }
+    _check_rerun(kind, rerun, of_page)
     if height is not None and not 0 < height < float("inf"):
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
     options.check_outputs(force, out, inputs=(source,))
     if rerun is not None:
-        of_pushes = OfPushes(object_file, model_file, push)
-        _show_in_rerun(source, rerun, of_pushes, shows, largest_piece, force, json)
+        of_pushes = OfPushes(
+            object_file=object_file,
+            model_file=model_file,
+            names=push,
+        )
+        _show_in_rerun(
+            source,
+            rerun,
+            of_pushes,
+            shows=shows,
+            largest_piece=largest_piece,
+            force=force,
+            json=json,
+        )
         return
     if film is not None:
         _check_recording(Path(source))
@@ -276,26 +296,40 @@ def _show_in_rerun(
 ) -> None:
     """Shows a model, a push log or a recorded run in the Rerun viewer, or writes a file for it."""
     # Everything is read first, so that nothing is begun that cannot be shown
-    kind = Path(source).suffix.lower()
-    found: dict[str, Any]
-    if kind == SUFFIX:
-        run = read_run(Path(source))
+    draw: Callable[[RerunScene], None]
+    path = Path(source)
+    if path.suffix.lower() == SUFFIX:
+        run = read_run(path)
         draw = partial(show_run, run=run)
-        found = {"kind": "run", "seconds": run.end}
+        found: dict[str, Any] = {"kind": "run", "seconds": run.end}
         lines = [f"{source}: a run of {run.end:.0f} s"]
-    elif kind == ".csv":
+    elif path.suffix.lower() == ".csv":
         target = _find_target(
-            Path(source), of_pushes.object_file, of_pushes.model_file, largest_piece
+            path,
+            of_pushes.object_file,
+            of_pushes.model_file,
+            largest_piece,
         )
-        picked = _pick_pushes(Path(source), target, of_pushes.names)
+        picked = _pick_pushes(path, target, of_pushes.names)
         predictions = _predict(target, picked)
-        draw = partial(show_pushes, target=target, log=picked, predictions=predictions, shows=shows)
+        draw = partial(
+            show_pushes,
+            target=target,
+            log=picked,
+            predictions=predictions,
+            shows=shows,
+        )
         found, lines = _describe_pushes(target, picked, predictions, shows)
     else:
         target = options.load_target(source, largest_piece)
-        draw = partial(show_model, target=target, shows=shows)
-        found = {"kind": "model" if target.model else "object", "object": target.obj.name}
+        draw = partial(
+            show_model,
+            target=target,
+            shows=shows,
+        )
+        found = _describe_target(target)
         lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(shows)]
+
     scene = RerunScene(rerun, force)
     try:
         draw(scene)
@@ -304,10 +338,18 @@ def _show_in_rerun(
         raise
     scene.finish()
     if rerun == LIVE:
-        print_found({**found, "written": []}, [*lines, "It is shown in the Rerun viewer."], json)
+        found["written"] = []
+        lines.append("It is shown in the Rerun viewer.")
     else:
-        written = options.describe_written(Path(rerun))
-        print_found({**found, "written": [rerun]}, [*lines, *written], json)
+        found["written"] = [rerun]
+        lines += options.describe_written(Path(rerun))
+    print_found(found, lines, json)
+
+
+def _describe_target(target: options.Target) -> dict[str, Any]:
+    """Says for machines what is shown: a learned model, or only an object."""
+    kind = "model" if target.model else "object"
+    return {"kind": kind, "object": target.obj.name}
 
 
 def _check_recording(path: Path) -> None:
@@ -333,11 +375,10 @@ def _show_model(target: options.Target, look: Look) -> Scene:
     """Draws a model or an object at rest."""
     page = LivePage(look.port)
     AddModel(page.meshcat, target, look.shows, options.choose_height(look.height, target.obj))
-    kind = "model" if target.model else "object"
     return Scene(
         page=page,
         overlay=make_overlay(target, look.shows),
-        found={"kind": kind, "object": target.obj.name},
+        found=_describe_target(target),
         lines=[f"{target.obj.name}: {target.obj.n} cells", describe_colors(look.shows)],
     )
 

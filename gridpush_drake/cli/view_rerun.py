@@ -1,7 +1,10 @@
-"""What `gridpush view --rerun` shows: a learned model, replayed pushes, or a recorded run."""
+"""What `gridpush view --rerun` shows of a learned model and of replayed pushes.
+
+A recorded run is shown by `station.rerun_view`.
+"""
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,17 +12,15 @@ from gridpush_drake.cli.options import Target
 from gridpush_drake.cli.view_scene import HOLD, PLAIN_COLOR
 from gridpush_drake.display.cell_colors import CellColors, Shown
 from gridpush_drake.display.rerun_scene import MILLIMETERS, RerunScene
-from gridpush_drake.geometry.se2 import Array, make_rotation
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import Prediction
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
-from gridpush_drake.station.run_recorder import PICTURE_TOPIC, SEEN_SIZE
-from gridpush_drake.station.run_recording import RunRecording, read_planar_pose, read_point
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 OBJECT = "world/object"
 """Entity of the object."""
 
-POSE = "/object_pose"
-"""Topic of a recording that has the object's poses."""
+TIP = "world/tip"
+"""Entity of the finger's tip."""
 
 PREDICTED = "world/predicted"
 """Entity of the object as the model predicts it."""
@@ -60,47 +61,67 @@ def show_pushes(
         scene.show_outline(np.array(target.obj.outline.exterior.coords)[:-1], PREDICTED)
     begin = 0.0
     for i, seen in enumerate(log):
+        prediction = None if predictions is None else predictions[i]
         scene.set_time(begin)
         scene.say(seen.name)
-        scene.show_push(seen.push.xy[0], seen.push.xy[-1])
-        prediction = None if predictions is None else predictions[i]
-        for time, shown in _list_moments(seen, prediction):
-            scene.set_time(begin + time)
-            if shown is seen.push:
-                scene.show_tip(np.append(seen.push.tip_at(time - HOLD), 0.0), seen.push.radius)
-            elif isinstance(shown, tuple):
-                entity, pose = shown
-                scene.show_object(pose, entity)
+        scene.show_push(
+            start=seen.push.xy[0],
+            end=seen.push.xy[-1],
+        )
+        # The first poses are held for a while, so that one sees where the push begins
+        scene.show_object(seen.pose, OBJECT)
+        if prediction is not None:
+            scene.show_object(prediction.poses[0], PREDICTED)
+
+        # Then everything moves, each at times of its own
+        for move in _list_moves(seen, prediction):
+            scene.set_time(begin + HOLD + move.time)
+            if move.entity == TIP:
+                scene.show_tip(move.place, seen.push.radius)
+            else:
+                scene.show_object(move.place, move.entity)
         if prediction is not None:
             _plot_error(scene, target, seen, prediction)
         begin += HOLD + seen.push.duration + HOLD
 
 
-def _list_moments(seen: ObservedPush, prediction: Prediction | None) -> list[tuple[float, Any]]:
-    """Lists what moves in a push, in the order of times.
+@dataclass(frozen=True, eq=False)
+class _Move:
+    """Where something is at a time.
 
-    Returns:
-        Times, s, from `HOLD` before the push begins. With each the push, of which the tip moved; or
-        an entity and its pose (3,), m and rad.
+    Attributes:
+        time: since the push began, s.
+        entity: what moved.
+        place: (3,) a point of the tip, m, or a planar pose of the object, m and rad.
     """
-    moments: list[tuple[float, Any]] = [(HOLD + float(t), seen.push) for t in seen.push.t]
-    times = np.append(0.0, seen.t_observed)
-    poses = np.vstack([seen.pose, seen.poses_observed])
-    moments += [(HOLD + float(t), (OBJECT, pose)) for t, pose in zip(times, poses, strict=True)]
-    moments.append((0.0, (OBJECT, seen.pose)))
+
+    time: float
+    entity: str
+    place: Array
+
+
+def _list_moves(seen: ObservedPush, prediction: Prediction | None) -> list[_Move]:
+    """Lists what moves in a push, in the order of times."""
+    moves = []
+    for time in seen.push.t:
+        tip = np.append(seen.push.tip_at(time), 0.0)
+        moves.append(_Move(float(time), TIP, tip))
+    for time, pose in zip(seen.t_observed, seen.poses_observed, strict=True):
+        moves.append(_Move(float(time), OBJECT, pose))
     if prediction is not None:
-        motion = zip(prediction.times, prediction.poses, strict=True)
-        moments += [(HOLD + float(t), (PREDICTED, pose)) for t, pose in motion]
-        moments.append((0.0, (PREDICTED, prediction.poses[0])))
-    return sorted(moments, key=lambda moment: moment[0])
+        for time, pose in zip(prediction.times, prediction.poses, strict=True):
+            moves.append(_Move(float(time), PREDICTED, pose))
+    return sorted(moves, key=lambda move: move.time)
 
 
 def _plot_error(
     scene: RerunScene, target: Target, seen: ObservedPush, prediction: Prediction
 ) -> None:
     """Adds how far the cells ended from where they were predicted, on average, to a curve."""
-    there, expected = target.obj.cells_at(np.vstack([seen.final_pose, prediction.poses[-1]]))
-    error = float(np.linalg.norm(there - expected, axis=1).mean())
+    ends = np.vstack([seen.final_pose, prediction.poses[-1]])
+    there, expected = target.obj.cells_at(ends)
+    distances = np.linalg.norm(there - expected, axis=1)
+    error = float(distances.mean())
     scene.plot("predicted/cell_error_mm", MILLIMETERS * error)
 
 
@@ -108,83 +129,14 @@ def _show_target(scene: RerunScene, target: Target, shows: Shown) -> None:
     """Shows the cells, and of a learned model the center of mass."""
     obj = target.obj
     if target.model is None:
-        scene.show_cells(obj.p_BC, obj.cell_size, np.tile(PLAIN_COLOR, (obj.n, 1)))
+        scene.show_cells(
+            p_BC=obj.p_BC,
+            side=obj.cell_size,
+            colors=np.tile(PLAIN_COLOR, (obj.n, 1)),
+        )
         return
-    colors = CellColors(shows).calc_colors(target.params.mass, target.params.friction)
+    colors = CellColors(shows).calc_colors(
+        mass=target.params.mass,
+        friction=target.params.friction,
+    )
     scene.show_estimate(target.model, colors)
-
-
-def show_run(scene: RerunScene, run: RunRecording) -> None:
-    """Shows a recorded run: everything that is in the file, at the times when it was so.
-
-    Args:
-        scene: where it is shown.
-        run: the recording.
-
-    Raises:
-        RecordingError: the recording has no poses of the object.
-    """
-    run.require(POSE)
-    shown = _Shown(scene)
-    moments = [
-        (time, topic, message)
-        for topic, messages in run.topics.items()
-        for time, message in messages
-    ]
-    # Of what was so at the same time, the object's pose comes first: the rest may be relative to it
-    moments.sort(key=lambda moment: (moment[0], moment[1] != POSE))
-    for time, topic, message in moments:
-        scene.set_time(time)
-        shown.show(topic, message)
-
-
-class _Shown:
-    """Shows one message after the other."""
-
-    def __init__(self, scene: RerunScene) -> None:
-        self._scene = scene
-        self._pose: Array | None = None
-        self._pushes = 0
-
-    def show(self, topic: str, message: Any) -> None:
-        """Shows a message of a topic."""
-        scene = self._scene
-        if topic == POSE:
-            self._pose = read_planar_pose(message.pose)
-            scene.show_object(self._pose)
-        elif topic == "/tip_pose":
-            scene.show_tip(read_point(message.pose.position), DEFAULT_PUSHER_RADIUS)
-        elif topic == "/push":
-            self._pushes += 1
-            start, end = (read_point(pose.pose.position)[:2] for pose in message.poses)
-            scene.show_push(start, end)
-        elif topic == "/center_of_mass":
-            self._show_center(message.pose)
-        elif topic == "/cells":
-            self._show_cells(message)
-        elif topic == "/phase":
-            scene.say(message.data)
-        elif topic == PICTURE_TOPIC:
-            scene.show_picture(message.data.tobytes())
-        elif topic == "/wrench":
-            force = float(np.linalg.norm(read_point(message.wrench.force)))
-            scene.plot("felt/force_n", force)
-        elif topic == "/joint_states":
-            for name, position in zip(message.name, message.position, strict=True):
-                scene.plot(f"joints/{name}", float(position))
-
-    def _show_center(self, message: Any) -> None:
-        """The center of mass, which the message has in W, in the body frame."""
-        if self._pose is None:
-            return
-        covariance = np.asarray(message.covariance).reshape(6, 6)[:2, :2]
-        R = make_rotation(self._pose[2])
-        center = R.T @ (read_point(message.pose.position)[:2] - self._pose[:2])
-        self._scene.show_center(center, R.T @ covariance @ R)
-        self._scene.plot("known/pushes", float(self._pushes))
-
-    def _show_cells(self, message: Any) -> None:
-        for marker in message.markers:
-            points = np.array([read_point(point)[:2] for point in marker.points])
-            colors = np.array([[color.r, color.g, color.b] for color in marker.colors])
-            self._scene.show_cells(points, marker.scale.x / SEEN_SIZE, colors)

@@ -54,8 +54,11 @@ CELL_HEIGHT = 0.004
 LINE_RADIUS = 0.001
 """Half the width of lines, m."""
 
-RED, BLACK, BLUE, ORANGE = (220, 40, 40), (20, 20, 20), (40, 90, 200), (240, 140, 20)
-"""Colors of the push, the ellipse, the finger's tip and what is predicted."""
+PUSH_COLOR = (220, 40, 40)
+CENTER_COLOR = (20, 20, 20)
+TIP_COLOR = (40, 90, 200)
+PREDICTED_COLOR = (240, 140, 20)
+"""Colors of the push, the ellipse, the finger's tip and what is predicted; sRGB."""
 
 
 class RerunScene:
@@ -76,6 +79,7 @@ class RerunScene:
         self._rr = import_extra("rerun", "rerun")
         self._path: Path | None = None
         if target != LIVE:
+            # The viewer tells what is in a file by the ending of its name
             if Path(target).suffix != RECORDING:
                 raise OutputError(
                     f"--rerun: is {target!r}; expected {LIVE}, or a name that ends with {RECORDING}"
@@ -96,13 +100,25 @@ class RerunScene:
 
     def show_tip(self, p_WP: Array, radius: float) -> None:
         """Shows the finger's tip as a ball at p_WP (3,), m, of a radius, m."""
-        self._log("world/tip", self._rr.Points3D([p_WP], radii=[radius], colors=[BLUE]))
+        tip = self._rr.Points3D(
+            positions=[p_WP],
+            radii=[radius],
+            colors=[TIP_COLOR],
+        )
+        self._log("world/tip", tip)
 
     def show_object(self, pose: Array, entity: str = "world/object") -> None:
         """Shows where the object is: X_WB (3,), m and rad; an entity below it moves with it."""
-        turn = self._rr.RotationAxisAngle((0.0, 0.0, 1.0), radians=float(pose[2]))
-        place = (float(pose[0]), float(pose[1]), 0.0)
-        self._log(entity, self._rr.Transform3D(translation=place, rotation=turn))
+        x, y, theta = (float(number) for number in pose)
+        turn = self._rr.RotationAxisAngle(
+            axis=(0.0, 0.0, 1.0),
+            radians=theta,
+        )
+        transform = self._rr.Transform3D(
+            translation=(x, y, 0.0),
+            rotation=turn,
+        )
+        self._log(entity, transform)
 
     def show_cells(self, p_BC: Array, side: float, colors: Array) -> None:
         """Shows the object's cells.
@@ -112,17 +128,21 @@ class RerunScene:
             side: side of a cell, m.
             colors: (n, 3) their colors, sRGB from 0 to 1.
         """
-        centers = np.column_stack([p_BC, np.full(len(p_BC), CELL_HEIGHT / 2)])
-        sizes = np.tile([side, side, CELL_HEIGHT], (len(p_BC), 1))
-        cells = self._rr.Boxes3D(centers=centers, sizes=sizes, colors=colors, fill_mode="solid")
+        # Boxes that stand on the table
+        size = (side, side, CELL_HEIGHT)
+        cells = self._rr.Boxes3D(
+            centers=lift(p_BC, CELL_HEIGHT / 2),
+            sizes=[size] * len(p_BC),
+            colors=colors,
+            fill_mode="solid",
+        )
         self._log("world/object/cells", cells)
 
     def show_outline(self, corners: Array, entity: str = "world/predicted") -> None:
         """Shows an outline (k, 2) in the body frame, m; `show_object` moves it."""
+        # The line closes where it began
         ring = np.vstack([corners, corners[:1]])
-        strip = np.column_stack([ring, np.full(len(ring), CELL_HEIGHT)])
-        lines = self._rr.LineStrips3D([strip], colors=[ORANGE], radii=[LINE_RADIUS])
-        self._log(f"{entity}/outline", lines)
+        self._draw_line(f"{entity}/outline", lift(ring, CELL_HEIGHT), PREDICTED_COLOR)
 
     def show_center(self, center: Array, covariance: Array) -> None:
         """Shows where the center of mass is held to be, and how well it is known.
@@ -131,12 +151,12 @@ class RerunScene:
             center: (2,) in the body frame, m. The ellipse moves with the object.
             covariance: (2, 2) in the body frame, m².
         """
+        # Above the cells, which would hide it
         ring = calc_ellipse(center, covariance)
-        strip = np.column_stack([ring, np.full(len(ring), 2 * CELL_HEIGHT)])
-        ellipse = self._rr.LineStrips3D([strip], colors=[BLACK], radii=[LINE_RADIUS])
-        self._log("world/object/center_of_mass", ellipse)
-        for axis, deviation in zip("xy", np.sqrt(np.diag(covariance)), strict=True):
-            self.plot(f"known/center_of_mass_{axis}_mm", MILLIMETERS * float(deviation))
+        self._draw_line("world/object/center_of_mass", lift(ring, 2 * CELL_HEIGHT), CENTER_COLOR)
+        x_std, y_std = np.sqrt(np.diag(covariance))
+        self.plot("known/center_of_mass_x_mm", MILLIMETERS * float(x_std))
+        self.plot("known/center_of_mass_y_mm", MILLIMETERS * float(y_std))
 
     def show_estimate(self, found: Identification, colors: Array) -> None:
         """Shows the cells of an estimate, its center of mass, and of how many pushes it is.
@@ -153,11 +173,20 @@ class RerunScene:
         """Shows a push as an arrow from `start` (2,) to `end` (2,), m."""
         origin = np.append(start, 0.0)
         way = np.append(end, 0.0) - origin
-        self._log("world/push", self._rr.Arrows3D(origins=[origin], vectors=[way], colors=[RED]))
+        arrow = self._rr.Arrows3D(
+            origins=[origin],
+            vectors=[way],
+            colors=[PUSH_COLOR],
+        )
+        self._log("world/push", arrow)
 
     def show_picture(self, jpeg: bytes) -> None:
         """Shows a picture, as the bytes of a JPEG file."""
-        self._log("camera", self._rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+        picture = self._rr.EncodedImage(
+            contents=jpeg,
+            media_type="image/jpeg",
+        )
+        self._log("camera", picture)
 
     def plot(self, name: str, value: float) -> None:
         """Adds a value to a curve."""
@@ -187,8 +216,23 @@ class RerunScene:
         if self._scratch is not None:
             self._scratch.unlink(missing_ok=True)
 
+    def _draw_line(self, entity: str, points: Array, color: tuple[int, int, int]) -> None:
+        """Draws a line through points (k, 3), m."""
+        lines = self._rr.LineStrips3D(
+            [points],
+            colors=[color],
+            radii=[LINE_RADIUS],
+        )
+        self._log(entity, lines)
+
     def _log(self, entity: str, value: Any, *, static: bool = False) -> None:
         self._stream.log(entity, value, static=static)
+
+
+def lift(points: Array, height: float) -> Array:
+    """Returns points (k, 2) as points (k, 3) at a height, m."""
+    heights = np.full(len(points), height)
+    return np.column_stack([points, heights])
 
 
 def calc_ellipse(center: Array, covariance: Array) -> Array:

@@ -18,8 +18,8 @@ writes one file. It needs the package `rosbags`, and no ROS:
     /phase                       std_msgs/String, whenever the robot does something else
     /camera/color/compressed     sensor_msgs/CompressedImage (JPEG), with a color and depth camera
 
-Other poses are in the frame `world`, times are those of the run, from 0. `gridpush import bag` reads the
-same pushes from it again.
+Other poses are in the frame `world`, times are those of the run, from 0. `gridpush import bag`
+reads the same pushes from it again.
 """
 
 from pathlib import Path

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from gridpush_drake.cli.options import load_object
-from gridpush_drake.cli.view_rerun import show_run
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station.rerun_view import show_run
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.run_recorder import TOPICS, RunRecorder
 from gridpush_drake.station.run_recording import read_run
@@ -107,11 +107,10 @@ def test_a_demo_is_recorded_and_its_pushes_are_read_again(capsys, tmp_path):
     show_run(seen, read_run(file))
     learned = read_model(out / "model.yaml")
     center, covariance = calc_center_of_mass(learned)
-    np.testing.assert_allclose(seen.calls["show_center"][0], center, atol=1e-6)
-    np.testing.assert_allclose(seen.calls["show_center"][1], covariance, atol=1e-9)
-    p_BC, side, _ = seen.calls["show_cells"]
-    np.testing.assert_allclose(p_BC, learned.obj.p_BC)
-    assert side == pytest.approx(learned.obj.cell_size)
+    np.testing.assert_allclose(seen.calls["show_center"]["center"], center, atol=1e-6)
+    np.testing.assert_allclose(seen.calls["show_center"]["covariance"], covariance, atol=1e-9)
+    np.testing.assert_allclose(seen.calls["show_cells"]["p_BC"], learned.obj.p_BC)
+    assert seen.calls["show_cells"]["side"] == pytest.approx(learned.obj.cell_size)
     assert {"show_object", "show_tip", "show_push", "say", "plot"} <= seen.calls.keys()
 
     if find_spec("rerun"):
@@ -130,7 +129,7 @@ class Seen:
         self.calls = {}
 
     def __getattr__(self, name):
-        return lambda *given: self.calls.update({name: given})
+        return lambda *_, **given: self.calls.update({name: given})
 
 
 def test_a_file_that_exists_is_not_replaced_unasked(capsys, tmp_path):

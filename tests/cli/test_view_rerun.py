@@ -61,7 +61,7 @@ def test_shows_pushes_beside_their_predictions(gridpush, pushes, model, tmp_path
         assert entity in printed, entity
 
 
-def test_shows_it_live(pushes, tmp_path):
+def test_shows_it_live(pushes, model, tmp_path):
     """In a viewer that is open: here Rerun's own receiver, which writes down what comes."""
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     obstacle = find_obstacle()
@@ -69,6 +69,7 @@ def test_shows_it_live(pushes, tmp_path):
         pytest.skip(obstacle)
     # In a network namespace, so that the viewer's port is free whatever else runs
     command = ["unshare", "-rn", "sh", "-c", ENTER, "sh", sys.executable, __file__]
+    assert model.parent == pushes.parent
     told = [str(pushes), str(tmp_path / "come.rrd")]
     done = subprocess.run(
         [*command, *told], capture_output=True, text=True, timeout=PATIENCE, check=False
@@ -76,7 +77,7 @@ def test_shows_it_live(pushes, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "It is shown in the Rerun viewer." in done.stdout
     printed = print_rerun(tmp_path / "come.rrd")
-    for entity in ("/world/object", "/world/object/cells", "/world/tip", "/world/push"):
+    for entity in ("/world/object", "/world/predicted", "/world/tip", "/world/push"):
         assert entity in printed, entity
 
 
