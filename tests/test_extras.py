@@ -27,6 +27,7 @@ OF_EXTRAS = {
     "h5py",
     "jax",
     "mujoco",
+    "pyarrow",
     "pymunk",
     "rerun-sdk",
     "rosbags",
@@ -34,10 +35,10 @@ OF_EXTRAS = {
 }
 """Packages that `pip install .` does not install."""
 
-NOT_FOR_TESTS = {"gym-pusht", "jax", "mujoco", "pymunk", "rerun-sdk", "torch"}
+NOT_FOR_TESTS = {"gym-pusht", "jax", "mujoco", "pyarrow", "pymunk", "rerun-sdk", "torch"}
 """Packages that are not needed to work on the project: tests that use them are skipped without.
 
-JAX, MuJoCo, Rerun and torch are large, and gym-pusht brings another build of OpenCV."""
+Arrow, JAX, MuJoCo, Rerun and torch are large, and gym-pusht brings another build of OpenCV."""
 
 MISSING = f"""
 import sys

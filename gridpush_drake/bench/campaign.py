@@ -5,6 +5,7 @@ that whoever runs it again sees the same. What came of it is one line of a file
 (`bench.results.Results`).
 """
 
+import json
 import shlex
 import traceback
 from collections.abc import Iterator, Sequence
@@ -405,6 +406,38 @@ def run(
     return Campaign(
         task, folder, sorted(found, key=lambda episode: (order[episode.object], episode.seed))
     )
+
+
+def read_episodes(folder: Path) -> tuple[str, list[tuple[EpisodeJob, Episode]]]:
+    """Reads which episodes a campaign has run, and what came of them.
+
+    Args:
+        folder: folder of the campaign.
+
+    Returns:
+        The name of the task; and the episodes, by object and seed, each with its job. The jobs lack
+        the scenario, which lies in the folder.
+
+    Raises:
+        GridPushError: the folder is of no campaign, or holds no episode.
+    """
+    path = folder / EPISODES
+    expected = "expected the folder of a campaign"
+    if not is_file(path):
+        raise GridPushError(f"{folder}: there is no {EPISODES}; {expected}")
+    try:
+        head, *lines = [json.loads(line) for line in path.read_bytes().splitlines()]
+        task = str(head["settings"]["task"])
+        # Of an episode that was run again the last line counts
+        known = {}
+        for line in lines:
+            job = EpisodeJob(**line["job"][1], task=task)
+            known[job.object, job.object_hash, job.seed] = (job, Episode(**line["result"]))
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise GridPushError(f"{path}: is no file of a campaign's episodes; {expected}") from error
+    if not known or task not in TASKS:
+        raise GridPushError(f"{path}: holds no episode of a task; {expected}")
+    return task, [known[key] for key in sorted(known)]
 
 
 def drop_recordings(folder: Path) -> None:

@@ -1,10 +1,11 @@
-"""`gridpush export`: writes an object or a learned model as a file for another simulator."""
+"""`gridpush export`: writes an object, a learned model or episodes for another program."""
 
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
+from gridpush_drake.bench.lerobot_dataset import export_dataset
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found, print_notice
 from gridpush_drake.identification.absolute import describe_weighed
@@ -22,10 +23,23 @@ SUFFIXES: dict[str, Format] = {".sdf": "sdf", ".urdf": "urdf", ".xml": "mjcf", "
 
 
 def export(
-    target: options.ObjectOrModel,
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="The file to write.", show_default=False)
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="OBJECT|MODEL|CAMPAIGN",
+            help="What to write: a shipped object's name, an object file, a model that `gridpush "
+            "identify` wrote, or, with --lerobot, the folder of a campaign.",
+            show_default=False,
+        ),
     ],
+    out: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[OUT]",
+            help="The file to write, unless --lerobot names a folder.",
+            show_default=False,
+        ),
+    ] = None,
     file_format: Annotated[
         Format | None,
         typer.Option(
@@ -55,16 +69,32 @@ def export(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draws, with --samples.")] = 0,
+    lerobot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Instead, write the episodes of a campaign that was run with --record as a "
+            "LeRobot dataset (v3.0). Needs pip install 'gridpush-drake\\[lerobot]'.",
+        ),
+    ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
     """Write an object or a learned model as a file for Drake (SDFormat, URDF) or MuJoCo (MJCF).
 
-    Of an object that was not learned, mass and friction are spread evenly.
+    Of an object that was not learned, mass and friction are spread evenly. With --lerobot the
+    episodes of a campaign are written instead, for those who learn from what robots did.
 
     Example: gridpush export model.yaml hammer.sdf --base planar
     """
+    if lerobot is not None:
+        if out is not None:
+            raise options.OptionError("OUT: goes without --lerobot, which names the folder")
+        _export_episodes(Path(target), lerobot, force, json)
+        return
+    if out is None:
+        raise options.OptionError("OUT: missing; expected the file to write, or --lerobot DIR")
     chosen = file_format or SUFFIXES.get(out.suffix)
     if chosen is None:
         raise options.OptionError(
@@ -123,6 +153,23 @@ def export(
         line += f", {count_noun(samples, 'draw')} of seed {seed}"
         written = [f"Wrote {outs[0]} to {outs[-1].name}." if samples > 1 else f"Wrote {outs[0]}."]
     print_found(found, [line, *written], json)
+
+
+def _export_episodes(campaign: Path, out: Path, force: bool, json: bool) -> None:
+    """Writes the episodes of a campaign as a LeRobot dataset, and says what was written."""
+    exported = export_dataset(campaign, out, force)
+    found = {
+        "episodes": exported.episodes,
+        "frames": exported.frames,
+        "without_recording": exported.without_recording,
+        "written": [str(out)],
+    }
+    episodes = count_noun(exported.episodes, "episode")
+    lines = [f"{episodes}, {count_noun(exported.frames, 'frame')}."]
+    if exported.without_recording:
+        left_out = count_noun(exported.without_recording, "episode")
+        lines.append(f"{left_out} without a recording left out.")
+    print_found(found, [*lines, *options.describe_written(out)], json)
 
 
 def name_samples(out: Path, count: int) -> list[Path]:
