@@ -76,7 +76,6 @@ class RerunScene:
             MissingExtraError: `rerun-sdk` is not installed.
             OutputError: the file has a name of another form, cannot be written, or exists.
         """
-        self._rr = import_extra("rerun", "rerun")
         self._path: Path | None = None
         if target != LIVE:
             # The viewer tells what is in a file by the ending of its name
@@ -85,6 +84,7 @@ class RerunScene:
                     f"--rerun: is {target!r}; expected {LIVE}, or a name that ends with {RECORDING}"
                 )
             self._path = check_writable(Path(target), force)
+        self._rr = import_extra("rerun", "rerun")
         self._stream = self._rr.RecordingStream(APPLICATION)
         self._scratch: Path | None = None
         if self._path is None:
