@@ -3,6 +3,7 @@ from .hypotheses import Concentrated as Concentrated
 from .hypotheses import LoadHypothesis as LoadHypothesis
 from .hypotheses import LoadPrior as LoadPrior
 from .hypotheses import RigidBottom as RigidBottom
+from .hypotheses import Ring as Ring
 from .hypotheses import Setting as Setting
 from .hypotheses import SmoothField as SmoothField
 from .hypotheses import TwoParts as TwoParts

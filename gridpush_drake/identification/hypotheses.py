@@ -17,7 +17,12 @@ Shipped are
 * `Concentrated`: the load is gathered in the middle, or out at the rim. With q the squared distance
   from the middle, standardized over the cells,
 
-      log k ~ N(log k_0, a_r² C + sigma_r² q q^T)
+      log k ~ N(log k_0, a_r² C + sigma_r² q q^T);
+
+* `Ring`: the load lies in a ring about the middle, h = exp(-(d - r)² / (2 w²)), standardized, with
+  d the distance from the middle,
+
+      log k ~ N(log k_0, a_o² C + sigma_o² h h^T)
 
 A further hypothesis is a class with the attributes and the method of `LoadHypothesis`, passed as
 `identify(..., ensemble=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, Mine())))`. Theory:
@@ -30,11 +35,16 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import shapely
 from scipy.linalg import block_diag, solve_triangular
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.geometry.se2 import Array, IntArray, make_direction
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.load_modes import (
+    calc_radius_mode,
+    find_corners,
+    find_cuts,
+    find_rings,
+)
 from gridpush_drake.identification.posterior import CELLS
 from gridpush_drake.objects.grid_object import GridObject
 
@@ -60,22 +70,9 @@ CENTER_STD = 0.6
 """Standard deviation per axis of the center of friction about the cells' centroid where nothing is
 known of the center of mass, in radii of gyration."""
 
-CUT_ANGLES = 18
-"""Number of directions in which the cuts between two parts are tried."""
-
-CUT_SPACING = 1.5
-"""Distance between neighboring cuts of one direction, cells."""
-
-MIN_PART = 0.08
-"""Smallest share of the cells that a part may have."""
-
 ALIKE = 0.8
 """Two cuts whose h are correlated by more than this are alike, and only the better one is
 fitted."""
-
-EQUAL_DISTANCES = 1e-9
-"""If the squared distances of the cells from the middle scatter by less than this share of a cell's
-area, all cells count as equally far from it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +174,7 @@ class LoadHypothesis(Protocol):
         ...
 
 
-def _check_positive(hypothesis: "SmoothField | Concentrated") -> None:
+def _check_positive(hypothesis: "SmoothField | Concentrated | Ring") -> None:
     """Raises IdentificationError: a number of a hypothesis is not positive and finite."""
     for field in fields(hypothesis):
         value = getattr(hypothesis, field.name)
@@ -357,44 +354,62 @@ class TwoParts:
 
     def propose(self, setting: Setting) -> list[LoadPrior]:
         """Proposes the cuts that explain the pushes best to first order, the best one first."""
-        assert setting.pushes is not None
-        obj = setting.obj
-        cuts = find_cuts(obj)
-        pushes = reduce_rows(setting.pushes)
-        residuals = pushes.residuals
-        J = pushes.J
-        known = pushes.known
-        C = setting.calc_smooth_covariance(self.range_cells)
-        within = block_diag(self.amplitude**2 * C, setting.log_contact_friction_std**2)
-        log_evidence = calc_cut_evidence(cuts, self.part_std, within, residuals, J)
-        if known:  # what is told of the center of mass is no evidence for a cut
-            told = slice(-known, None)
-            log_evidence -= calc_cut_evidence(cuts, self.part_std, within, residuals[told], J[told])
-        left = np.ones(len(cuts), dtype=bool)
-        found: list[LoadPrior] = []
-        while left.any() and len(found) < self.max_cuts:
-            best = int(np.argmax(np.where(left, log_evidence, -np.inf)))
-            alike = left & (_correlate(cuts, cuts[best]) > ALIKE)
-            covariance = within[CELLS, CELLS] + self.part_std**2 * np.outer(cuts[best], cuts[best])
-            A = calc_prior_factor(covariance, 1.0, setting.log_contact_friction_std)
-            # Where the linear pushes put z under this prior is where its fit begins.
-            B = J @ A
-            u = -B.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, residuals)
-            # The evidence of this cut stands for the average over all cuts, to which those like it
-            # contribute as much less as they are less probable.
-            share = float(np.exp(log_evidence[alike] - log_evidence[best]).sum() / len(cuts))
-            found.append(
-                LoadPrior(
-                    mean=setting.z0,
-                    factor=A,
-                    weight=self.weight,
-                    p_BC=obj.p_BC,
-                    evidence_share=share,
-                    start=setting.z0 + A @ u,
-                )
-            )
-            left &= ~alike
-        return found
+        return propose_modes(
+            setting,
+            find_cuts(setting.obj),
+            weight=self.weight,
+            mode_std=self.part_std,
+            amplitude=self.amplitude,
+            range_cells=self.range_cells,
+            most=self.max_cuts,
+        )
+
+
+@dataclass(frozen=True)
+class Ring:
+    """The load lies in a ring about the middle, such as the foot of a bowl or the rim of a lid.
+
+    Rings of many radii are scored to first order, as the cuts of `TwoParts` are; the best one is
+    proposed.
+
+    Attributes:
+        weight: prior weight of all rings together. (All shipped smooth fields together weigh 12.0.)
+        ring_std: sigma_o, standard deviation of how much log k changes over one standard deviation
+            of the ring's mode.
+        amplitude: a_o, standard deviation of log k beside that.
+        range_cells: correlation range beside that, cells.
+    """
+
+    weight: float = 1.0
+    ring_std: float = 2.0
+    amplitude: float = 0.3
+    range_cells: float = RANGE_CELLS
+
+    def __post_init__(self) -> None:
+        """Raises IdentificationError: a number is not positive and finite."""
+        _check_positive(self)
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return "ring"
+
+    @property
+    def needs_pushes(self) -> bool:
+        """True: the pushes choose the radius."""
+        return True
+
+    def propose(self, setting: Setting) -> list[LoadPrior]:
+        """Proposes the ring that explains the pushes best to first order."""
+        return propose_modes(
+            setting,
+            find_rings(setting.obj),
+            weight=self.weight,
+            mode_std=self.ring_std,
+            amplitude=self.amplitude,
+            range_cells=self.range_cells,
+            most=1,
+        )
 
 
 DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
@@ -402,6 +417,7 @@ DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
     RigidBottom(),
     Concentrated(),
     TwoParts(),
+    Ring(),
 )
 """The hypotheses that `identify` weighs unless it is told others."""
 
@@ -433,54 +449,68 @@ def calc_prior_factor(C: Array, amplitude: float, log_contact_friction_std: floa
     )
 
 
-def calc_radius_mode(obj: GridObject) -> Array:
-    """Calculates q (n,), the squared distance of each cell from the centroid of all, standardized.
+def propose_modes(
+    setting: Setting,
+    modes: Array,
+    *,
+    weight: float,
+    mode_std: float,
+    amplitude: float,
+    range_cells: float,
+    most: int,
+) -> list[LoadPrior]:
+    """Proposes those of many modes h that explain the pushes best to first order, no two alike.
 
-    Its mean over the cells is 0 and its variance 1. It is 0 everywhere where all cells are equally
-    far from the centroid.
-    """
-    arm = obj.p_BC - obj.p_BC.mean(axis=0)
-    distance2 = (arm * arm).sum(axis=1)
-    difference = distance2 - distance2.mean()
-    std = float(difference.std())
-    # Distances that differ by rounding alone are equal.
-    if std <= EQUAL_DISTANCES * obj.cell_size**2:
-        return np.zeros(obj.n)
-    return np.asarray(difference / std)
-
-
-def find_corners(obj: GridObject) -> tuple[IntArray, Array]:
-    """Finds where a rigid flat bottom comes to rest: the corners of the outline's convex hull.
+    The prior with a mode is log k ~ N(log k_0, amplitude² C + mode_std² h h^T).
 
     Args:
-        obj: the object.
+        setting: the object, with the training pushes.
+        modes: (modes, n) h of each; there may be none.
+        weight: prior weight of all modes together.
+        mode_std: standard deviation of log k along h.
+        amplitude: standard deviation of log k beside it.
+        range_cells: correlation range beside it, cells.
+        most: how many modes are proposed at most.
 
     Returns:
-        The cells nearest to corners, increasing, and the place (corners, 2), m, of each one's
-        corner, or of the mean of its corners.
+        One prior a mode, the best one first.
     """
-    corners = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
-    nearest = np.linalg.norm(corners[:, None] - obj.p_BC, axis=2).argmin(axis=1)
-    cells = np.unique(nearest)
-    return cells, np.array([corners[nearest == cell].mean(axis=0) for cell in cells])
-
-
-def find_cuts(obj: GridObject) -> Array:
-    """Finds the straight cuts that leave each part its least share of the cells.
-
-    Args:
-        obj: the object.
-
-    Returns:
-        (cuts, n) h of each cut, between -1/2 and 1/2 in cells that the cut goes through.
-    """
-    cuts = [np.empty((0, obj.n))]
-    for across in make_direction(np.pi / CUT_ANGLES * np.arange(CUT_ANGLES)):
-        x = obj.p_BC @ across / obj.cell_size
-        h = np.clip(x - np.arange(x.min(), x.max(), CUT_SPACING)[:, None], -0.5, 0.5)
-        smaller = np.minimum((h > 0).mean(axis=1), (h < 0).mean(axis=1))
-        cuts.append(h[smaller >= MIN_PART])
-    return np.concatenate(cuts)
+    assert setting.pushes is not None
+    pushes = reduce_rows(setting.pushes)
+    residuals = pushes.residuals
+    J = pushes.J
+    known = pushes.known
+    C = setting.calc_smooth_covariance(range_cells)
+    within = block_diag(amplitude**2 * C, setting.log_contact_friction_std**2)
+    log_evidence = calc_cut_evidence(modes, mode_std, within, residuals, J)
+    if known:  # what is told of the center of mass is no evidence for a mode
+        told = slice(-known, None)
+        log_evidence -= calc_cut_evidence(modes, mode_std, within, residuals[told], J[told])
+    left = np.ones(len(modes), dtype=bool)
+    found: list[LoadPrior] = []
+    while left.any() and len(found) < most:
+        best = int(np.argmax(np.where(left, log_evidence, -np.inf)))
+        alike = left & (_correlate(modes, modes[best]) > ALIKE)
+        covariance = within[CELLS, CELLS] + mode_std**2 * np.outer(modes[best], modes[best])
+        A = calc_prior_factor(covariance, 1.0, setting.log_contact_friction_std)
+        # Where the linear pushes put z under this prior is where its fit begins.
+        B = J @ A
+        u = -B.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, residuals)
+        # The evidence of this mode stands for the average over all modes, to which those like it
+        # contribute as much less as they are less probable.
+        share = float(np.exp(log_evidence[alike] - log_evidence[best]).sum() / len(modes))
+        found.append(
+            LoadPrior(
+                mean=setting.z0,
+                factor=A,
+                weight=weight,
+                p_BC=setting.obj.p_BC,
+                evidence_share=share,
+                start=setting.z0 + A @ u,
+            )
+        )
+        left &= ~alike
+    return found
 
 
 def reduce_rows(pushes: LinearizedPushes) -> LinearizedPushes:

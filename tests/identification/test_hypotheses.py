@@ -1,6 +1,6 @@
 """Ideas of how an object bears on the table, and the cuts by which it may be of two parts."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,20 +11,25 @@ from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.identification.hypotheses import (
     ALIKE,
-    CUT_ANGLES,
     DEFAULT_HYPOTHESES,
-    MIN_PART,
     Concentrated,
     LinearizedPushes,
+    Ring,
     Setting,
     TwoParts,
     calc_cut_evidence,
-    calc_radius_mode,
     calc_smooth_covariance,
-    find_corners,
-    find_cuts,
 )
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.load_modes import (
+    CUT_ANGLES,
+    MIN_PART,
+    RING_WIDTH,
+    calc_radius_mode,
+    find_corners,
+    find_cuts,
+    find_rings,
+)
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
@@ -166,27 +171,99 @@ def test_the_prior_of_a_concentrated_load_is_that_of_its_equation() -> None:
     assert prior.weight == 0.5 and prior.p_BC is obj.p_BC and not asked.needs_pushes
 
 
-@pytest.mark.parametrize("field", ["weight", "radius_std", "amplitude", "range_cells"])
+@pytest.mark.parametrize("kind", [Concentrated, Ring])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
-def test_a_concentrated_load_has_positive_numbers(field: str, value: float) -> None:
-    with pytest.raises(IdentificationError, match=rf"Concentrated: {field} is .*; expected a pos"):
-        Concentrated(**{field: value})
+def test_round_loads_have_positive_numbers(kind, value: float) -> None:
+    for field in fields(kind):
+        match = rf"{kind.__name__}: {field.name} is .*; expected a positive finite number"
+        with pytest.raises(IdentificationError, match=match):
+            kind(**{field.name: value})
+
+
+def learn_round_bodies(profile, left_out: str) -> tuple[list[float], list[float], list[float]]:
+    """Learns three bodies whose load is a function of the distance from the middle, with all
+    hypotheses and without one of them.
+
+    Args:
+        profile: the load by the distance, in radii of gyration.
+        left_out: the name of the hypothesis.
+
+    Returns:
+        Errors of held-out pushes with all and without it, m, and its weights.
+    """
+    rest = tuple(one for one in DEFAULT_HYPOTHESES if one.name != left_out)
+    with_all, without, weights = [], [], []
+    for seed, name in enumerate(("square", "l_bracket", "claw_hammer")):
+        obj = make_shape(name, 60)
+        r = np.linalg.norm(obj.p_BC - obj.p_BC.mean(axis=0), axis=1) / obj.radius_of_gyration
+        load = profile(r) + 1e-3
+        truth = CellParameters(load / load.sum(), np.full(obj.n, 0.35), 0.4, patch_ratio=0.2)
+        train = make_pokes(obj, truth, 5, 10 + seed, length=0.1, noise=(5e-4, 3.5e-3))
+        test = make_pokes(obj, truth, 10, 100 + seed, length=0.1)
+        found = identify(obj, train)
+        with_all.append(calc_mean_cell_error(obj, found.params, test, found.physics))
+        weights += [one.weight for one in found.hypotheses if one.name == left_out]
+        found = identify(obj, train, ensemble=MapEnsemble(hypotheses=rest))
+        without.append(calc_mean_cell_error(obj, found.params, test, found.physics))
+    return with_all, without, weights
 
 
 def test_a_bowl_is_learned_better_where_its_radius_is_a_freedom_of_its_own() -> None:
-    without = tuple(one for one in DEFAULT_HYPOTHESES if one.name != "concentrated")
-    errors: dict[str, list[float]] = {"with": [], "without": []}
-    weights = []
-    for seed, name in enumerate(("square", "l_bracket", "claw_hammer")):
-        obj = make_shape(name, 40)
-        r = np.linalg.norm(obj.p_BC - obj.p_BC.mean(axis=0), axis=1) / obj.radius_of_gyration
-        load = np.exp(-0.5 * (r / 0.4) ** 2) + 1e-3
-        truth = CellParameters(load / load.sum(), np.full(obj.n, 0.35), 0.4, patch_ratio=0.2)
-        train = make_pokes(obj, truth, 5, 10 + seed, noise=(5e-4, 3.5e-3))
-        test = make_pokes(obj, truth, 10, 100 + seed)
-        for key, hypotheses in (("with", DEFAULT_HYPOTHESES), ("without", without)):
-            found = identify(obj, train, ensemble=MapEnsemble(hypotheses=hypotheses))
-            errors[key].append(calc_mean_cell_error(obj, found.params, test, found.physics))
-            weights += [one.weight for one in found.hypotheses if one.name == "concentrated"]
-    assert np.mean(errors["with"]) < 0.6 * np.mean(errors["without"])
-    assert min(weights) > 0.5
+    with_all, without, weights = learn_round_bodies(
+        lambda r: np.exp(-0.5 * (r / 0.4) ** 2), "concentrated"
+    )
+    assert np.mean(with_all) < 0.6 * np.mean(without)
+    assert np.median(weights) > 0.9
+
+
+@pytest.mark.parametrize("cells", [1, 4])
+def test_cells_that_are_all_as_far_from_the_middle_make_no_ring(cells: int) -> None:
+    obj = make_shape("square", cells)
+    residuals, J = make_evidence(obj, 9, 0)
+    pushes = LinearizedPushes(residuals, J)
+    assert not len(find_rings(obj))
+    setting = Setting(obj, np.zeros(obj.n + 1), MU_STD).with_pushes(pushes)
+    assert Ring().propose(setting) == []
+
+
+def test_rings_are_standardized_and_highest_at_their_radius() -> None:
+    obj = make_shape("claw_hammer", 60)
+    rings = find_rings(obj)
+    assert len(rings) > 5
+    np.testing.assert_allclose(rings.mean(axis=1), 0, atol=1e-12)
+    np.testing.assert_allclose(rings.std(axis=1), 1)
+    r = np.linalg.norm(obj.p_BC - obj.p_BC.mean(axis=0), axis=1) / obj.radius_of_gyration
+    tops = r[rings.argmax(axis=1)]
+    assert (np.diff(tops) >= 0).all() and np.ptp(tops) > 2 * RING_WIDTH
+    for h, top in zip(rings, tops, strict=True):
+        order = np.argsort(np.abs(r - top))
+        assert np.corrcoef(h, -np.abs(r - top))[0, 1] > 0.5
+        assert h[order[0]] > 0 > h[order[-1]]
+
+
+def test_a_ring_begins_at_its_linear_optimum() -> None:
+    obj = make_shape("l_bracket", 20)
+    z0 = np.random.default_rng(1).normal(0, 1, obj.n + 1)
+    residuals, J = make_evidence(obj, 9, 2)
+    setting = Setting(obj, z0, MU_STD).with_pushes(LinearizedPushes(residuals, J))
+    (prior,) = Ring().propose(setting)
+    covariance = prior.factor @ prior.factor.T
+    gradient = np.linalg.solve(covariance, prior.start - z0)
+    gradient += J.T @ (residuals + J @ (prior.start - z0))
+    np.testing.assert_allclose(gradient, 0, atol=1e-6 * np.abs(J.T @ residuals).max())
+    # Of all rings it is the one of most evidence, by the definition.
+    within = Ring.amplitude**2 * calc_smooth_covariance(obj)
+    evidences, found = [], []
+    for h in find_rings(obj):
+        C = block_diag(within + Ring.ring_std**2 * np.outer(h, h), MU_STD**2)
+        evidences.append(calc_dense_evidence(C, residuals, J))
+        found.append(np.allclose(C, covariance))
+    assert found[int(np.argmax(evidences))]
+
+
+def test_a_ring_is_learned_better_where_rings_are_tried() -> None:
+    with_all, without, weights = learn_round_bodies(
+        lambda r: np.exp(-0.5 * ((r - 0.9) / 0.12) ** 2), "ring"
+    )
+    assert np.mean(with_all) < 0.8 * np.mean(without)
+    assert max(weights) > 0.9
