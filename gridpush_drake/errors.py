@@ -111,6 +111,10 @@ class TagError(PerceptionError):
     """A tag is not in view, or a board of tags is not what it should be."""
 
 
+class SheetError(PerceptionError):
+    """A sheet of paper that tells the scale is not in view, or several are."""
+
+
 class OutputError(GridPushError):
     """A file cannot be written where it was asked for."""
 

@@ -1,7 +1,7 @@
 """`gridpush object`: finds an object in a photograph, and writes an object file for it."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 from warnings import warn
 
 import typer
@@ -19,20 +19,24 @@ from gridpush_drake.errors import (
 from gridpush_drake.files import write_whole
 from gridpush_drake.objects.object_file import SeenSchema, TagSchema, dump_object
 from gridpush_drake.perception import (
+    SHEETS,
     Camera,
     DetectedObject,
     DetectorOptions,
     ObjectHint,
+    detect_by_sheet,
     detect_object,
     detect_tags,
+    find_sheet,
     read_color,
     read_depth,
+    read_focal_length,
     read_mask,
     solve_tag_to_body,
     write_picture,
 )
 from gridpush_drake.perception.foreground import CONTRADICTION
-from gridpush_drake.perception.frames import Color
+from gridpush_drake.perception.frames import Color, read_any_color
 
 MM = 1e3
 """Millimeters in a meter."""
@@ -49,6 +53,9 @@ HELPED = (NoObjectError, SeveralObjectsError, NoTableError)
 HINTS = "; --click X,Y, --box LEFT,TOP,RIGHT,BOTTOM or --mask MASK.png can say where it is"
 """What is added to them."""
 
+SheetName = Literal["a3", "a4", "a5", "letter"]
+"""Sheets of paper that `SHEETS` has the sides of."""
+
 Photo = Annotated[
     Path,
     typer.Argument(
@@ -58,12 +65,23 @@ Photo = Annotated[
     ),
 ]
 CameraFile = Annotated[
-    Path,
+    Path | None,
     typer.Option(
         "--camera",
         metavar="CAMERA.yaml",
         help="The camera's file, as ROS camera_info, OpenCV YAML or Drake's CameraConfig. Without "
-        "--depth it needs X_WC, the camera's pose, which `gridpush calibrate` finds.",
+        "--depth or --sheet it needs X_WC, the camera's pose, which `gridpush calibrate` finds. It "
+        "has to be given, unless --sheet is.",
+        show_default=False,
+    ),
+]
+Sheet = Annotated[
+    SheetName | None,
+    typer.Option(
+        metavar="NAME",
+        help="A blank sheet of paper that lies flat on the table: a3, a4, a5 or letter. The object "
+        "lies beside it or on it. It tells the scale and where the camera is, so that a phone's "
+        "photograph does, taken at a slant of 20 to 50 degrees.",
         show_default=False,
     ),
 ]
@@ -74,7 +92,8 @@ TagSize = Annotated[
 
 def make_object(
     photo: Photo,
-    camera: CameraFile,
+    camera: CameraFile = None,
+    sheet: Sheet = None,
     depth: Annotated[
         Path | None,
         typer.Option(
@@ -170,13 +189,30 @@ def make_object(
     Example: gridpush object photo.png --depth depth.png --camera camera.yaml --out object.yaml
     """
     options.check_outputs(force, out, picture, inputs=(photo, camera, depth, mask))
-    seen_by = Camera.read(camera)
-    color = read_color(photo, seen_by)
-    measured = None if depth is None else read_depth(depth, seen_by)
-    hint = _read_hint(mask, box, click, seen_by)
+    _check_told(camera, sheet, depth)
+    seen_by = None if camera is None else Camera.read(camera)
+    color = read_any_color(photo) if seen_by is None else read_color(photo, seen_by)
+    measured = None if depth is None else read_depth(depth, _require(seen_by))
+    hint = None
     try:
-        chosen = DetectorOptions(height=height, parts=parts, hint=hint)
-        found = detect_object(color, measured, seen_by, chosen)
+        if sheet is None:
+            hint = _read_hint(mask, box, click, _require(seen_by))
+            chosen = DetectorOptions(height=height, parts=parts, hint=hint)
+            found = detect_object(color, measured, _require(seen_by), chosen)
+            pixel = found.pixel
+        else:
+            paper = find_sheet(
+                color,
+                SHEETS[sheet],
+                camera=seen_by,
+                focal=read_focal_length(photo) if seen_by is None else None,
+            )
+            hint = _read_hint(mask, box, click, paper.camera)
+            chosen = DetectorOptions(height=height, parts=parts, hint=hint)
+            by_sheet = detect_by_sheet(color, paper, chosen)
+            found = by_sheet.found
+            color = by_sheet.color
+            pixel = by_sheet.pixel
     except PerceptionError as error:
         if picture is not None and error.picture is not None:
             write_picture(picture, error.picture, force)
@@ -193,7 +229,7 @@ def make_object(
     obj = found.make_grid_object(cell_size, name or photo.stem)
     tag_on_it = None if tag is None else _find_tag(photo, color, found, tag, tag_size)
     x, y, theta = map(float, found.X_WB)
-    at = (float(found.pixel[0]), float(found.pixel[1]))
+    at = (float(pixel[0]), float(pixel[1]))
     seen = SeenSchema(pixel=at, pose=(x, y, theta), tag=tag_on_it)
     write_whole(out, dump_object(obj.name, obj.grid, obj.prior, obj.height, seen), force)
     if picture is not None:
@@ -215,6 +251,23 @@ def make_object(
         print_line(
             f"{obj.name}: {found.outline.area * CM2:.1f} cm2, {tall}, {obj.n} cells. Wrote {out}."
         )
+
+
+def _check_told(camera: Path | None, sheet: SheetName | None, depth: Path | None) -> None:
+    """Raises OptionError where nothing tells the scale, or two things do."""
+    if camera is None and sheet is None:
+        raise options.OptionError(
+            "--camera: missing; expected the camera's file, or --sheet a4 if a sheet of paper lies "
+            "on the table"
+        )
+    if sheet is not None and depth is not None:
+        raise options.OptionError("--sheet and --depth: both are given; expected one of them")
+
+
+def _require(camera: Camera | None) -> Camera:
+    """Returns a camera that `_check_told` has made sure of."""
+    assert camera is not None
+    return camera
 
 
 def _read_hint(

@@ -6,6 +6,7 @@ from .detection import draw_outline as draw_outline
 from .frames import Frame as Frame
 from .frames import read_color as read_color
 from .frames import read_depth as read_depth
+from .frames import read_focal_length as read_focal_length
 from .frames import read_frames as read_frames
 from .frames import read_mask as read_mask
 from .frames import write_picture as write_picture
@@ -13,6 +14,11 @@ from .hints import ObjectHint as ObjectHint
 from .intrinsics import Intrinsics as Intrinsics
 from .intrinsics import calibrate_intrinsics as calibrate_intrinsics
 from .intrinsics import read_photographs as read_photographs
+from .sheet import SHEETS as SHEETS
+from .sheet import FoundSheet as FoundSheet
+from .sheet import find_sheet as find_sheet
+from .sheet_detection import ObjectBySheet as ObjectBySheet
+from .sheet_detection import detect_by_sheet as detect_by_sheet
 from .tags import DetectedTag as DetectedTag
 from .tags import TagBoard as TagBoard
 from .tags import calibrate_pose as calibrate_pose

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import ExifTags, Image
 
 from gridpush_drake.errors import ImageError
 from gridpush_drake.files import MEGABYTE, is_file, read_bytes, read_text, write_whole
@@ -22,6 +23,9 @@ Depth = NDArray[np.float32]
 
 MAX_IMAGE_SIZE = 256 * MEGABYTE
 """Largest image file that is read, bytes; a larger one is refused before it fills the memory."""
+
+FILM_DIAGONAL = 43.267
+"""Diagonal of a picture on 35 mm film, mm, to which EXIF's equivalent focal lengths refer."""
 
 MILLIMETERS = 1e3
 """Millimeters in a meter."""
@@ -88,6 +92,28 @@ def read_any_color(path: Path | str) -> Color:
     """Reads a photograph of a camera that is not known yet; see `read_color`."""
     image = _decode(path, "a photograph", cv2.IMREAD_COLOR)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+
+
+def read_focal_length(path: Path | str) -> float | None:
+    """Reads a photograph's focal length from its EXIF data, where phones and cameras write it.
+
+    Args:
+        path: the file of the photograph, as it was taken: neither cropped nor straightened.
+
+    Returns:
+        The focal length, pixels; None if the file does not say it.
+    """
+    try:
+        with Image.open(path) as image:
+            told = (
+                image.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+            )
+            diagonal = math.hypot(*image.size)
+    except (OSError, ValueError, SyntaxError):
+        return None
+    if not isinstance(told, int) or told <= 0:
+        return None
+    return told / FILM_DIAGONAL * diagonal
 
 
 def read_depth(path: Path | str, camera: Camera) -> Depth:

@@ -10,7 +10,8 @@ from shapely import Polygon
 from gridpush_drake.geometry.se2 import compose, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import read_object_file
-from gridpush_drake.perception import Camera, TagBoard
+from gridpush_drake.perception import SHEETS, Camera, TagBoard
+from gridpush_drake.perception.sheet import list_corners
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.pictures import calc_outline_error, cover, make_camera, paint, paint_tag
@@ -366,3 +367,33 @@ def test_hints_of_where_the_object_is(capsys, folder):
     both = run("--box", box, "--click", "1,2")
     assert both.code == 2 and "--box and --click: both are given" in both.err
     assert "none.png: cannot be read" in run("--mask", folder / "none.png").err
+
+
+def test_object_beside_a_sheet_of_paper(capsys, tmp_path):
+    """A phone's photograph is enough: nobody knows the camera, and there is no board of tags."""
+    outline = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
+    paper = list_corners(SHEETS["a4"])[:, :2], (-0.1, 0.02, 0.3), 0.0, (235, 233, 228)
+    block = outline, (0.13, 0.02, 0.4), 0.02, (60, 90, 150)
+    camera = make_camera(960, 720, 750.0, rpy=(210, 0, 0), at=(0.0, -0.35), distance=0.6)
+    photo, out = tmp_path / "phone.png", tmp_path / "block.yaml"
+    save(photo, paint(camera, [paper, block], table=(120, 100, 85), depth=False).color)
+    told = ["object", photo, "--sheet", "a4", "--height", 0.02, "--out", out]
+    done = run_gridpush(capsys, *told, "--picture", tmp_path / "seen.png", "--json")
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["area"] == pytest.approx(0.006, rel=0.02)
+    assert (tmp_path / "seen.png").exists()
+    assert GridObject.from_yaml(out).height == 0.02
+
+    def refuse(*words, says):
+        refused = run_gridpush(capsys, "object", photo, *words, "--out", tmp_path / "no.yaml")
+        assert (refused.code, refused.err.count("\n")) == (2, 1)
+        for text in says:
+            assert text in refused.err
+        assert not (tmp_path / "no.yaml").exists()
+
+    refuse(says=["--camera: missing", "--sheet a4"])
+    refuse("--sheet", "a4", "--depth", photo, says=["--sheet and --depth"])
+    refuse(
+        "--sheet", "letter", says=["phone.png: no sheet of 279 x 216 mm", "may be a3 or a4 or a5"]
+    )
+    refuse("--sheet", "a6", says=["--sheet", "a6"])
