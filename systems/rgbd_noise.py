@@ -8,9 +8,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 from pydrake.systems.sensors import ImageDepth32F, ImageRgba8U
 
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-
-MAX_COLOR = 255
-"""Greatest value of a color."""
+from gridpush_drake.perception.picture_noise import add_color_noise, add_depth_noise
 
 WINDOW = np.ones((3, 3), np.uint8)
 """A pixel and its neighbors: if depth jumps among them, the pixel's depth is not measured."""
@@ -96,25 +94,26 @@ class RgbdNoise(LeafSystem):
 
     def _calc_color(self, context: Context, output: Value) -> None:
         rng = self._make_generator(context, 0)
-        rendered: NDArray[np.uint8] = self._color.Eval(context).data
         exposure = 1.0 + self._exposure_noise * rng.standard_normal()
-        noise = rng.standard_normal((*rendered.shape[:2], 3), dtype=np.float32)
-        noisy = np.float32(exposure) * rendered[..., :3] + np.float32(self._color_noise) * noise
-        image = ImageRgba8U(*self._size)
-        image.mutable_data[..., :3] = np.clip(np.rint(noisy), 0, MAX_COLOR)
-        image.mutable_data[..., 3] = rendered[..., 3]
-        output.set_value(image)
+        add_color_noise(
+            rendered=self._color.Eval(context).data,
+            exposure=exposure,
+            deviation=self._color_noise,
+            rng=rng,
+            noisy=output.get_mutable_value().mutable_data,
+        )
 
     def _calc_depth(self, context: Context, output: Value) -> None:
         rendered: NDArray[np.float32] = self._depth.Eval(context).data[..., 0]
         measured = np.isfinite(rendered) & (rendered > 0)
-        z = np.where(measured, rendered, 0.0).astype(np.float32)
-        # Greatest difference of depth among a pixel and its neighbors.
+        z = np.where(measured, rendered, np.float32(0.0))
+
+        # Where depth jumps among a pixel and its neighbors, it is not measured.
         jump = cv2.dilate(z, WINDOW) - cv2.erode(z, WINDOW)
-        noise = self._make_generator(context, 1).standard_normal(z.shape, dtype=np.float32)
-        noisy = z + np.float32(self._depth_noise) * z**2 * noise
-        image = ImageDepth32F(*self._size)
-        image.mutable_data[..., 0] = np.where(
-            measured & (jump < self._depth_edge), np.maximum(noisy, 0.0), 0.0
+        add_depth_noise(
+            z=z,
+            measured=measured & (jump < self._depth_edge),
+            deviation=self._depth_noise,
+            rng=self._make_generator(context, 1),
+            noisy=output.get_mutable_value().mutable_data[..., 0],
         )
-        output.set_value(image)

@@ -24,6 +24,13 @@ from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.frames import Color
+from gridpush_drake.perception.pixel_kernels import (
+    BLOCK,
+    ColorLevel,
+    calc_color_distances,
+    calc_levels,
+    sum_blocks,
+)
 from gridpush_drake.perception.table_plane import TO_DEVIATION, TablePlane, make_basis
 
 Image = NDArray[np.float32]
@@ -117,6 +124,10 @@ MIN_HOLE = 15
 HOLE_SCORE = -1.0
 """A pixel with a lower score than this plainly shows the table."""
 
+PARENT = 3
+"""Column of OpenCV's hierarchy of contours with the contour about this one; -1 where it is no
+hole."""
+
 HOLE_SHARE = 0.5
 """A hole is filled if less than this share of its pixels plainly shows the table."""
 
@@ -158,9 +169,13 @@ CONTRADICTION = 0.1
 to show different things. In five real photographs with their own depth it is up to 0.02, with
 another photograph's depth 0.2 and more."""
 
-HALF_STEP = 0.5
-"""Half of the way from the table's color to the object's; a pixel further from the middle counts as
-surely one or the other."""
+COLOR_LEVEL = ColorLevel(
+    min_contrast=MIN_CONTRAST, light_weight=LIGHT_WEIGHT, too_dark=TOO_DARK, dark=DARK
+)
+"""How the way from the table's color to the object's is measured where the boundary is drawn."""
+
+BLURRED = np.ones((5, 5), np.uint8)
+"""A pixel and all that the blur of the boundary's level reaches from it."""
 
 HEIGHT_SAYS = 0.15
 """Most that height moves a pixel along the way from the table's color to the object's, which has
@@ -230,7 +245,7 @@ def to_lab(color: Color) -> Image:
 
 def find_high(plane: TablePlane) -> Mask:
     """Finds the pixels that certainly show what stands above the table."""
-    high = np.nan_to_num(plane.heights) > HIGH * plane.deviation
+    high = plane.heights > HIGH * plane.deviation
     return _morph(high, cv2.MORPH_OPEN, CLOSING)
 
 
@@ -295,25 +310,26 @@ def score_pixels(
     Returns:
         The foreground, in one piece or several.
     """
-    score = np.zeros(difference.shape[:2])
+    score = np.zeros(difference.shape[:2], dtype=np.float32)
     heights = np.zeros_like(score)
 
     # The first part of s: color.
     if cues != "depth":
         distance = _calc_color_distance(difference, deviation)
-        score += np.clip((distance - COLOR_BIAS) / 2, MIN_COLOR_SCORE, MAX_COLOR_SCORE)
+        score = np.clip((distance - COLOR_BIAS) / 2, MIN_COLOR_SCORE, MAX_COLOR_SCORE)
 
     # The second part of s: height, which says nothing where it was not measured.
     if plane is not None and high is not None:
-        relative = np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS)
+        relative = (plane.heights / plane.deviation).astype(np.float32, copy=False)
         says = HEIGHT_SLOPE * (relative - HEIGHT_BIAS)
+        says[np.isnan(says)] = 0.0
         says = np.clip(says, -MAX_HEIGHT_SCORE, MAX_HEIGHT_SCORE)
-        heights = HEIGHT_SAYS * np.clip(says / MAX_HEIGHT_SCORE, -1, 1)
+        heights = (HEIGHT_SAYS / MAX_HEIGHT_SCORE) * says
         if cues == "both":
             # Depth images miss edges by some pixels, and color does not.
             band = dilate(high, EDGE_BAND) & ~_erode(high, EDGE_BAND)
             says = np.where(band, EDGE_WEIGHT * says, says)
-        score += says
+        score = score + says
 
     # Neighbors decide together. Narrow gaps are closed unless the table shows through them.
     smooth = _blur(score, SMOOTHING)
@@ -325,7 +341,7 @@ def score_pixels(
         score=smooth,
         difference=difference,
         deviation=deviation,
-        heights=heights.astype(np.float32),
+        heights=heights,
     )
 
 
@@ -381,7 +397,6 @@ def refine_boundary(
         return mask, _blur(mask, BOUNDARY_SMOOTHING)
     # Lightness counts less than chroma: a shadow must not move the boundary.
     colors = found.difference * np.array([LIGHT_WEIGHT, 1, 1], dtype=np.float32)
-    level = np.zeros(mask.shape, dtype=np.float32)
     shown = np.ones_like(mask)
     if covered is not None:
         shown = ~covered
@@ -390,18 +405,20 @@ def refine_boundary(
         # c_o and c_t: mean colors nearby, of what is surely object and surely table.
         surely_object = _erode(mask, MEAN_GAP) & shown
         surely_table = ~dilate(mask, MEAN_GAP) & shown
-        inside = _calc_nearby_mean(colors, surely_object, INSIDE_RADIUS)
-        outside = _calc_nearby_mean(colors, surely_table, OUTSIDE_RADIUS)
+        inside, outside = sum_blocks(colors, surely_object, surely_table)
+        inside = _blur(inside, INSIDE_RADIUS / BLOCK)
+        outside = _blur(outside, OUTSIDE_RADIUS / BLOCK)
 
         # How far each color is on the way from c_t to c_o; the boundary is at level 0. Far from the
         # boundary before, nothing changes sides.
-        along = _calc_along(colors, inside, outside)
-        along = np.clip(along, -HALF_STEP, HALF_STEP)
-        level = _blur(along + found.heights, BOUNDARY_SMOOTHING)
         width = 2 * BAND + 1
         band = dilate(mask, width) & ~_erode(mask, width)
-        sides = np.where(mask, 1, -1)
-        level = np.where(band, level, sides).astype(np.float32)
+        about = cv2.dilate(band.view(np.uint8), BLURRED)
+        along = np.zeros(mask.shape, dtype=np.float32)
+        calc_levels(colors, inside, outside, about, COLOR_LEVEL, along)
+        level = _blur(along + found.heights, BOUNDARY_SMOOTHING)
+        sides = np.where(mask, np.float32(1), np.float32(-1))
+        level = np.where(band, level, sides)
         mask = level > 0
         if covered is None:
             mask = keep_largest(mask)
@@ -423,14 +440,9 @@ def _calc_color_distance(difference: Image, deviation: Array) -> Image:
     Returns:
         (height, width) squared distance, with a wide deviation where a pixel is darker.
     """
-    L, a, b = np.moveaxis(difference, -1, 0)
-    distance = (a / deviation[1]) ** 2 + (b / deviation[2]) ** 2
-    # tau: shadows change lightness, hardly chroma.
-    light_deviation = deviation[0]
-    shadow_deviation = np.maximum(SHADOW, light_deviation)
-    tau = np.where(L < 0, shadow_deviation, light_deviation)
-    distance += (L / tau) ** 2
-    return np.asarray(distance, dtype=np.float32)
+    distances = np.empty(difference.shape[:2], dtype=np.float32)
+    calc_color_distances(difference, np.asarray(deviation, dtype=np.float64), SHADOW, distances)
+    return distances
 
 
 def keep_largest(mask: Mask) -> Mask:
@@ -456,6 +468,10 @@ def fill_holes(mask: Mask, score: Image, table: Mask | None = None) -> Mask:
     Returns:
         The mask with its holes filled.
     """
+    # Most masks have no hole at all, which contours tell sooner than pieces do.
+    _, hierarchy = cv2.findContours(mask.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    if hierarchy is None or not (hierarchy[0, :, PARENT] >= 0).any():
+        return mask
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         (~mask).astype(np.uint8), connectivity=4
     )
@@ -477,38 +493,6 @@ def _make_rim(shape: tuple[int, ...]) -> Mask:
     rows, columns = (round(RIM * side) for side in shape)
     rim[rows:-rows, columns:-columns] = False
     return rim
-
-
-def _calc_along(colors: Image, inside: Image, outside: Image) -> Image:
-    """Calculates how far colors are from half way between two others.
-
-    Args:
-        colors: (height, width, 3) colors, lightness weighted.
-        inside: (height, width, 3) c_o, the object's mean color nearby.
-        outside: (height, width, 3) c_t, the table's mean color nearby.
-
-    Returns:
-        (height, width), -0.5 at the color outside and 0.5 at the color inside.
-    """
-    step = inside - outside
-    square = (step**2).sum(axis=-1) + MIN_CONTRAST
-    middle = (inside + outside) / 2
-    along = ((colors - middle) * step).sum(axis=-1) / square
-
-    # What is too dark for a shadow is object in whatever direction its color lies: a side in the
-    # dark has not the color of the top.
-    squared_distance = ((colors - outside) ** 2).sum(axis=-1)
-    distance = np.sqrt(squared_distance / square) - HALF_STEP
-    drop = (outside - colors)[..., 0] / LIGHT_WEIGHT
-    no_shadow = np.clip((drop - TOO_DARK) / (DARK - TOO_DARK), 0, 1)
-    return along + no_shadow * np.maximum(distance - along, 0)
-
-
-def _calc_nearby_mean(colors: Image, where: Mask, radius: float) -> Image:
-    """Calculates the mean color of a mask's pixels near each pixel, (height, width, 3)."""
-    total = _blur(colors * where[..., None], radius)
-    weight = _blur(where, radius) + np.finfo(np.float32).eps
-    return total / weight[..., None]
 
 
 def _blur(image: NDArray[Any], deviation: float) -> Image:

@@ -20,7 +20,7 @@ from gridpush_drake.errors import CameraError, TagError
 from gridpush_drake.geometry.se2 import Array, compose, invert
 from gridpush_drake.perception.camera import NOT_KNOWN, Camera
 from gridpush_drake.perception.frames import Color
-from gridpush_drake.perception.tracking import measure_edges, sample_image
+from gridpush_drake.perception.registration import measure_edges, sample_image
 
 INCH = 25.4e-3
 """Length of an inch, m."""

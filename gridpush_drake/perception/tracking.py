@@ -1,23 +1,8 @@
 """The pose of a known outline, from frame to frame.
 
-What is seen of a prism on the table is its silhouette: the union of its outline and of all that its
-sides and its top hide of the table. Along its boundary, at points p_i with outward normals n_i in
-the picture, the edge between object and table is looked for, d_i pixels off, and the pose q moves
-until these vanish on the whole:
-
-    min_q  sum_i w_i (d_i - n_i' J_i dq)^2 / sigma^2 + |dq|^2_P,       J_i = d(pixel of p_i)/dq
-
-with Tukey's weights w_i, and a prior P as wide as the object can move between two frames. Points
-that something covers have no part. The covariance is the inverse of the information left, A = sum
-w_i J_i' n_i n_i' J_i / sigma^2 + P, and what errors that edges share do to the pose besides:
-
-    cov = A^-1 + sum_k (A^-1 sum_i w_i J_i' n_i e_ki / sigma^2) (...)'
-
-What no edge tells, such as the angle of a disc, keeps the prior's width: in sigma^2 is what
-neighboring edges share, and J is their mean along that length, as nothing finer is resolved. Shared
-errors are of two kinds. Where a side is seen below the top, the edge is off by a share of the
-side's width in the picture, on all such edges alike. And light from one side draws all edges its
-way. Either moves the pose, and hardly turns it.
+Each picture is told into object and table near the last pose, by what the table looked like in the
+first one, and the outline is moved onto the edges between the two (`registration`). Where it is not
+found there, it is searched for everywhere.
 
 The object's outline and height must be known: `detection` finds them in one photograph. The theory
 is in docs/theory/perception.md, section 3.
@@ -25,20 +10,16 @@ is in docs/theory/perception.md, section 3.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import eigh
-from scipy.ndimage import uniform_filter1d
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
-from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import PerceptionError
-from gridpush_drake.geometry.se2 import Array, IntArray, transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.objects.cells import make_polygon
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import (
@@ -58,69 +39,11 @@ from gridpush_drake.perception.foreground import (
     to_lab,
 )
 from gridpush_drake.perception.frames import Color, Frame
-from gridpush_drake.perception.table_plane import TO_DEVIATION, TablePlane, make_rays
+from gridpush_drake.perception.pixel_kernels import HALF
+from gridpush_drake.perception.registration import Fit, Registration, View
+from gridpush_drake.perception.table_plane import TablePlane
 
 Mask = NDArray[np.bool_]
-
-MAX_POINTS = 360
-"""Most points of the boundary at which an edge is looked for; a longer outline has them further
-apart."""
-
-MIN_SPACING = 1.5
-"""Least distance between two points of the boundary, pixels: closer ones would see the same
-edge."""
-
-
-class Search(NamedTuple):
-    """One stage of a registration.
-
-    Attributes:
-        reach: how far from the expected boundary an edge is looked for, inward and outward, pixels.
-        step: distance between two samples across the boundary, pixels.
-        rounds: largest number of least-squares steps.
-    """
-
-    reach: float
-    step: float
-    rounds: int
-
-
-SEARCHES = (
-    Search(reach=16.0, step=1.0, rounds=10),
-    Search(reach=6.0, step=0.5, rounds=10),
-    Search(reach=3.0, step=0.25, rounds=12),
-)
-"""Stages of a registration, from coarse to fine: a wide reach finds an object that moved far, and a
-narrow one leaves out the edges of other things."""
-
-CONVERGED = 1e-3
-"""A stage ends when a step moves no point of the outline by more than this, pixels."""
-
-TUKEY = 3.0
-"""An edge that is this many standard deviations or more from the outline has no weight (the tuning
-constant of Tukey's weights)."""
-
-MIN_SPREAD = 0.3
-"""Least standard deviation of the edges' distances that Tukey's weights assume, pixels; without it
-a few edges that agree by chance would throw all others out."""
-
-SHARED_LENGTH = 12.0
-"""Edges that are less than this far apart along the boundary have nearly the same error, pixels;
-such a stretch counts as one measurement."""
-
-SIDE_ERROR = 0.1
-"""Standard deviation of the error that all edges below visible sides share, as a part of the sides'
-width in the picture: a side has another brightness than the top."""
-
-LIGHT_ERROR = 0.03
-"""Standard deviation of the error that all edges share because light from one side moves them its
-way, pixels."""
-
-DIFFERENCE = 1e-5
-"""Step of the numerical derivatives of pixels by places on the table, m."""
-
-HALF = 0.5
-"""Coverage of a pixel at the object's edge; a pixel with more is object."""
 
 CLEARANCE = 0.015
 """A pixel that is this much higher than the object's top shows something else, such as the arm,
@@ -167,19 +90,6 @@ object."""
 MAX_RMS = 2.0
 """A fit is refused if the edges found are further than this from its outline, root mean square,
 pixels."""
-
-FOUND = 0
-"""State of a point of the boundary whose edge was found."""
-
-MISSING = 1
-"""State of a point of the boundary that is in plain view and has no edge."""
-
-COVERED = 2
-"""State of a point of the boundary that has no edge because something covers it or the picture ends
-there; it says nothing of the pose."""
-
-MAX_REMAP = 32_000
-"""Most places that are looked up in one call of OpenCV's `remap`, which takes 16-bit sizes."""
 
 
 @dataclass(frozen=True)
@@ -282,63 +192,6 @@ class _Picture(NamedTuple):
     covered: Mask
 
 
-class _View(NamedTuple):
-    """What is object in a part of the picture.
-
-    Attributes:
-        coverage: (h, w) share of each pixel that is object.
-        mask: (h, w) bool, pixels that show the object.
-        covered: (h, w) bool, pixels that say nothing.
-        corner: (2,) x and y of the part's upper left pixel in the whole picture.
-    """
-
-    coverage: NDArray[np.float32]
-    mask: Mask
-    covered: Mask
-    corner: Array
-
-
-class _Fit(NamedTuple):
-    """A registration: the pose, its covariance, and how well it explains the picture.
-
-    Attributes:
-        pose: (3,) (x, y, theta) of the object, W, m and rad.
-        covariance: (3, 3) covariance of the pose, m^2, m rad and rad^2.
-        dilution: how much less sure the pose is than it would be with nothing covered, a ratio of
-            standard deviations in the worst direction.
-        share: share of the visible boundary whose edge was found.
-        inside: share of the points just inside the visible boundary that show the object.
-        rms: root mean square distance of the edges found from the outline, pixels.
-    """
-
-    pose: Array
-    covariance: Array
-    dilution: float
-    share: float
-    inside: float
-    rms: float
-
-
-class _LinearizedEdges(NamedTuple):
-    """Edges at n points of the boundary, and how they move with the pose.
-
-    Attributes:
-        pixels: (n, 2) places of the points in the picture, pixels.
-        J: (n, 3) rows n_i' J_i: derivatives of the edges' places along their normals by the pose,
-            pixels/m and pixels/rad.
-        normals: (n, 2) outward unit normals in the picture.
-        sides: (n,) width of the object's side that is seen at each point, pixels; 0 where the top
-            ends there.
-        spacing: mean distance between neighboring points, pixels.
-    """
-
-    pixels: Array
-    J: Array
-    normals: Array
-    sides: Array
-    spacing: float
-
-
 NOT_SEEN = TrackedPose(
     pose=np.full(3, np.nan),
     covariance=np.full((3, 3), np.nan),
@@ -387,7 +240,6 @@ class PoseTracker:
         # All of the registration is done without lens distortion, so that straight sides are
         # straight in the picture.
         self._ideal = camera.undistorted
-        self._rays = make_rays(self._ideal)
 
         # The pixels beside the table, in the picture without distortion and as it was taken: the
         # first frame is painted over before its distortion is taken out.
@@ -400,7 +252,13 @@ class PoseTracker:
         # P of the theory: the information of what can happen between two frames.
         step_information = self.options.max_step**-2
         turn_information = self.options.max_turn**-2
-        self._prior = np.diag([step_information, step_information, turn_information])
+        self._registration = Registration(
+            outline=self.outline,
+            height=self.height,
+            camera=self._ideal,
+            prior=np.diag([step_information, step_information, turn_information]),
+            pixel_noise=self.options.pixel_noise,
+        )
 
     def start(
         self, frame: Frame, guess: ArrayLike | None = None, unseen: Mask | None = None
@@ -526,19 +384,19 @@ class PoseTracker:
         color, depth = cover_pixels(frame.color, frame.depth, hidden, PAINT_SEED)
         return frame._replace(color=color, depth=depth)
 
-    def _find_near(self, appearance: Appearance, picture: _Picture, before: Array) -> _Fit | None:
+    def _find_near(self, appearance: Appearance, picture: _Picture, before: Array) -> Fit | None:
         """Finds the object near its last pose (3,); None where it is not there."""
         view = self._look(appearance, picture, self._find_window(before))
-        fit = self._register(view, before)
+        fit = self._registration.register(view, before)
         return fit if self._accepts(fit, self.options.lost_share) else None
 
     def _find_anywhere(
         self, appearance: Appearance, picture: _Picture, before: Array | None
-    ) -> _Fit | None:
+    ) -> Fit | None:
         """Finds the object in the whole picture; None where it is nowhere."""
         rows, columns = picture.color.shape[:2]
         view = self._look(appearance, picture, (slice(0, rows), slice(0, columns)))
-        fits = [self._register(view, pose) for pose in self._guess(view, before)]
+        fits = [self._registration.register(view, pose) for pose in self._guess(view, before)]
 
         # Without a last pose to lean on, what is visible has to determine the pose.
         good = [
@@ -551,33 +409,23 @@ class PoseTracker:
             return None
         return max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS)
 
-    def _accepts(self, fit: _Fit, share: float) -> bool:
+    def _accepts(self, fit: Fit, share: float) -> bool:
         """Says whether a fit explains the picture, with at least a share of its edges found."""
         return fit.share >= share and fit.inside >= MIN_INSIDE and fit.rms <= MAX_RMS
 
     def _find_window(self, pose: Array) -> tuple[slice, slice]:
         """Finds the rows and columns in which the object may be in the next frame."""
-        reach = self._silhouette(pose).buffer(self.options.max_step)
-        x_low, y_low, x_high, y_high = reach.bounds
-        corners = np.array(
-            [
-                [x_low, y_low],
-                [x_low, y_high],
-                [x_high, y_low],
-                [x_high, y_high],
-            ]
-        )
-        pixels = self._project(corners)
-        low = np.nanmin(pixels, axis=0) - WINDOW_MARGIN
-        high = np.nanmax(pixels, axis=0) + WINDOW_MARGIN
+        bounds = self._registration.find_bounds(pose)
+        pixels_a_meter = self._ideal.K[0, 0] / (self._ideal.center[2] - self.height)
+        margin = WINDOW_MARGIN + self.options.max_step * pixels_a_meter
+        low = bounds[0] - margin
+        high = bounds[1] + margin
         last = np.array([self.camera.width, self.camera.height]) - 1
         left, top = np.clip(low, 0, last).astype(int)
         right, bottom = np.clip(high, 0, last).astype(int)
         return slice(top, bottom + 1), slice(left, right + 1)
 
-    def _look(
-        self, appearance: Appearance, picture: _Picture, window: tuple[slice, slice]
-    ) -> _View:
+    def _look(self, appearance: Appearance, picture: _Picture, window: tuple[slice, slice]) -> View:
         """Tells the object from the table in a part of the picture."""
         difference = to_lab(picture.color[window]) - appearance.table[window]
         hidden = picture.covered[window]
@@ -586,11 +434,8 @@ class PoseTracker:
         high = None
         if picture.depth is not None and appearance.plane is not None:
             # Heights above the plane n/d that was fitted in the first frame (section 1).
-            depth = picture.depth[window]
-            z = np.where(depth > 0, depth, np.nan)
+            heights = self._calc_heights(picture.depth, appearance.plane, window)
             offset = float(1 / np.linalg.norm(appearance.plane))
-            inverse_depth = self._rays[window] @ appearance.plane
-            heights = offset * (1 - z * inverse_depth)
             plane = TablePlane(
                 normal=-appearance.plane * offset,
                 offset=offset,
@@ -600,7 +445,7 @@ class PoseTracker:
             high = find_high(plane)
 
             # What stands above the object's top covers it, whether or not anybody said so.
-            hidden = hidden | (np.nan_to_num(heights) > self.height + CLEARANCE)
+            hidden = hidden | (heights > self.height + CLEARANCE)
 
             # The floor has another color than the table and would be taken for object. Beside the
             # table, depth that is missing is floor, too, but for a rim as wide as depth is blurred.
@@ -618,13 +463,37 @@ class PoseTracker:
         mask, coverage = refine_boundary(rough, found, hidden)
         rows, columns = window
         corner = np.array([columns.start, rows.start], dtype=np.float64)
-        return _View(coverage=coverage, mask=mask, covered=hidden, corner=corner)
+        return View(coverage=coverage, mask=mask, covered=hidden, corner=corner)
 
-    def _silhouette(self, pose: Array) -> Polygon:
-        """Makes the object's silhouette on the table at a pose (3,), W, m."""
-        return make_silhouette(self.outline, pose, self.height, self._ideal)
+    def _calc_heights(
+        self, depth: NDArray[np.float32], plane: Array, window: tuple[slice, slice]
+    ) -> NDArray[np.float32]:
+        """Calculates how high above the table the pixels of a window are, m; NaN without depth.
 
-    def _guess(self, view: _View, before: Array | None) -> list[Array]:
+        Args:
+            depth: (height, width) of the whole picture, m.
+            plane: (3,) n/d of the table.
+            window: rows and columns.
+
+        Returns:
+            (h, w), m.
+        """
+        # The inverse depth n/d . r of the plane is linear in the pixel, as r is.
+        across, down, level = np.linalg.solve(self._ideal.K.T, plane)
+        rows, columns = window
+        x = np.arange(columns.start, columns.stop)
+        y = np.arange(rows.start, rows.stop)
+        in_row = (across * x).astype(np.float32)
+        in_column = (down * y + level).astype(np.float32)
+        inverse_depth = in_column[:, None] + in_row
+
+        # 1 - z (n/d).r is 0 on the plane, and 1/|n/d| the camera's distance.
+        z = depth[window]
+        heights = np.float32(1 / np.linalg.norm(plane)) * (1 - z * inverse_depth)
+        heights[~(z > 0)] = np.nan
+        return heights
+
+    def _guess(self, view: View, before: Array | None) -> list[Array]:
         """Lists poses whose silhouettes look most like the foreground, the best first."""
         # Shapes are compared on coarse pixels: many poses are tried, and none need be exact.
         fine = (view.mask & ~view.covered).astype(np.float32)
@@ -646,7 +515,7 @@ class PoseTracker:
             for theta in np.arange(ANGLES_TRIED) * (2 * np.pi / ANGLES_TRIED):
                 pose = np.array([*at, theta])
                 # The silhouette's centroid, not the body's origin, belongs on the piece's middle.
-                centroid = self._silhouette(pose).centroid
+                centroid = self._registration.make_silhouette(pose).centroid
                 pose[:2] += at - np.array(centroid.coords[0])
                 overlap = self._calc_overlap(pose, labels == piece, view.corner)
                 tried.append((overlap, pose))
@@ -660,346 +529,15 @@ class PoseTracker:
     def _calc_overlap(self, pose: Array, small: Mask, corner: Array) -> float:
         """Calculates intersection over union of a silhouette and a mask of coarse pixels."""
         painted = np.zeros(small.shape, np.uint8)
-        points = np.array(self._silhouette(pose).exterior.coords)
-        pixels = self._project(points) - corner
+        points = np.array(self._registration.make_silhouette(pose).exterior.coords)
+        on_table = np.column_stack([points, np.zeros(len(points))])
+        pixels = self._ideal.project(on_table) - corner
         coarse = (pixels + HALF) / COARSENESS - HALF
         coarse = np.round(coarse).astype(np.int32)
         cv2.fillPoly(painted, [coarse], 1)
         common = np.count_nonzero(painted & small)
         either = np.count_nonzero(painted) + np.count_nonzero(small) - common
         return common / either
-
-    def _register(self, view: _View, pose: Array) -> _Fit:
-        """Moves the silhouette onto the edges, from coarse to fine."""
-        fit = _Fit(
-            pose=pose,
-            covariance=np.full((3, 3), np.nan),
-            dilution=np.inf,
-            share=0.0,
-            inside=0.0,
-            rms=np.inf,
-        )
-        for search in SEARCHES:
-            # Each stage has the prior about where the one before it ended.
-            start = fit.pose
-            for _ in range(search.rounds):
-                fit, moved = self._improve(view, fit.pose, start, search)
-                if moved < CONVERGED:
-                    break
-        return fit
-
-    def _improve(
-        self, view: _View, pose: Array, start: Array, search: Search
-    ) -> tuple[_Fit, float]:
-        """Takes one step of the least squares.
-
-        Args:
-            view: what is object in the picture.
-            pose: (3,) q, the pose before the step.
-            start: (3,) q_before, the middle of the prior.
-            search: how edges are looked for.
-
-        Returns:
-            The fit after the step, and by how many pixels it moved the outline at most.
-        """
-        # d_i: how far the edges are from the boundary that the pose predicts.
-        points, normals = sample_boundary(self._silhouette(pose), self._calc_spacing())
-        edges = self._linearize(pose, points, normals)
-        places = edges.pixels - view.corner
-        offsets, state = measure_edges(
-            view.coverage, view.covered, places, edges.normals, search.reach, search.step
-        )
-        found = np.isfinite(offsets)
-
-        # How well the pose explains the picture, where it can be judged.
-        visible = found | (state != COVERED)
-        inside = 0.0
-        if visible.any():
-            coverage = sample_image(view.coverage, places - search.reach * edges.normals)
-            inside = float((coverage[visible] > HALF).mean())
-        share = found.sum() / max(1, visible.sum())
-
-        # w_i: Tukey's weights, with the median for the scatter, as outliers do not move it.
-        J = edges.J[found]
-        d = offsets[found]
-        spread = MIN_SPREAD
-        if len(d):
-            spread = max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(d))))
-        limit = TUKEY * spread + self.options.pixel_noise
-        weight = np.clip(1 - (d / limit) ** 2, 0, None) ** 2
-
-        # sigma^2: neighboring edges share an error, so that only one in a stretch counts.
-        total = max(weight.sum(), np.finfo(float).tiny)
-        rms = float(np.sqrt((weight * d**2).sum() / total))
-        alike = max(1.0, SHARED_LENGTH / edges.spacing)
-        noise = max(rms, self.options.pixel_noise) ** 2 * alike
-
-        # dq: the normal equations, with the prior about the pose before.
-        weighted = J * weight[:, None]
-        information = weighted.T @ J / noise + self._prior
-        gradient = weighted.T @ d / noise + self._prior @ (start - pose)
-        moved = np.linalg.solve(information, gradient)
-
-        # C with the edges found, and C_0 as if all of the boundary had been seen.
-        counts = np.zeros(len(found))
-        counts[found] = weight
-        covariance = self._calc_covariance(edges, counts, noise)
-        whole = self._calc_covariance(edges, np.ones(len(found)), noise)
-        fit = _Fit(
-            pose=pose + moved,
-            covariance=covariance,
-            dilution=calc_dilution(whole, covariance),
-            share=float(share),
-            inside=inside,
-            rms=rms,
-        )
-        return fit, float(np.abs(edges.J @ moved).max(initial=0.0))
-
-    def _calc_covariance(self, edges: _LinearizedEdges, weight: Array, noise: float) -> Array:
-        """Calculates the covariance (3, 3) of a pose.
-
-        Args:
-            edges: n edges.
-            weight: (n,) their weights.
-            noise: variance of an edge's place that counts what neighbors share, pixels^2.
-
-        Returns:
-            (3, 3) cov, m^2, m rad and rad^2.
-        """
-        # The mean of J over neighbors with the same error: what is finer is not resolved.
-        count = max(1, round(SHARED_LENGTH / edges.spacing))
-        J = uniform_filter1d(edges.J, count, axis=0, mode="wrap")
-        weighted = J * weight[:, None]
-        random = np.linalg.inv(weighted.T @ J / noise + self._prior)
-
-        # The columns e_k: one of the visible sides, two of light along x and y.
-        shared = np.column_stack([SIDE_ERROR * edges.sides, LIGHT_ERROR * edges.normals])
-        moved = random @ weighted.T @ shared / noise
-        return np.asarray(random + moved @ moved.T, dtype=np.float64)
-
-    def _calc_spacing(self) -> float:
-        """Calculates the distance between two points of the boundary on the table, m."""
-        pixels_a_meter = self._ideal.K[0, 0] / self._ideal.center[2]
-        return max(self.outline.length / MAX_POINTS, MIN_SPACING / pixels_a_meter)
-
-    def _project(self, points: Array) -> Array:
-        """Projects points (n, 2) on the table, W, m, into the picture (n, 2), pixels."""
-        return self._ideal.project(np.column_stack([points, np.zeros(len(points))]))
-
-    def _linearize(self, pose: Array, points: Array, normals: Array) -> _LinearizedEdges:
-        """Projects boundary points, and finds how they move along their normals with the pose.
-
-        Args:
-            pose: (3,) pose of the object, W.
-            points: (n, 2) points of the silhouette's boundary on the table, W, m.
-            normals: (n, 2) outward unit normals there, W.
-
-        Returns:
-            The edges expected in the picture.
-        """
-        # Derivatives of the pixels by x and y on the table.
-        pixels = self._project(points)
-        along_x = (self._project(points + [DIFFERENCE, 0.0]) - pixels) / DIFFERENCE
-        along_y = (self._project(points + [0.0, DIFFERENCE]) - pixels) / DIFFERENCE
-
-        # A perspective picture keeps tangents and not normals: the normal in the picture is across
-        # the picture of the tangent, on the side of the outward normal's picture.
-        tangents = along_x * -normals[:, 1:] + along_y * normals[:, :1]
-        across = np.column_stack([tangents[:, 1], -tangents[:, 0]])
-        outward = along_x * normals[:, :1] + along_y * normals[:, 1:]
-        across *= np.sign((across * outward).sum(axis=1, keepdims=True))
-        across /= np.linalg.norm(across, axis=1, keepdims=True)
-
-        # n_i' J_i: a turn moves a point by the arm from the body's origin, turned by 90 degrees.
-        J_x = (across * along_x).sum(axis=1)
-        J_y = (across * along_y).sum(axis=1)
-        arm = points - pose[:2]
-        along_turn_x = -arm[:, 1]
-        along_turn_y = arm[:, 0]
-        J_theta = J_y * along_turn_y + J_x * along_turn_x
-
-        # A side is seen where its normal points to the camera's foot. On the table it is as wide as
-        # a line of sight over the top's edge goes on before it meets the table.
-        foot = self._ideal.center[:2]
-        distance = self._ideal.center[2]
-        toward_foot = np.maximum(0.0, ((foot - points) * normals).sum(axis=1))
-        width = toward_foot * self.height / (distance - self.height)
-        pixels_a_meter = np.linalg.norm(outward, axis=1)
-        return _LinearizedEdges(
-            pixels=pixels,
-            J=np.column_stack([J_x, J_y, J_theta]),
-            normals=across,
-            sides=width * pixels_a_meter,
-            spacing=float(pixels_a_meter.mean()) * self._calc_spacing(),
-        )
-
-
-def calc_dilution(whole: Array, left: Array) -> float:
-    """Calculates by how much the standard deviation of some combination of unknowns grows at most.
-
-    It is sqrt(lambda_max(whole^-1 left)), over all directions.
-
-    Args:
-        whole: (3, 3) covariance with all information, positive definite.
-        left: (3, 3) covariance with what is left of it.
-
-    Returns:
-        The ratio of the standard deviations.
-    """
-    return float(np.sqrt(eigh(left, whole, eigvals_only=True)[-1]))
-
-
-def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Camera) -> Polygon:
-    """Makes the silhouette of a prism: all of the table that it hides from a camera.
-
-    Args:
-        outline: outline of the prism in B, m.
-        pose: (3,) pose (x, y, theta) of the prism, W, m and rad.
-        height: height of the prism, m.
-        camera: camera above it, with X_WC.
-
-    Returns:
-        A polygon on the table's plane, W, m, counterclockwise.
-    """
-    bottom = orient(shapely.transform(outline, lambda points: transform(pose, points)))
-    if height == 0:
-        return bottom
-    # The top's shadow on the table, if the camera were a lamp: the bottom, scaled from its foot.
-    foot = camera.center[:2]
-    distance = camera.center[2]
-    scale = distance / (distance - height)
-    pieces = [bottom]
-    for ring in (bottom.exterior, *bottom.interiors):
-        low = np.array(ring.coords)
-        high = foot + scale * (low - foot)
-
-        # Only sides that face away from the camera hide any of the table beyond the bottom.
-        along = np.diff(low, axis=0)
-        arm = low[:-1] - foot
-        hides = along[:, 1] * arm[:, 0] - along[:, 0] * arm[:, 1] > 0
-
-        # Such sides in a row hide one strip. Where the strip crosses itself, each side's own
-        # quadrilateral is taken.
-        ends = np.flatnonzero(np.diff(hides, prepend=False, append=False))
-        for i, j in ends.reshape(-1, 2):
-            there = low[i : j + 1]
-            back = high[i : j + 1][::-1]
-            strip = Polygon([*there, *back])
-            if strip.is_valid:
-                pieces.append(strip)
-                continue
-            sides = [low[i:j], low[i + 1 : j + 1], high[i + 1 : j + 1], high[i:j]]
-            pieces += list(shapely.polygons(np.stack(sides, axis=1)))
-
-    # Slivers apart from the whole come of rounding alone.
-    whole = shapely.union_all([piece for piece in pieces if piece.is_valid])
-    return orient(max(shapely.get_parts(whole), key=lambda piece: piece.area))
-
-
-def sample_boundary(polygon: Polygon, spacing: float) -> tuple[Array, Array]:
-    """Samples points on all rings of a polygon, evenly along them.
-
-    Args:
-        polygon: polygon with its exterior counterclockwise and its holes clockwise, m.
-        spacing: distance between two points along a ring, m.
-
-    Returns:
-        (n, 2) points, m, and (n, 2) outward unit normals.
-    """
-    points = []
-    normals = []
-    for ring in (polygon.exterior, *polygon.interiors):
-        corners = np.array(ring.coords)
-        sides = np.diff(corners, axis=0)
-        lengths = np.linalg.norm(sides, axis=1)
-        ends = np.concatenate([[0.0], np.cumsum(lengths)])
-
-        # Distances along the ring, from half a spacing on: no point lies on the first corner. Even
-        # a tiny hole has a few.
-        count = max(3, round(ends[-1] / spacing))
-        at = (np.arange(count) + HALF) * spacing
-        at = at[at < ends[-1]]
-
-        side = np.searchsorted(ends, at, side="right") - 1
-        side = np.clip(side, 0, len(sides) - 1)
-        direction = sides[side] / lengths[side, None]
-        along = at - ends[side]
-        points.append(corners[side] + along[:, None] * direction)
-        normals.append(np.column_stack([direction[:, 1], -direction[:, 0]]))
-    return np.concatenate(points), np.concatenate(normals)
-
-
-def measure_edges(
-    coverage: NDArray[np.float32],
-    covered: Mask,
-    pixels: Array,
-    normals: Array,
-    reach: float,
-    step: float,
-) -> tuple[Array, IntArray]:
-    """Looks for the object's edge across its expected boundary.
-
-    Args:
-        coverage: (h, w) share of each pixel that is object.
-        covered: (h, w) pixels that say nothing.
-        pixels: (n, 2) points of the expected boundary, pixels.
-        normals: (n, 2) outward unit normals there, in the picture.
-        reach: how far to look inward and outward, pixels.
-        step: distance between two samples, pixels.
-
-    Returns:
-        (n,) how far outward the nearest edge is, pixels, NaN where there is none; and (n,) FOUND,
-        MISSING or COVERED.
-    """
-    # Samples across the boundary, from inside to outside.
-    offsets = np.arange(-reach, reach + step / 2, step)
-    places = pixels[:, None] + offsets[:, None] * normals[:, None]
-    levels = sample_image(coverage, places)
-    hidden = sample_image(covered.astype(np.float32), places) > 0
-
-    # An edge is where the coverage falls through a half, and both samples show something.
-    before = levels[:, :-1]
-    after = levels[:, 1:]
-    falls = (before > HALF) & (after <= HALF)
-    falls &= ~(hidden[:, :-1] | hidden[:, 1:])
-
-    # Its place is interpolated between them; of several, the nearest to the boundary counts.
-    drop = np.maximum(before - after, np.finfo(np.float32).eps)
-    at = offsets[:-1] + step * (before - HALF) / drop
-    at = np.where(falls, at, np.inf)
-    best = np.argmin(np.abs(at), axis=1)
-    nearest = at[np.arange(len(at)), best]
-    found = np.isfinite(nearest)
-
-    # Without an edge, a point tells against the pose only if all of its samples could show one.
-    last = np.array(coverage.shape[::-1]) - 1
-    outside = ((places < 0) | (places > last)).any(axis=(1, 2))
-    unseen = hidden.any(axis=1) | outside
-    state = np.full(len(nearest), MISSING)
-    state[unseen] = COVERED
-    state[found] = FOUND
-    return np.where(found, nearest, np.nan), state
-
-
-def sample_image(image: NDArray[Any], places: Array) -> NDArray[np.float32]:
-    """Finds an image's values between its pixels, linearly.
-
-    Args:
-        image: (height, width) image of one channel.
-        places: (..., 2) x and y, pixels.
-
-    Returns:
-        (...) values; outside of the image it counts as 0.
-    """
-    flat = places.reshape(-1, 1, 2).astype(np.float32)
-    source = image.astype(np.float32)
-    values = []
-    for i in range(0, len(flat), MAX_REMAP):
-        some = flat[i : i + MAX_REMAP]
-        values.append(
-            cv2.remap(source, some, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
-        )
-    return np.concatenate(values).reshape(places.shape[:-1])
 
 
 def track_object(

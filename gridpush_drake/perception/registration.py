@@ -1,0 +1,534 @@
+"""Moves a known outline onto its edges in one picture.
+
+What is seen of a prism on the table is its silhouette: the union of its outline and of all that its
+sides and its top hide of the table. Along its boundary, at points p_i with outward normals n_i in
+the picture, the edge between object and table is looked for, d_i pixels off, and the pose q moves
+until these vanish on the whole:
+
+    min_q  sum_i w_i (d_i - n_i' J_i dq)^2 / sigma^2 + |dq|^2_P,       J_i = d(pixel of p_i)/dq
+
+with Tukey's weights w_i, and a prior P as wide as the object can move between two frames. Points
+that something covers have no part. The covariance is the inverse of the information left, A = sum
+w_i J_i' n_i n_i' J_i / sigma^2 + P, and what errors that edges share do to the pose besides:
+
+    cov = A^-1 + sum_k (A^-1 sum_i w_i J_i' n_i e_ki / sigma^2) (...)'
+
+What no edge tells, such as the angle of a disc, keeps the prior's width: in sigma^2 is what
+neighboring edges share, and J is their mean along that length, as nothing finer is resolved. Shared
+errors are of two kinds. Where a side is seen below the top, the edge is off by a share of the
+side's width in the picture, on all such edges alike. And light from one side draws all edges its
+way. Either moves the pose, and hardly turns it.
+
+Which pixels are object, and which pose is begun with, is decided in `tracking`. The theory is in
+docs/theory/perception.md, section 3.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
+from scipy.ndimage import uniform_filter1d
+from shapely import Polygon
+from shapely.geometry.polygon import orient
+
+from gridpush_drake.geometry.se2 import Array, IntArray, rotate, transform, transform_back
+from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.pixel_kernels import (
+    COVERED,
+    HALF,
+    Across,
+    Points,
+    find_edges,
+    linearize,
+    sample,
+)
+from gridpush_drake.perception.table_plane import TO_DEVIATION
+
+Mask = NDArray[np.bool_]
+
+MAX_POINTS = 360
+"""Most points of the boundary at which an edge is looked for; a longer outline has them further
+apart."""
+
+MIN_SPACING = 1.5
+"""Least distance between two points of the boundary, pixels: closer ones would see the same
+edge."""
+
+
+class Search(NamedTuple):
+    """One stage of a registration.
+
+    Attributes:
+        reach: how far from the expected boundary an edge is looked for, inward and outward, pixels.
+        step: distance between two samples across the boundary, pixels.
+        rounds: largest number of least-squares steps.
+        converged: the stage ends when a step moves no point of the outline by more than this,
+            pixels.
+    """
+
+    reach: float
+    step: float
+    rounds: int
+    converged: float
+
+
+SEARCHES = (
+    Search(reach=16.0, step=1.0, rounds=10, converged=0.3),
+    Search(reach=6.0, step=0.5, rounds=10, converged=0.05),
+    Search(reach=3.0, step=0.25, rounds=12, converged=1e-3),
+)
+"""Stages of a registration, from coarse to fine: a wide reach finds an object that moved far, and a
+narrow one leaves out the edges of other things."""
+
+SAME_SILHOUETTE = 0.1
+"""A silhouette is moved along with the object, and made anew when a point of it has moved by more
+than this, pixels: how much of the table a side hides depends on where it is below the camera."""
+
+TUKEY = 3.0
+"""An edge that is this many standard deviations or more from the outline has no weight (the tuning
+constant of Tukey's weights)."""
+
+MIN_SPREAD = 0.3
+"""Least standard deviation of the edges' distances that Tukey's weights assume, pixels; without it
+a few edges that agree by chance would throw all others out."""
+
+SHARED_LENGTH = 12.0
+"""Edges that are less than this far apart along the boundary have nearly the same error, pixels;
+such a stretch counts as one measurement."""
+
+SIDE_ERROR = 0.1
+"""Standard deviation of the error that all edges below visible sides share, as a part of the sides'
+width in the picture: a side has another brightness than the top."""
+
+LIGHT_ERROR = 0.03
+"""Standard deviation of the error that all edges share because light from one side moves them its
+way, pixels."""
+
+
+class View(NamedTuple):
+    """What is object in a part of the picture.
+
+    Attributes:
+        coverage: (h, w) share of each pixel that is object.
+        mask: (h, w) bool, pixels that show the object.
+        covered: (h, w) bool, pixels that say nothing.
+        corner: (2,) x and y of the part's upper left pixel in the whole picture.
+    """
+
+    coverage: NDArray[np.float32]
+    mask: Mask
+    covered: Mask
+    corner: Array
+
+
+class Fit(NamedTuple):
+    """A registration: the pose, its covariance, and how well it explains the picture.
+
+    Attributes:
+        pose: (3,) (x, y, theta) of the object, W, m and rad.
+        covariance: (3, 3) covariance of the pose, m^2, m rad and rad^2.
+        dilution: how much less sure the pose is than it would be with nothing covered, a ratio of
+            standard deviations in the worst direction.
+        share: share of the visible boundary whose edge was found.
+        inside: share of the points just inside the visible boundary that show the object.
+        rms: root mean square distance of the edges found from the outline, pixels.
+    """
+
+    pose: Array
+    covariance: Array
+    dilution: float
+    share: float
+    inside: float
+    rms: float
+
+
+class _Boundary(NamedTuple):
+    """Points of a silhouette's boundary, which move along with the object a little.
+
+    Attributes:
+        pose: (3,) pose of the object at which the silhouette was made, W.
+        points: (n, 2) points of the boundary on the table, B, m.
+        normals: (n, 2) outward unit normals there, B.
+    """
+
+    pose: Array
+    points: Array
+    normals: Array
+
+
+class _Step(NamedTuple):
+    """One step of the least squares.
+
+    Attributes:
+        edges: the points at which edges were looked for, in the picture.
+        weight: (n,) w_i, their weights; 0 where no edge was found.
+        visible: (n,) bool, where an edge was found or should have been.
+        found: (n,) bool, where an edge was found.
+        noise: sigma^2, variance of an edge's place that counts what neighbors share, pixels^2.
+        rms: root mean square distance of the edges, pixels.
+        moved: (3,) dq, by how much the pose moves, m and rad.
+    """
+
+    edges: Points
+    weight: Array
+    visible: Mask
+    found: Mask
+    noise: float
+    rms: float
+    moved: Array
+
+
+class Registration:
+    """Registers a prism of known outline to what is seen of it; it holds no state."""
+
+    def __init__(
+        self, outline: Polygon, height: float, camera: Camera, prior: Array, pixel_noise: float
+    ) -> None:
+        """Takes the object and the camera.
+
+        Args:
+            outline: outline of the object in B, m.
+            height: height of the object, m.
+            camera: a camera without distortion, with X_WC, that is higher than the object.
+            prior: (3, 3) P, the information of what can happen to the pose between two frames.
+            pixel_noise: least standard deviation of an edge's place, pixels.
+        """
+        self._outline = outline
+        self._height = height
+        self._camera = camera
+        self._prior = prior
+        self._pixel_noise = pixel_noise
+
+        # Points on the table are projected by a homography: z = 0 takes a column of R_CW away.
+        R_CW = camera.pose[:3, :3].T
+        p_CW = -R_CW @ camera.center
+        self._homography = camera.K @ np.column_stack([R_CW[:, 0], R_CW[:, 1], p_CW])
+        self._foot = np.array(camera.center[:2])
+        self._side = height / (camera.center[2] - height)
+
+        # Distance between two points of the boundary on the table, m.
+        pixels_a_meter = camera.K[0, 0] / camera.center[2]
+        self._spacing = max(outline.length / MAX_POINTS, MIN_SPACING / pixels_a_meter)
+
+    def register(self, view: View, pose: Array) -> Fit:
+        """Moves the silhouette onto the edges, from coarse to fine.
+
+        Args:
+            view: what is object in the picture.
+            pose: (3,) the pose that is begun with, W, m and rad.
+
+        Returns:
+            The fit.
+        """
+        boundary = self._trace(pose)
+        for search in SEARCHES:
+            # Each stage has the prior about where the one before it ended.
+            start = pose
+            for _ in range(search.rounds):
+                edges = self._expect(boundary, pose, view.corner)
+                if np.abs(edges.J @ (pose - boundary.pose)).max() > SAME_SILHOUETTE:
+                    boundary = self._trace(pose)
+                    edges = self._expect(boundary, pose, view.corner)
+                step = self._improve(view, edges, start - pose, search)
+                pose = pose + step.moved
+                if np.abs(edges.J @ step.moved).max() < search.converged:
+                    break
+        return self._judge(view, step, pose)
+
+    def make_silhouette(self, pose: Array) -> Polygon:
+        """Makes the object's silhouette on the table at a pose (3,), W, m."""
+        return make_silhouette(self._outline, pose, self._height, self._camera)
+
+    def find_bounds(self, pose: Array) -> Array:
+        """Finds the part of the picture that shows the object at a pose.
+
+        Args:
+            pose: (3,) pose of the object, W.
+
+        Returns:
+            (2, 2) least and greatest x and y of the object's bottom and top, pixels.
+        """
+        corners = transform(pose, np.array(self._outline.exterior.coords))
+        bottom = np.column_stack([corners, np.zeros(len(corners))])
+        top = bottom + [0.0, 0.0, self._height]
+        pixels = self._camera.project(np.concatenate([bottom, top]))
+        return np.array([np.nanmin(pixels, axis=0), np.nanmax(pixels, axis=0)])
+
+    def _trace(self, pose: Array) -> _Boundary:
+        """Samples the boundary of the silhouette at a pose (3,)."""
+        points, normals = sample_boundary(self.make_silhouette(pose), self._spacing)
+        return _Boundary(
+            pose=pose,
+            points=transform_back(pose, points),
+            normals=rotate(-pose[2], normals),
+        )
+
+    def _expect(self, boundary: _Boundary, pose: Array, corner: Array) -> Points:
+        """Projects a boundary at a pose (3,) into the part of the picture at `corner` (2,)."""
+        count = len(boundary.points)
+        edges = Points(
+            pixels=np.empty((count, 2)),
+            J=np.empty((count, 3)),
+            normals=np.empty((count, 2)),
+            sides=np.empty(count),
+            scales=np.empty(count),
+        )
+        linearize(
+            transform(pose, boundary.points),
+            rotate(pose[2], boundary.normals),
+            self._homography,
+            pose,
+            self._foot,
+            self._side,
+            edges,
+        )
+        edges.pixels[:] -= corner
+        return edges
+
+    def _improve(self, view: View, edges: Points, back: Array, search: Search) -> _Step:
+        """Takes one step of the least squares.
+
+        Args:
+            view: what is object in the picture.
+            edges: the edges that the pose before the step predicts.
+            back: (3,) q_before - q, from the pose before the step to the middle of the prior.
+            search: how edges are looked for.
+
+        Returns:
+            The step.
+        """
+        # d_i: how far the edges are from the boundary that the pose predicts.
+        offsets, state = measure_edges(
+            view.coverage, view.covered, edges.pixels, edges.normals, search.reach, search.step
+        )
+        found = np.isfinite(offsets)
+
+        # w_i: Tukey's weights, with the median for the scatter, as outliers do not move it.
+        d = np.where(found, offsets, 0.0)
+        spread = MIN_SPREAD
+        if found.any():
+            spread = max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(offsets[found]))))
+        limit = TUKEY * spread + self._pixel_noise
+        weight = found * np.clip(1 - (d / limit) ** 2, 0, None) ** 2
+
+        # sigma^2: neighboring edges share an error, so that only one in a stretch counts.
+        total = max(weight.sum(), np.finfo(float).tiny)
+        rms = float(np.sqrt((weight * d**2).sum() / total))
+        noise = max(rms, self._pixel_noise) ** 2 * max(
+            1.0, SHARED_LENGTH / self._calc_distance(edges)
+        )
+
+        # dq: the normal equations, with the prior about the pose before.
+        weighted = edges.J * weight[:, None]
+        information = weighted.T @ edges.J / noise + self._prior
+        gradient = weighted.T @ d / noise + self._prior @ back
+        return _Step(
+            edges=edges,
+            weight=weight,
+            visible=found | (state != COVERED),
+            found=found,
+            noise=noise,
+            rms=rms,
+            moved=np.linalg.solve(information, gradient),
+        )
+
+    def _judge(self, view: View, step: _Step, pose: Array) -> Fit:
+        """Tells how well a pose explains the picture, and how sure it is.
+
+        Args:
+            view: what is object in the picture.
+            step: the last step.
+            pose: (3,) the pose after it.
+
+        Returns:
+            The fit.
+        """
+        # How well the pose explains the picture, where it can be judged.
+        inside = 0.0
+        if step.visible.any():
+            reach = SEARCHES[-1].reach
+            within = step.edges.pixels - reach * step.edges.normals
+            coverage = sample_image(view.coverage, within[step.visible])
+            inside = float((coverage > HALF).mean())
+        share = step.found.sum() / max(1, step.visible.sum())
+
+        # C with the edges found, and C_0 as if all of the boundary had been seen.
+        covariance = self._calc_covariance(step.edges, step.weight, step.noise)
+        whole = self._calc_covariance(step.edges, np.ones(len(step.weight)), step.noise)
+        return Fit(
+            pose=pose,
+            covariance=covariance,
+            dilution=calc_dilution(whole, covariance),
+            share=float(share),
+            inside=inside,
+            rms=step.rms,
+        )
+
+    def _calc_covariance(self, edges: Points, weight: Array, noise: float) -> Array:
+        """Calculates the covariance (3, 3) of a pose.
+
+        Args:
+            edges: n edges.
+            weight: (n,) their weights.
+            noise: variance of an edge's place that counts what neighbors share, pixels^2.
+
+        Returns:
+            (3, 3) cov, m^2, m rad and rad^2.
+        """
+        # The mean of J over neighbors with the same error: what is finer is not resolved.
+        count = max(1, round(SHARED_LENGTH / self._calc_distance(edges)))
+        J = uniform_filter1d(edges.J, count, axis=0, mode="wrap")
+        weighted = J * weight[:, None]
+        random = np.linalg.inv(weighted.T @ J / noise + self._prior)
+
+        # The columns e_k: one of the visible sides, two of light along x and y.
+        shared = np.column_stack([SIDE_ERROR * edges.sides, LIGHT_ERROR * edges.normals])
+        moved = random @ weighted.T @ shared / noise
+        return np.asarray(random + moved @ moved.T, dtype=np.float64)
+
+    def _calc_distance(self, edges: Points) -> float:
+        """Calculates the mean distance between neighboring points in the picture, pixels."""
+        return float(edges.scales.mean()) * self._spacing
+
+
+def calc_dilution(whole: Array, left: Array) -> float:
+    """Calculates by how much the standard deviation of some combination of unknowns grows at most.
+
+    It is sqrt(lambda_max(whole^-1 left)), over all directions.
+
+    Args:
+        whole: (3, 3) covariance with all information, positive definite.
+        left: (3, 3) covariance with what is left of it.
+
+    Returns:
+        The ratio of the standard deviations.
+    """
+    return float(np.sqrt(eigh(left, whole, eigvals_only=True)[-1]))
+
+
+def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Camera) -> Polygon:
+    """Makes the silhouette of a prism: all of the table that it hides from a camera.
+
+    Args:
+        outline: outline of the prism in B, m.
+        pose: (3,) pose (x, y, theta) of the prism, W, m and rad.
+        height: height of the prism, m.
+        camera: camera above it, with X_WC.
+
+    Returns:
+        A polygon on the table's plane, W, m, counterclockwise.
+    """
+    bottom = orient(shapely.transform(outline, lambda points: transform(pose, points)))
+    if height == 0:
+        return bottom
+    # The top's shadow on the table, if the camera were a lamp: the bottom, scaled from its foot.
+    foot = camera.center[:2]
+    distance = camera.center[2]
+    scale = distance / (distance - height)
+    pieces = [bottom]
+    for ring in (bottom.exterior, *bottom.interiors):
+        low = np.array(ring.coords)
+        high = foot + scale * (low - foot)
+
+        # Only sides that face away from the camera hide any of the table beyond the bottom.
+        along = np.diff(low, axis=0)
+        arm = low[:-1] - foot
+        hides = along[:, 1] * arm[:, 0] - along[:, 0] * arm[:, 1] > 0
+
+        # Such sides in a row hide one strip. Where the strip crosses itself, each side's own
+        # quadrilateral is taken.
+        ends = np.flatnonzero(np.diff(hides, prepend=False, append=False))
+        for i, j in ends.reshape(-1, 2):
+            there = low[i : j + 1]
+            back = high[i : j + 1][::-1]
+            strip = shapely.polygons(np.concatenate([there, back]))
+            if strip.is_valid:
+                pieces.append(strip)
+                continue
+            sides = [low[i:j], low[i + 1 : j + 1], high[i + 1 : j + 1], high[i:j]]
+            pieces += list(shapely.polygons(np.stack(sides, axis=1)))
+
+    # Slivers apart from the whole come of rounding alone.
+    whole = shapely.union_all([piece for piece in pieces if piece.is_valid])
+    return orient(max(shapely.get_parts(whole), key=lambda piece: piece.area))
+
+
+def sample_boundary(polygon: Polygon, spacing: float) -> tuple[Array, Array]:
+    """Samples points on all rings of a polygon, evenly along them.
+
+    Args:
+        polygon: polygon with its exterior counterclockwise and its holes clockwise, m.
+        spacing: distance between two points along a ring, m.
+
+    Returns:
+        (n, 2) points, m, and (n, 2) outward unit normals.
+    """
+    points = []
+    normals = []
+    for ring in (polygon.exterior, *polygon.interiors):
+        corners = np.array(ring.coords)
+        sides = np.diff(corners, axis=0)
+        lengths = np.linalg.norm(sides, axis=1)
+        ends = np.concatenate([[0.0], np.cumsum(lengths)])
+
+        # Distances along the ring, from half a spacing on: no point lies on the first corner. Even
+        # a tiny hole has a few.
+        count = max(3, round(ends[-1] / spacing))
+        at = (np.arange(count) + HALF) * spacing
+        at = at[at < ends[-1]]
+
+        side = np.searchsorted(ends, at, side="right") - 1
+        side = np.clip(side, 0, len(sides) - 1)
+        direction = sides[side] / lengths[side, None]
+        along = at - ends[side]
+        points.append(corners[side] + along[:, None] * direction)
+        normals.append(np.column_stack([direction[:, 1], -direction[:, 0]]))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def measure_edges(
+    coverage: NDArray[np.float32],
+    covered: Mask,
+    pixels: Array,
+    normals: Array,
+    reach: float,
+    step: float,
+) -> tuple[Array, IntArray]:
+    """Looks for the object's edge across its expected boundary.
+
+    Args:
+        coverage: (h, w) share of each pixel that is object.
+        covered: (h, w) pixels that say nothing.
+        pixels: (n, 2) points of the expected boundary, pixels.
+        normals: (n, 2) outward unit normals there, in the picture.
+        reach: how far to look inward and outward, pixels.
+        step: distance between two samples, pixels.
+
+    Returns:
+        (n,) how far outward the nearest edge is, pixels, NaN where there is none; and (n,) FOUND,
+        MISSING or COVERED.
+    """
+    offsets = np.empty(len(pixels))
+    state = np.empty(len(pixels), dtype=np.int64)
+    count = int(2 * reach / step + HALF) + 1
+    across = Across(reach=float(reach), step=float(step), count=count)
+    find_edges(coverage, covered.view(np.uint8), pixels, normals, across, offsets, state)
+    return offsets, state
+
+
+def sample_image(image: NDArray[Any], places: Array) -> Array:
+    """Finds an image's values between its pixels, linearly.
+
+    Args:
+        image: (height, width) image of one channel.
+        places: (..., 2) x and y, pixels.
+
+    Returns:
+        (...) values; outside of the image it counts as 0.
+    """
+    flat = np.ascontiguousarray(places, dtype=np.float64).reshape(-1, 2)
+    values = np.empty(len(flat))
+    sample(np.ascontiguousarray(image, dtype=np.float32), flat, values)
+    return values.reshape(places.shape[:-1])
