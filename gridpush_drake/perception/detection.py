@@ -51,7 +51,7 @@ from gridpush_drake.perception.hints import (
     choose_in_box,
     join_pieces,
 )
-from gridpush_drake.perception.table_plane import TablePlane, fit_table
+from gridpush_drake.perception.table_plane import Heights, TablePlane, fit_table
 
 Mask = NDArray[np.bool_]
 
@@ -536,7 +536,7 @@ def draw_contours(color: Color, mask: Mask, tint: tuple[int, int, int] = RED) ->
     return picture
 
 
-def _find_height(heights: Array, mask: Mask) -> float:
+def _find_height(heights: Heights, mask: Mask) -> float:
     """Finds the height of an object's top, m; 0 where depth was not measured on it."""
     # Depth images blur an object's rim, and single pixels are noisy: the rim is left out, and a
     # percentile taken for the top.
@@ -550,7 +550,7 @@ def _find_height(heights: Array, mask: Mask) -> float:
 
 
 def _to_world(
-    contour: Polygon, camera: Camera, mask: Mask, heights: Array | None, height: float
+    contour: Polygon, camera: Camera, mask: Mask, heights: Heights | None, height: float
 ) -> Polygon:
     """Finds an object's outline on the table from its outline in the picture.
 
@@ -599,7 +599,7 @@ def _to_world(
     return orient(largest)
 
 
-def _find_rim_heights(pixels: Array, mask: Mask, heights: Array, height: float) -> Array:
+def _find_rim_heights(pixels: Array, mask: Mask, heights: Heights, height: float) -> Array:
     """Finds the object's height near each of (k, 2) pixels of its outline, (k,), m.
 
     An object that is not of one height is so taken for a prism at each side.

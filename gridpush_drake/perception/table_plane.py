@@ -9,13 +9,18 @@ section 1.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridpush_drake.errors import ImageError, NoTableError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.frames import MAX_DEPTH, MIN_DEPTH, Color, Depth
+
+Heights = NDArray[np.floating[Any]]
+"""Heights above the table, m, in either precision; NaN where depth was not measured."""
 
 SAMPLES = 3000
 """Pixels that planes are tried on; fewer are tried if depth is measured in fewer."""
@@ -72,7 +77,7 @@ class TablePlane:
 
     normal: Array
     offset: float
-    heights: Array
+    heights: Heights
     deviation: float
 
     def make_pose(self, camera: Camera) -> Array:
