@@ -62,6 +62,7 @@ def calc_color_distances(difference, deviation, shadow, distances):
         shadow: standard deviation of lightness where a pixel is darker than the table.
         distances: (h, w), is filled.
     """
+    # One over the variance of each channel, for division is slow.
     light = np.float32(1.0 / deviation[0] ** 2)
     darker = np.float32(1.0 / max(shadow, deviation[0]) ** 2)
     chroma_a = np.float32(1.0 / deviation[1] ** 2)
@@ -92,10 +93,12 @@ def sum_blocks(colors, in_object, in_table):
         BLOCK x BLOCK pixels and, last, the numbers of pixels.
     """
     rows, columns = in_object.shape
+    # The last block of a row or a column may have fewer pixels; their number says so.
     m = -(-rows // BLOCK)
     n = -(-columns // BLOCK)
     inside = np.zeros((m, n, 4), dtype=np.float32)
     outside = np.zeros((m, n, 4), dtype=np.float32)
+    # What is in neither, the strip at the boundary, counts for nothing.
     for row in range(rows):
         for column in range(columns):
             if in_object[row, column]:
@@ -133,8 +136,10 @@ def calc_levels(colors, inside, outside, where, law, levels):
         bottom = min(top + 1, last_row)
         below = np.float32(y - top)
         for column in range(columns):
+            # Most of a picture is far from the boundary, and costs nothing.
             if where[row, column] == 0:
                 continue
+            # The two coarse columns likewise.
             x = min(max((column + HALF) / BLOCK - HALF, 0.0), float(last_column))
             left = min(int(x), max(last_column - 1, 0))
             right = min(left + 1, last_column)
@@ -158,6 +163,7 @@ def _calc_level(color, inside, outside, corners, shares, law):
     along = np.float32(0.0)
     squared_distance = np.float32(0.0)
     drop = np.float32(0.0)
+    # (c - (c_o + c_t)/2).(c_o - c_t) / |c_o - c_t|^2, summed up channel by channel.
     for i in range(3):
         c_o = _mix(inside, i, corners, shares) / weight_in
         c_t = _mix(outside, i, corners, shares) / weight_out
@@ -200,6 +206,7 @@ def _sample(image, x, y):
         return 0.0
     beside = x - left
     below = y - top
+    # Pixels that are not there count as 0.
     value = 0.0
     for i in range(2):
         row = top + i
@@ -259,6 +266,7 @@ def find_edges(coverage, covered, pixels, normals, across, offsets, state):
         unseen = False
         before = 0.0
         hidden_before = True
+        # From inside to outside, as the coverage falls.
         for k in range(across.count):
             offset = k * across.step - across.reach
             x = pixels[i, 0] + offset * normals[i, 0]
@@ -319,6 +327,7 @@ def linearize(points, normals, H, pose, foot, side, found):
         y = points[i, 1]
         n_x = normals[i, 0]
         n_y = normals[i, 1]
+        # The pixel (u, v) of the point: (u w, v w, w) = H (x, y, 1).
         w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
         u = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w
         v = (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
