@@ -12,13 +12,20 @@ from typing import Any
 import cv2
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from shapely import Polygon
 
+from gridpush_drake.bench.hidden_pushes import KINDS, HiddenJob, run_hidden, tabulate_hidden
 from gridpush_drake.bench.jobs import check_known
 from gridpush_drake.bench.plant import draw_push
 from gridpush_drake.bench.protocol import find_masks
-from gridpush_drake.bench.rendered_table import RenderedTable
+from gridpush_drake.bench.rendered_table import (
+    FOCAL,
+    HEIGHT_PIXELS,
+    WIDTH,
+    RenderedTable,
+    make_overhead_camera,
+)
 from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import ALL, MM, PERCENT, Table, Value
 from gridpush_drake.dynamics.simulation import simulate
@@ -46,6 +53,12 @@ from gridpush_drake.perception.tracking import NOT_SEEN
 POSES = 10
 """Number of poses in which each object is rendered and found."""
 
+HIDDEN_PUSHES = 34
+"""Number of hidden pushes of each kind of outline that looks alike when it is turned."""
+
+QUICK_HIDDEN_PUSHES = 2
+"""Number of hidden pushes of each kind in the quick variant."""
+
 PUSHES = 5
 """Number of pushes during which each object is tracked."""
 
@@ -67,15 +80,6 @@ COLORS = (
 )
 """Colors that the objects have in turn, red, green and blue from 0 to 1: wood, blue, dark gray,
 red, green."""
-
-WIDTH = 640
-"""Width of the camera's pictures, pixels."""
-
-HEIGHT_PIXELS = 480
-"""Height of the camera's pictures, pixels."""
-
-FOCAL = 615.0
-"""Focal length of the camera, pixels."""
 
 DISTANCE = 0.6
 """Height of the camera over the table where outlines are found, m."""
@@ -128,6 +132,7 @@ class Options(StudyOptions):
         objects: names of shipped objects; all of them where None.
         poses: number of poses in which each is rendered and found.
         pushes: number of pushes during which each is tracked.
+        hidden_pushes: number of hidden pushes of each kind of outline that looks alike.
     """
 
     data: Path | None = option(
@@ -139,6 +144,7 @@ class Options(StudyOptions):
     objects: tuple[str, ...] | None = option(None, **OBJECTS)
     poses: int = POSES
     pushes: int = PUSHES
+    hidden_pushes: int = HIDDEN_PUSHES
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -251,11 +257,17 @@ class TrackScore:
 def shorten(options: Options) -> Options:
     """Makes the options of the quick variant."""
     names = options.names[:QUICK_OBJECTS]
-    return replace(options, objects=names, poses=min(options.poses, QUICK_POSES), pushes=1)
+    return replace(
+        options,
+        objects=names,
+        poses=min(options.poses, QUICK_POSES),
+        pushes=1,
+        hidden_pushes=min(options.hidden_pushes, QUICK_HIDDEN_PUSHES),
+    )
 
 
-def make_jobs(options: Options) -> list[PhotoJob | OutlineJob | TrackJob]:
-    """Makes a job for each photograph, and three for each object.
+def make_jobs(options: Options) -> list[PhotoJob | OutlineJob | TrackJob | HiddenJob]:
+    """Makes a job for each photograph, three for each object, and two for each look-alike.
 
     Raises:
         ObjectError: an object is not shipped.
@@ -271,17 +283,23 @@ def make_jobs(options: Options) -> list[PhotoJob | OutlineJob | TrackJob]:
         *(OutlineJob(name, options.poses, options.seed) for name in names),
         *(TrackJob(name, options.pushes, options.seed) for name in names),
         *(TagJob(name, options.pushes, options.seed) for name in names),
+        *(
+            HiddenJob(kind, options.hidden_pushes, options.seed, model)
+            for model in (True, False)
+            for kind in KINDS
+        ),
     ]
 
 
 def tabulate(options: Options, done: Done) -> list[Table]:
-    """Tabulates photographs, where there are any, outlines, and poses by outline and by tag."""
+    """Tabulates photographs, where there are any, outlines, poses, and hidden pushes."""
     photos = done.of(PHOTO)
     return [
         *([tabulate_photos(photos)] if photos else []),
         tabulate_outlines(done.of(OUTLINE)),
         tabulate_tracks(done.of(TRACK)),
         tabulate_tags(done.of(TAGGED)),
+        tabulate_hidden(done.of(HIDDEN)),
     ]
 
 
@@ -445,26 +463,6 @@ def _follow_tag(obj: GridObject, first: Frame, pose: NDArray[np.float64], camera
     return follow
 
 
-def make_overhead_camera(
-    distance: float, tilt: ArrayLike = (0.0, 0.0), at: ArrayLike = (0.0, 0.0)
-) -> Camera:
-    """Makes a camera that looks down at the table.
-
-    Args:
-        distance: its height over the table, m.
-        tilt: (2,) its tilt about its own x and y, degrees.
-        at: (2,) the place that it is above, m.
-    """
-    a, b = np.radians(tilt)
-    R_x = np.array([[1, 0, 0], [0, -np.cos(a), np.sin(a)], [0, -np.sin(a), -np.cos(a)]])
-    R_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
-    X_WC = np.eye(4)
-    X_WC[:3, :3] = R_x @ R_y
-    X_WC[:3, 3] = [*np.asarray(at), distance]
-    K = [[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT_PIXELS - 1) / 2], [0, 0, 1]]
-    return Camera(WIDTH, HEIGHT_PIXELS, np.array(K), np.zeros(0), X_WC)
-
-
 def calc_outline_error(a: Polygon, b: Polygon) -> float:
     """Calculates the mean distance between two outlines, holes included, both ways, m."""
     return (_calc_distance(a, b) + _calc_distance(b, a)) / 2
@@ -617,13 +615,16 @@ TRACK = Task(job=TrackJob, run=run_track, describe=lambda job: f"{job.name}, pus
 TAGGED = Task(job=TagJob, run=run_tag, describe=lambda job: f"{job.name}, with a tag")
 """What is done to follow the tag on an object."""
 
+HIDDEN = Task(job=HiddenJob, run=run_hidden, describe=lambda job: f"{job.kind}, hidden")
+"""What is done to find objects after hidden pushes."""
+
 STUDY = Study(
     name="perception",
     help="Find objects in photographs, real and rendered, and track them while they are pushed.",
     options=Options,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(PHOTO, OUTLINE, TRACK, TAGGED),
+    tasks=(PHOTO, OUTLINE, TRACK, TAGGED, HIDDEN),
     tabulate=tabulate,
 )
 """`gridpush bench perception`."""

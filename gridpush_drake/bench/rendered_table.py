@@ -40,6 +40,15 @@ from gridpush_drake.perception import Camera, Frame
 from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE
 from gridpush_drake.perception.tags import draw_tag
 
+WIDTH = 640
+"""Width of the camera's pictures, pixels."""
+
+HEIGHT_PIXELS = 480
+"""Height of the camera's pictures, pixels."""
+
+FOCAL = 615.0
+"""Focal length of the camera, pixels."""
+
 RENDERER = "vtk"
 """Name of the renderer in the scene."""
 
@@ -262,3 +271,23 @@ def add_depth_noise(z: NDArray[np.float64], rng: np.random.Generator) -> NDArray
     noisy += DEPTH_NOISE * noisy**2 * rng.standard_normal(z.shape)
     noisy[edge] = 0.0
     return noisy.astype(np.float32)
+
+
+def make_overhead_camera(
+    distance: float, tilt: ArrayLike = (0.0, 0.0), at: ArrayLike = (0.0, 0.0)
+) -> Camera:
+    """Makes a camera that looks down at the table.
+
+    Args:
+        distance: its height over the table, m.
+        tilt: (2,) its tilt about its own x and y, degrees.
+        at: (2,) the place that it is above, m.
+    """
+    a, b = np.radians(tilt)
+    R_x = np.array([[1, 0, 0], [0, -np.cos(a), np.sin(a)], [0, -np.sin(a), -np.cos(a)]])
+    R_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    X_WC = np.eye(4)
+    X_WC[:3, :3] = R_x @ R_y
+    X_WC[:3, 3] = [*np.asarray(at), distance]
+    K = [[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT_PIXELS - 1) / 2], [0, 0, 1]]
+    return Camera(WIDTH, HEIGHT_PIXELS, np.array(K), np.zeros(0), X_WC)

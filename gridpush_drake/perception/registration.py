@@ -107,6 +107,17 @@ LIGHT_ERROR = 0.03
 way, pixels."""
 
 
+EDGE_DEVIATION = 0.5
+"""Standard deviation of an edge's place that is assumed where two poses are compared, pixels."""
+
+MISSING_COST = 4.5
+"""Greatest negative logarithm of an edge's likelihood: that of an edge that is missing where it
+should be in plain view, or that is three standard deviations off."""
+
+CLUTTER_COST = 1.0
+"""Negative logarithm of an edge's likelihood where something else than the object is seen."""
+
+
 class View(NamedTuple):
     """What is object in a part of the picture.
 
@@ -134,6 +145,8 @@ class Fit(NamedTuple):
         share: share of the visible boundary whose edge was found.
         inside: share of the points just inside the visible boundary that show the object.
         rms: root mean square distance of the edges found from the outline, pixels.
+        evidence: logarithm of how much likelier the edges are of an object at this pose than of
+            anything else; each edge that is found adds to it, and each that is missing takes away.
     """
 
     pose: Array
@@ -142,6 +155,7 @@ class Fit(NamedTuple):
     share: float
     inside: float
     rms: float
+    evidence: float
 
 
 class _Boundary(NamedTuple):
@@ -167,6 +181,7 @@ class _Step(NamedTuple):
         visible: (n,) bool, where an edge was found or should have been.
         found: (n,) bool, where an edge was found.
         noise: sigma^2, variance of an edge's place that counts what neighbors share, pixels^2.
+        d: (n,) d_i, how far outward the edges are, pixels; 0 where none was found.
         rms: root mean square distance of the edges, pixels.
         moved: (3,) dq, by how much the pose moves, m and rad.
     """
@@ -176,6 +191,7 @@ class _Step(NamedTuple):
     visible: Mask
     found: Mask
     noise: float
+    d: Array
     rms: float
     moved: Array
 
@@ -330,6 +346,7 @@ class Registration:
             visible=found | (state != COVERED),
             found=found,
             noise=noise,
+            d=d,
             rms=rms,
             moved=np.linalg.solve(information, gradient),
         )
@@ -354,6 +371,13 @@ class Registration:
             inside = float((coverage > HALF).mean())
         share = step.found.sum() / max(1, step.visible.sum())
 
+        # How much likelier the edges are of this pose than of something else, by which they would
+        # be anywhere. Neighbors with the same error count as one.
+        costs = np.minimum(0.5 * (step.d / EDGE_DEVIATION) ** 2, MISSING_COST)
+        costs = np.where(step.found, costs, MISSING_COST)
+        alike = max(1.0, SHARED_LENGTH / self._calc_distance(step.edges))
+        evidence = (CLUTTER_COST - costs)[step.visible].sum() / alike
+
         # C with the edges found, and C_0 as if all of the boundary had been seen.
         covariance = self._calc_covariance(step.edges, step.weight, step.noise)
         whole = self._calc_covariance(step.edges, np.ones(len(step.weight)), step.noise)
@@ -364,6 +388,7 @@ class Registration:
             share=float(share),
             inside=inside,
             rms=step.rms,
+            evidence=float(evidence),
         )
 
     def _calc_covariance(self, edges: Points, weight: Array, noise: float) -> Array:

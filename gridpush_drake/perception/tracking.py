@@ -19,7 +19,7 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PerceptionError
-from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.geometry.se2 import Array, compose, wrap_angle
 from gridpush_drake.objects.cells import make_polygon
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import (
@@ -39,6 +39,12 @@ from gridpush_drake.perception.foreground import (
     to_lab,
 )
 from gridpush_drake.perception.frames import Color, Frame
+from gridpush_drake.perception.look_alikes import (
+    SAME,
+    Expectation,
+    calc_surprise,
+    find_look_alikes,
+)
 from gridpush_drake.perception.pixel_kernels import HALF
 from gridpush_drake.perception.registration import Fit, Registration, View
 from gridpush_drake.perception.table_plane import TablePlane
@@ -92,6 +98,31 @@ MAX_RMS = 2.0
 pixels."""
 
 
+HIDDEN_SPEED = 0.1
+"""Speed with which it becomes less sure where an object is that is hidden, m/s."""
+
+MAX_HIDDEN_WAY = 0.2
+"""Largest standard deviation of the place of an object that was hidden, m."""
+
+HIDDEN_SPIN = 0.3
+"""Angular velocity with which it becomes less sure how far an object is turned that is hidden,
+rad/s."""
+
+MAX_HIDDEN_TURN = 0.5
+"""Largest standard deviation of the angle of an object that was hidden, rad. By a push it turns by
+a part of this; half a turn, at which it may look the same, is much less likely."""
+
+MAX_DOUBT = 7.0
+"""An answer is left out if the logarithm of its likelihood is below that of the likeliest by more
+than this: it is a thousand times less likely."""
+
+SAME_ANSWER = 0.2
+"""Two answers whose angles differ by less than this are the same, rad."""
+
+NEW_EVIDENCE = 0.1
+"""Part of a picture's evidence that the pictures before it did not give."""
+
+
 @dataclass(frozen=True)
 class TrackerOptions:
     """How the pose is found.
@@ -139,6 +170,31 @@ class Appearance:
     height_deviation: float
 
 
+class OtherPose(NamedTuple):
+    """A pose at which the object would look nearly as it does.
+
+    Attributes:
+        pose: (3,) (x, y, theta), W, m and rad.
+        log_odds: logarithm of how likely it is over the likelihood of the pose that was told, 0 or
+            less.
+    """
+
+    pose: Array
+    log_odds: float
+
+
+class _Answer(NamedTuple):
+    """A registration and how likely it is, among others of the same picture.
+
+    Attributes:
+        fit: the registration.
+        weight: logarithm of its likelihood, up to a constant of the picture.
+    """
+
+    fit: Fit
+    weight: float
+
+
 @dataclass(frozen=True, eq=False)
 class TrackerState:
     """What the tracker remembers; nobody edits it.
@@ -148,6 +204,11 @@ class TrackerState:
         lost: whether the object was not found in the last frame.
         t: time of the last frame, s.
         appearance: what the table looks like.
+        told: (3,) the last pose that was told others, W, m and rad.
+        told_t: time of the frame that it is of, s.
+        hidden: whether nothing was told of the last frame.
+        others: other poses that the last frame shows nearly as well, such as that of a wrench
+            turned by half a turn; empty where there is no doubt.
         searched: time of the frame that was last searched everywhere, s; None where none was.
     """
 
@@ -155,6 +216,10 @@ class TrackerState:
     lost: bool
     t: float
     appearance: Appearance
+    told: Array
+    told_t: float
+    hidden: bool = False
+    others: tuple["OtherPose", ...] = ()
     searched: float | None = None
 
 
@@ -166,7 +231,8 @@ class TrackedPose:
         pose: (3,) (x, y, theta) of the object, W, m and rad, theta without jumps; NaN where it was
             not seen.
         covariance: (3, 3) covariance of the pose, m^2, m rad and rad^2; NaN where it was not seen.
-            It is large along what cannot be seen: the angle of a disc, what the arm covers.
+            It is large along what cannot be seen: the angle of a disc, what the arm covers, the
+            angle of a plate of which it is not known which end is which.
         seen: whether the object was found.
         residual: root mean square distance of the edges found from the outline, pixels; NaN where
             it was not seen.
@@ -237,6 +303,11 @@ class PoseTracker:
             raise PerceptionError(
                 f"height is {height!r}; expected 0 to {camera.center[2]:g} m, where the camera is"
             )
+        # Where the object looks alike when it is turned, both answers are weighed after it was
+        # hidden. Its middle stays where it is, wherever the body's origin is.
+        self._look_alikes = find_look_alikes(self.outline)
+        self._middle = np.array(self.outline.centroid.coords[0])
+
         # All of the registration is done without lens distortion, so that straight sides are
         # straight in the picture.
         self._ideal = camera.undistorted
@@ -293,12 +364,18 @@ class PoseTracker:
 
         # A guess is worth a look before the slower search of the whole picture.
         before = None if guess is None else np.array(guess, dtype=np.float64)
-        fit = None
+        answers: list[_Answer] = []
         if before is not None:
-            fit = self._find_near(appearance, picture, before)
-        if fit is None:
-            fit = self._find_anywhere(appearance, picture, before)
-        if fit is None:
+            _, fit = self._find_near(appearance, picture, before)
+            if fit is not None:
+                answers = [_Answer(fit, 0.0)]
+        if not answers:
+            expected = None
+            if before is not None:
+                step = self.options.max_step
+                expected = Expectation(before, step, self.options.max_turn)
+            answers = self._find_anywhere(appearance, picture, expected)
+        if not answers:
             raise PerceptionError(
                 "no object of this outline is in view; expected the one that the object's file"
                 " describes",
@@ -306,13 +383,25 @@ class PoseTracker:
             )
 
         # A guess also says which turn the angle is counted in; without one it is the first.
-        pose = fit.pose.copy()
+        pose = answers[0].fit.pose.copy()
         if before is None:
             pose[2] = wrap_angle(pose[2])
-        return TrackerState(pose=pose, lost=False, t=frame.t, appearance=appearance)
+        return TrackerState(
+            pose=pose,
+            lost=False,
+            t=frame.t,
+            appearance=appearance,
+            told=pose,
+            told_t=frame.t,
+            others=_list_others(answers),
+        )
 
     def track(
-        self, state: TrackerState, frame: Frame, unseen: Mask | None = None
+        self,
+        state: TrackerState,
+        frame: Frame,
+        unseen: Mask | None = None,
+        expected: Expectation | None = None,
     ) -> tuple[TrackerState, TrackedPose]:
         """Finds the object in a frame.
 
@@ -321,6 +410,8 @@ class PoseTracker:
             frame: the next one.
             unseen: (height, width) bool, pixels of the frame which something covers, such as the
                 arm; None where nothing is known to.
+            expected: where the object is expected, such as where a model says that a push took it;
+                None where only its last pose is known.
 
         Returns:
             The state after it, and the pose.
@@ -330,28 +421,106 @@ class PoseTracker:
         """
         picture = self._undistort(frame, unseen)
 
-        # Where it was first; everywhere only if it is gone from there, and not in every frame.
-        fit = self._find_near(state.appearance, picture, state.pose)
+        # Where it is expected first; everywhere only if it is gone from there, and not in every
+        # frame.
+        starts = [state.pose] if expected is None else [expected.pose, state.pose]
+        if expected is None:
+            expected = self._expect(state, frame.t)
+        answers = self._follow(state, picture, starts, expected)
         searched = state.searched
-        if fit is None and self._may_search(searched, frame.t):
-            fit = self._find_anywhere(state.appearance, picture, state.pose)
+        if not answers and self._may_search(searched, frame.t):
+            answers = self._find_anywhere(state.appearance, picture, expected)
             searched = frame.t
-        state = replace(state, lost=fit is None, t=frame.t, searched=searched)
-        if fit is None:
-            return state, NOT_SEEN
+        state = replace(state, lost=not answers, t=frame.t, searched=searched)
+        if not answers:
+            return replace(state, hidden=True, others=()), NOT_SEEN
 
         # The angle goes on from the last one, so that a full turn is no jump.
+        fit = answers[0].fit
         pose = fit.pose.copy()
         before = state.pose[2]
         pose[2] = before + wrap_angle(pose[2] - before)
         pose.setflags(write=False)
-        state = replace(state, pose=pose)
+        state = replace(state, pose=pose, others=_list_others(answers))
 
         # A pose that too little of the object determines is good enough to look there again, but
         # not to tell others.
         if fit.dilution > self.options.max_dilution:
-            return state, NOT_SEEN
-        return state, TrackedPose(pose=pose, covariance=fit.covariance, seen=True, residual=fit.rms)
+            return replace(state, hidden=True), NOT_SEEN
+        state = replace(state, told=pose, told_t=frame.t, hidden=False)
+        covariance = _mix_covariances(answers)
+        return state, TrackedPose(pose=pose, covariance=covariance, seen=True, residual=fit.rms)
+
+    def _expect(self, state: TrackerState, t: float) -> Expectation:
+        """Says where the object is expected by its last pose, and how long ago that was told."""
+        since = max(0.0, t - state.told_t)
+        place = max(self.options.max_step, min(HIDDEN_SPEED * since, MAX_HIDDEN_WAY))
+        turn = max(self.options.max_turn, min(HIDDEN_SPIN * since, MAX_HIDDEN_TURN))
+        return Expectation(pose=state.told, place_deviation=place, turn_deviation=turn)
+
+    def _follow(
+        self, state: TrackerState, picture: _Picture, starts: list[Array], expected: Expectation
+    ) -> list[_Answer]:
+        """Finds the object near where it is expected.
+
+        Args:
+            state: after the frame before.
+            picture: the frame.
+            starts: poses (3,) about which it is looked for, until it is found.
+            expected: how likely it is where.
+
+        Returns:
+            The poses that explain the picture, the likeliest first; none where it is not there.
+        """
+        for start in starts:
+            view, fit = self._find_near(state.appearance, picture, start)
+            if fit is not None:
+                break
+        if fit is None:
+            return []
+
+        # After it was hidden, whatever looks alike may be the right answer.
+        if state.hidden:
+            return self._weigh_look_alikes(view, fit, expected)
+
+        # Else only the answers go on that could not be told apart before. The pictures of a video
+        # share most of what is wrong with them, so that each adds a part of its evidence alone.
+        answers = [_Answer(fit, 0.0)]
+        for other in state.others:
+            again = self._registration.register(view, other.pose)
+            if self._accepts(again, self.options.lost_share):
+                gain = NEW_EVIDENCE * (again.evidence - fit.evidence)
+                answers.append(_Answer(again, other.log_odds + gain))
+        return _choose(answers)
+
+    def _weigh_look_alikes(
+        self, view: View, fit: Fit, expected: Expectation | None
+    ) -> list[_Answer]:
+        """Weighs a registration against those at which the object looks nearly the same.
+
+        Args:
+            view: what is object in the picture.
+            fit: the registration.
+            expected: where the object is expected; None where nothing is known.
+
+        Returns:
+            The answers, the likeliest first.
+        """
+        fits = [fit]
+        for way in self._look_alikes:
+            # Where nothing was seen before, either end may be called the first.
+            if expected is None and way.overlap > SAME:
+                continue
+            again = self._registration.register(view, np.asarray(compose(fit.pose, way.pose)))
+            if self._accepts(again, self.options.lost_share):
+                fits.append(again)
+        answers = []
+        for each in fits:
+            surprise = 0.0
+            if expected is not None:
+                surprise = calc_surprise(expected, each.pose, self._middle)
+            answers.append(_Answer(each, each.evidence - surprise))
+        return _choose(answers)
 
     def _may_search(self, searched: float | None, t: float) -> bool:
         """Says whether the last search everywhere is long enough ago; a clock set back counts."""
@@ -384,18 +553,29 @@ class PoseTracker:
         color, depth = cover_pixels(frame.color, frame.depth, hidden, PAINT_SEED)
         return frame._replace(color=color, depth=depth)
 
-    def _find_near(self, appearance: Appearance, picture: _Picture, before: Array) -> Fit | None:
-        """Finds the object near its last pose (3,); None where it is not there."""
+    def _find_near(
+        self, appearance: Appearance, picture: _Picture, before: Array
+    ) -> tuple[View, Fit | None]:
+        """Looks for the object near a pose (3,).
+
+        Returns:
+            What is object there, and the fit; None where the object is not there.
+        """
         view = self._look(appearance, picture, self._find_window(before))
         fit = self._registration.register(view, before)
-        return fit if self._accepts(fit, self.options.lost_share) else None
+        return view, fit if self._accepts(fit, self.options.lost_share) else None
 
     def _find_anywhere(
-        self, appearance: Appearance, picture: _Picture, before: Array | None
-    ) -> Fit | None:
-        """Finds the object in the whole picture; None where it is nowhere."""
+        self, appearance: Appearance, picture: _Picture, expected: Expectation | None
+    ) -> list[_Answer]:
+        """Finds the object in the whole picture.
+
+        Returns:
+            The poses that explain the picture, the likeliest first; none where it is nowhere.
+        """
         rows, columns = picture.color.shape[:2]
         view = self._look(appearance, picture, (slice(0, rows), slice(0, columns)))
+        before = None if expected is None else expected.pose
         fits = [self._registration.register(view, pose) for pose in self._guess(view, before)]
 
         # Without a last pose to lean on, what is visible has to determine the pose.
@@ -406,8 +586,9 @@ class PoseTracker:
             and fit.dilution <= self.options.max_dilution
         ]
         if not good:
-            return None
-        return max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS)
+            return []
+        best = max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS)
+        return self._weigh_look_alikes(view, best, expected)
 
     def _accepts(self, fit: Fit, share: float) -> bool:
         """Says whether a fit explains the picture, with at least a share of its edges found."""
@@ -538,6 +719,50 @@ class PoseTracker:
         common = np.count_nonzero(painted & small)
         either = np.count_nonzero(painted) + np.count_nonzero(small) - common
         return common / either
+
+
+def _choose(answers: list[_Answer]) -> list[_Answer]:
+    """Sorts answers, the likeliest first, and leaves out those beyond doubt and those given twice.
+
+    Args:
+        answers: answers of one picture.
+
+    Returns:
+        Some of them, one or more.
+    """
+    kept: list[_Answer] = []
+    for answer in sorted(answers, key=lambda each: -each.weight):
+        if kept and answer.weight < kept[0].weight - MAX_DOUBT:
+            break
+        turns = [abs(wrap_angle(answer.fit.pose[2] - each.fit.pose[2])) for each in kept]
+        if all(turn > SAME_ANSWER for turn in turns):
+            kept.append(answer)
+    return kept
+
+
+def _list_others(answers: list[_Answer]) -> tuple[OtherPose, ...]:
+    """Lists all answers but the likeliest, which is the first, for the next frame."""
+    best = answers[0].weight
+    return tuple(OtherPose(each.fit.pose, each.weight - best) for each in answers[1:])
+
+
+def _mix_covariances(answers: list[_Answer]) -> Array:
+    """Calculates the covariance (3, 3) of a pose that may be one of several.
+
+    Args:
+        answers: what it may be; it is told as the first of them.
+
+    Returns:
+        The mean square distance from the first pose: its own covariance where there is no doubt.
+    """
+    weights = np.exp([each.weight - answers[0].weight for each in answers])
+    weights /= weights.sum()
+    total = np.zeros((3, 3))
+    for weight, answer in zip(weights, answers, strict=True):
+        off = answer.fit.pose - answers[0].fit.pose
+        off[2] = wrap_angle(off[2])
+        total += weight * (answer.fit.covariance + np.outer(off, off))
+    return total
 
 
 def track_object(
