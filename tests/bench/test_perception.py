@@ -3,6 +3,13 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.hidden_pushes import (
+    KINDS,
+    HiddenJob,
+    HiddenScore,
+    run_hidden,
+    tabulate_hidden,
+)
 from gridpush_drake.bench.perception import (
     OutlineJob,
     OutlineScore,
@@ -49,7 +56,18 @@ def test_a_tag_is_tracked():
     assert np.sqrt((errors[:, 2] ** 2).mean()) < np.radians(0.3)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_hidden_push_flips_what_looks_alike(kind):
+    score = run_hidden(HiddenJob(kind, 6, seed=100, model=True))
+    assert (score.pushes, score.flipped, score.doubted, score.unseen) == (6, 0, 0, 0)
+
+
 def test_tables():
+    hidden = tabulate_hidden(
+        [HiddenScore("plate", True, 5, 1, 2, 0), HiddenScore("square", True, 3, 0, 0, 1)]
+    )
+    assert hidden.rows[2] == ("all", "model", 8, 1, 2, 1)
     photos = tabulate_photos([PhotoScore("a", (0.9, 0.8, 0.7)), PhotoScore("b", (1.0, 0.6, 0.5))])
     assert photos.rows[-1][1:] == pytest.approx((0.95, 0.7, 0.6))
     outlines = tabulate_outlines(

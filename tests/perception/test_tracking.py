@@ -4,9 +4,11 @@ import shapely
 from shapely import affinity
 
 from gridpush_drake.errors import CameraError, ImageError, PerceptionError
+from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.perception import Camera, PoseTracker
+from gridpush_drake.perception import Camera, Frame, PoseTracker
+from gridpush_drake.perception.look_alikes import Expectation, find_look_alikes
 from gridpush_drake.perception.registration import calc_dilution, make_silhouette
 from gridpush_drake.perception.tracking import TrackerOptions
 from tests.helpers.pictures import cover, make_camera, paint
@@ -238,9 +240,81 @@ def test_no_edge_of_the_table_and_nothing_that_the_arm_hid_at_first_is_found_for
     for k in range(3):
         state, tracked = tracker.track(state, *take(t=0.1 * k))
         assert not tracked.seen
-    there = np.array([-0.05, -0.07, 2.0])
+    there = np.array([-0.05, -0.07, 1.2])
     state, tracked = tracker.track(state, *take(there, t=0.4))
     np.testing.assert_allclose(tracked.pose, there, atol=5e-3)
+
+
+def push_out_of_sight(outline, start, end, tell=None):
+    """Tracks an object that is hidden for a second while it goes from one pose to another."""
+    corners = np.array(shapely.Polygon(outline).exterior.coords)[:-1]
+    tracker = PoseTracker(outline, HEIGHT, make_camera())
+    state = tracker.start(look(corners, start), start)
+    covered = np.ones((480, 640), dtype=bool)
+    dark = np.full((480, 640, 3), DARK[0], np.uint8)
+    for k in range(1, 6):
+        state, hidden = tracker.track(state, Frame(dark, None, 0.2 * k), covered, tell)
+        assert not hidden.seen
+    state, first = tracker.track(state, look(corners, end, seed=6, t=1.2), None, tell)
+    state, last = tracker.track(state, look(corners, end, seed=7, t=1.4))
+    return first, last
+
+
+def make_wrench(radius, larger, shift=0.0):
+    """A handle with two open heads of these radii, moved along its x axis."""
+    heads = []
+    for side, size in ((-1, radius), (1, larger)):
+        left, right = sorted((side * 0.07, side * 0.1))
+        jaw = shapely.box(left, -0.007, right, 0.007)
+        heads.append(shapely.Point(side * 0.07, 0).buffer(size) - jaw)
+    handle = shapely.box(-0.07, -0.006, 0.07, 0.006)
+    return affinity.translate(shapely.union_all([handle, *heads]), shift)
+
+
+EQUAL_ENDS = make_wrench(0.016, 0.016)
+NEARLY = make_wrench(0.016, 0.0165, shift=0.04)
+PLATE = shapely.box(-0.06, -0.035, 0.06, 0.035)
+
+
+@pytest.mark.parametrize("theta", [-2.6, 0.7])
+@pytest.mark.parametrize("outline", [EQUAL_ENDS, NEARLY, PLATE], ids=["wrench", "nearly", "plate"])
+def test_what_looks_the_same_turned_round_is_not_flipped_by_a_push_out_of_sight(outline, theta):
+    start = np.array([-0.04, -0.02, theta])
+    end = start + [0.06, 0.05, 0.5]
+    for tracked in push_out_of_sight(outline, start, end):
+        off = tracked.pose - end
+        assert np.hypot(*off[:2]) < 2e-3
+        assert abs(off[2]) < np.radians(1.0)
+        assert np.sqrt(tracked.covariance[2, 2]) < np.radians(15)
+
+
+def test_a_model_says_which_side_of_a_square_is_which():
+    """After a turn by 60 degrees its next side is nearer to where the last one was."""
+    start = np.array([-0.04, -0.02, 0.2])
+    end = start + [0.06, 0.05, np.radians(60)]
+    told = Expectation(end + [0.01, -0.01, 0.2], place_deviation=0.02, turn_deviation=0.3)
+    first, last = push_out_of_sight(SQUARE, start, end, told)
+    np.testing.assert_allclose(last.pose, end, atol=5e-3)
+    assert np.sqrt(last.covariance[2, 2]) < np.radians(3)
+    # without it the wrong answer is the likelier one, and the other is kept and stated
+    first, last = push_out_of_sight(SQUARE, start, end)
+    assert abs(abs(first.pose[2] - end[2]) - np.pi / 2) < np.radians(1)
+    assert np.sqrt(last.covariance[2, 2]) > np.radians(15)
+
+
+def test_which_ways_an_outline_can_be_turned():
+    def list_angles(outline):
+        return sorted(round(float(np.degrees(way.pose[2]))) for way in find_look_alikes(outline))
+
+    assert list_angles(shapely.box(0.01, -0.05, 0.11, 0.05)) == [90, 180, 270]
+    assert list_angles(PLATE) == [180]
+    assert list_angles(shapely.Point(0.1, 0.0).buffer(0.05)) == []
+    assert list_angles(shapely.Polygon(L_SHAPE)) == []
+    (way,) = find_look_alikes(NEARLY)
+    assert 0.9 < way.overlap < 1.0
+    turned = transform(way.pose, np.array(NEARLY.exterior.coords))
+    overlap = shapely.Polygon(turned).intersection(NEARLY).area / NEARLY.area
+    assert overlap == pytest.approx(2 * way.overlap / (1 + way.overlap), abs=1e-3)
 
 
 def test_track_is_pure():
