@@ -1,8 +1,9 @@
 """Objects that look the same, or nearly, when they are turned.
 
-A plate looks the same turned by half a turn, and a wrench with nearly equal ends nearly so. What
-looks alike is not told apart by one picture; but an object goes on from where it was, and a model can say
-where a push takes it. The tracker weighs both answers, see docs/theory/perception.md, section 3.
+A plate looks the same turned by half a turn, and a wrench with nearly equal ends nearly so. One
+picture does not tell the two answers apart; but an object goes on from where it was, and a model
+can say where a push takes it. The tracker weighs both answers, see docs/theory/perception.md,
+section 3.
 """
 
 from typing import NamedTuple

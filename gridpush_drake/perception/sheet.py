@@ -27,7 +27,7 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.foreground import to_lab
 from gridpush_drake.perception.frames import Color
-from gridpush_drake.perception.tracking import sample_image
+from gridpush_drake.perception.registration import sample_image
 
 SHEETS = {
     "a3": (0.420, 0.297),
