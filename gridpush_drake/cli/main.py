@@ -71,7 +71,7 @@ COMMANDS: dict[str, LazyCommand] = {
     ),
     "view": LazyCommand(
         "gridpush_drake.cli.view:view",
-        "Show a learned model, a log of pushes or a recording in the browser.",
+        "Show a learned model, a log of pushes or a recording in the browser, or in Rerun.",
     ),
     "slide": LazyCommand(
         "gridpush_drake.cli.slide:slide",

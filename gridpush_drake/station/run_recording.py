@@ -69,11 +69,11 @@ def read_run(path: Path) -> RunRecording:
         MissingExtraError: `rosbags` is not installed.
         RecordingError: there is no such file, it cannot be read, or it is of something else.
     """
+    if not is_file(path):
+        raise RecordingError(f"{path}: there is no such file; expected a recording (.mcap)")
     import_extra("rosbags", "bags")
     from rosbags.highlevel import AnyReader
 
-    if not is_file(path):
-        raise RecordingError(f"{path}: there is no such file; expected a recording (.mcap)")
     topics: dict[str, list[tuple[float, Any]]] = {}
     try:
         with AnyReader([path]) as reader:

@@ -30,8 +30,16 @@ def test_refuses(refuses, pushes, model, tmp_path):
     run = tmp_path / "run.mcap"
     refuses("view", run, says=["--rerun: missing", "Foxglove"])
     refuses("view", run, "--rerun", rrd, says=[run, "there is no such file"])
+    assert not list(tmp_path.glob("*.rrd"))
+
+
+def test_refuses_a_damaged_recording(refuses, tmp_path):
+    pytest.importorskip("rosbags", reason="rosbags is not installed")
+    run = tmp_path / "run.mcap"
     run.write_bytes(b"\x89MCAP0 but no more")
-    refuses("view", run, "--rerun", rrd, says=[run, "cannot be read as a recording"])
+    refuses(
+        "view", run, "--rerun", tmp_path / "out.rrd", says=[run, "cannot be read as a recording"]
+    )
     assert not list(tmp_path.glob("*.rrd"))
 
 
