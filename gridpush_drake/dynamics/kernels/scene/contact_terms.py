@@ -1,0 +1,240 @@
+"""A contact's part in the equations of a step, as an analytic function of the step's start.
+
+`contacts` decides which vertex touches which edge. With that held, place, normal and gap of a
+contact, the forces' wrenches and the velocities follow from poses and twists by arithmetic, roots,
+sines and cosines alone. So
+
+    d f / d z = Im f(z + i delta) / delta
+
+for any delta, exact to round-off where delta is so small that its square vanishes: nothing is
+subtracted. That is how `step_derivative` differentiates a step by what it starts from.
+"""
+
+from cmath import cos, sin, sqrt
+
+from gridpush_drake.dynamics.kernels.scene.compiled import kernel
+from gridpush_drake.dynamics.kernels.scene.records import (
+    FIRST_BEND,
+    FIRST_BODY,
+    FIRST_X,
+    FIRST_Y,
+    ROW_BEND,
+    ROW_FEATURE,
+    ROW_GAP,
+    SECOND_BODY,
+    VERTEX,
+)
+
+POSE = 0
+TWIST = 3
+OTHER_POSE = 6
+OTHER_TWIST = 9
+TIP = 12
+TIP_VELOCITY = 14
+"""Places in what a contact depends on: pose (W) and twist (body frame) of its first body and of its
+second, and of the pusher place and velocity (W); the last two are used where the second body is the
+pusher."""
+
+INPUTS = 16
+"""Number of them."""
+
+WRENCH = 0
+OTHER_WRENCH = 3
+APPROACH = 6
+SLIP = 7
+"""Places in what comes of it: wrench of the contact on its first body and on its second, each in
+the frame of its step; and the velocities J_n xi - N·v_p + gap/dt and J_t xi - T·v_p."""
+
+OUTPUTS = 8
+"""Number of them."""
+
+_SAME_GAP = 1e-12
+"""Difference of two gaps that is a rounding error, m."""
+
+
+@kernel(allocates=False)
+def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
+    """Calculates a contact's wrenches and velocities.
+
+    Args:
+        z: (16,) complex, what it depends on, see above.
+        bodies: `Bodies`.
+        ids: (4,) identity of the contact.
+        numbers: (16,) its numbers, of which those that say which features touch are used.
+        radius: of the pusher, m.
+        h: time after which the step looks at the bodies, s.
+        dt: the step, s.
+        xi: (N, 3) twists of the step.
+        lam: (2,) its forces lam_n, lam_t, N.
+        out: (8,) complex, filled.
+    """
+    i = ids[FIRST_BODY]
+    j = ids[SECOND_BODY]
+    x = z[POSE]
+    y = z[POSE + 1]
+    theta = z[POSE + 2]
+    c = cos(theta)
+    s = sin(theta)
+    u = z[TWIST]
+    v = z[TWIST + 1]
+    w = z[TWIST + 2]
+    other_theta = z[OTHER_POSE + 2]
+    other_w = z[OTHER_TWIST + 2]
+    normal_force = lam[0]
+    tangential_force = lam[1]
+
+    # The disc's center t and velocity v, seen from the first body: that of the pusher, or of a
+    # vertex p of the second body, which moves as it did.
+    px = 0.0
+    py = 0.0
+    corner = 0.0
+    own_corner = 0.0
+    if j < 0:
+        disc = radius
+        edges = bodies.outline
+        first = bodies.first_edge[i]
+        world_x = z[TIP]
+        world_y = z[TIP + 1]
+        world_vx = z[TIP_VELOCITY]
+        world_vy = z[TIP_VELOCITY + 1]
+    else:
+        edges = bodies.core
+        first = bodies.first_corner[i]
+        vertex = bodies.first_corner[j] + ids[VERTEX]
+        corner = bodies.corner[j]
+        own_corner = bodies.corner[i]
+        disc = corner + own_corner
+        px = edges.ax[vertex]
+        py = edges.ay[vertex]
+        cj = cos(other_theta)
+        sj = sin(other_theta)
+        # u_j + w_j z × p in the second body's frame, and x_j + R_j p
+        ux = z[OTHER_TWIST] - other_w * py
+        uy = z[OTHER_TWIST + 1] + other_w * px
+        world_x = z[OTHER_POSE] + cj * px - sj * py
+        world_y = z[OTHER_POSE + 1] + sj * px + cj * py
+        world_vx = cj * ux - sj * uy
+        world_vy = sj * ux + cj * uy
+    dx = world_x - x
+    dy = world_y - y
+    tx = c * dx + s * dy
+    ty = -s * dx + c * dy
+    vx = c * world_vx + s * world_vy
+    vy = -s * world_vx + c * world_vy
+    # v - u - w z × t: its motion seen from the moving body
+    rx = vx - u + w * ty
+    ry = vy - v - w * tx
+
+    # Where the disc is expected halfway through the step: t_m = t + h T_0 (T_0·r).
+    first_x = numbers[FIRST_X]
+    first_y = numbers[FIRST_Y]
+    first_nx = first_x + 0.0 * tx
+    first_ny = first_y + 0.0 * ty
+    if numbers[FIRST_BEND] > 0.0:
+        # the normal to a vertex turns as the disc moves
+        first_nx = first_x - tx
+        first_ny = first_y - ty
+        distance = sqrt(first_nx * first_nx + first_ny * first_ny)
+        first_nx = first_nx / distance
+        first_ny = first_ny / distance
+    slide = h * (first_nx * ry - first_ny * rx)
+    mx = tx - slide * first_ny
+    my = ty + slide * first_nx
+
+    # Normal and contact point there, and the gap now.
+    edge = first + ids[ROW_FEATURE]
+    ax = edges.ax[edge]
+    ay = edges.ay[edge]
+    ex = edges.bx[edge] - ax
+    ey = edges.by[edge] - ay
+    if numbers[ROW_BEND] > 0.0:
+        nx = ax - mx
+        ny = ay - my
+        distance = sqrt(nx * nx + ny * ny)
+        nx = nx / distance
+        ny = ny / distance
+        cx = ax + 0.0 * tx
+        cy = ay + 0.0 * ty
+        before = first + edges.previous[edge]
+        bx = ax - edges.ax[before]
+        by = ay - edges.ay[before]
+        gap = _calc_distance(tx - ax, ty - ay, ex, ey)
+        other_gap = _calc_distance(tx - edges.ax[before], ty - edges.ay[before], bx, by)
+        if other_gap.real < gap.real:
+            gap = other_gap
+        gap = gap - disc
+    else:
+        length = (ex * ex + ey * ey) ** 0.5
+        nx = -ey / length + 0.0 * tx
+        ny = ex / length + 0.0 * ty
+        along = ((mx - ax) * ex + (my - ay) * ey) / (length * length)
+        cx = ax + along * ex
+        cy = ay + along * ey
+        gap = nx * (cx - tx) + ny * (cy - ty) - disc
+
+    if gap.real < numbers[ROW_GAP] - _SAME_GAP:
+        # so deep an overlap is undone at a given speed, whatever it is
+        gap = numbers[ROW_GAP] + 0.0 * tx
+
+    # Wrench and velocity of the first body, in the frame of its step, turned by a = h w.
+    px_contact = cx - own_corner * nx
+    py_contact = cy - own_corner * ny
+    fx = nx * normal_force - ny * tangential_force
+    fy = ny * normal_force + nx * tangential_force
+    out[WRENCH] = fx
+    out[WRENCH + 1] = fy
+    out[WRENCH + 2] = px_contact * fy - py_contact * fx
+    new_w = xi[i, 2]
+    slip_x = xi[i, 0] - new_w * py_contact
+    slip_y = xi[i, 1] + new_w * px_contact
+    a = h * w
+    if j < 0:
+        # the pusher's velocity in that frame
+        ca = cos(a)
+        sa = sin(a)
+        slip_x = slip_x - ca * vx - sa * vy
+        slip_y = slip_y + sa * vx - ca * vy
+        out[APPROACH] = nx * slip_x + ny * slip_y + gap / dt
+        out[SLIP] = nx * slip_y - ny * slip_x
+        for k in range(3):
+            out[OTHER_WRENCH + k] = 0.0
+        return
+
+    # The same of the second body, whose frame is turned by its own angle.
+    turn = theta + a - other_theta - h * other_w
+    turn_c = cos(turn)
+    turn_s = sin(turn)
+    other_nx = turn_c * nx - turn_s * ny
+    other_ny = turn_s * nx + turn_c * ny
+    dx = px + corner * other_nx
+    dy = py + corner * other_ny
+    fx = other_ny * tangential_force - other_nx * normal_force
+    fy = -other_nx * tangential_force - other_ny * normal_force
+    out[OTHER_WRENCH] = fx
+    out[OTHER_WRENCH + 1] = fy
+    out[OTHER_WRENCH + 2] = dx * fy - dy * fx
+    new_w = xi[j, 2]
+    other_x = xi[j, 0] - new_w * dy
+    other_y = xi[j, 1] + new_w * dx
+    # N·v and T·v of either body, each in its own frame
+    normal_speed = nx * slip_x + ny * slip_y
+    other_normal_speed = other_nx * other_x + other_ny * other_y
+    tangential_speed = nx * slip_y - ny * slip_x
+    other_tangential_speed = other_nx * other_y - other_ny * other_x
+    out[APPROACH] = normal_speed - other_normal_speed + gap / dt
+    out[SLIP] = tangential_speed - other_tangential_speed
+
+
+@kernel(allocates=False)
+def _calc_distance(rx, ry, ex, ey):
+    """Calculates how far a point is from an edge (ex, ey), from whose beginning it is r off."""
+    length2 = ex * ex + ey * ey
+    along = (rx * ex + ry * ey) / length2
+    # beyond the edge's ends these are nearest, and stay where they are
+    if along.real < 0.0:
+        along = along - along
+    elif along.real > 1.0:
+        along = along - along + 1.0
+    rx = rx - along * ex
+    ry = ry - along * ey
+    return sqrt(rx * rx + ry * ry)

@@ -1,0 +1,366 @@
+"""Where bodies and pusher touch: every contact of a step, as a row.
+
+The pusher is a disc against each outline, as in `dynamics.kernels.contact`. Two bodies touch by
+their cores, the outlines moved inwards by the radius of their corners: each convex vertex of one
+core is a disc of both radii against the other core. A corner is so round, and the normal of a
+contact turns evenly as it goes round it. Two edges that lie on each other touch at the two ends of
+what they have in common.
+
+As in the step of one body, gaps are those when the step begins, while place and normal are those
+expected halfway through it (`contact.look_ahead`).
+"""
+
+from math import cos, sin, sqrt
+
+from gridpush_drake.dynamics.kernels.contact import (
+    BEND,
+    CX,
+    CY,
+    FEATURE,
+    GAP,
+    NX,
+    NY,
+    Edges,
+    find_contacts,
+    look_ahead,
+)
+from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, STICK
+from gridpush_drake.dynamics.kernels.scene.compiled import kernel
+from gridpush_drake.dynamics.kernels.scene.records import (
+    FINGER,
+    FIRST_BEND,
+    FIRST_BODY,
+    FIRST_X,
+    FIRST_Y,
+    FRICTION,
+    IDENTITY,
+    OTHER_CX,
+    OTHER_CY,
+    OTHER_NX,
+    OTHER_NY,
+    ROW_BEND,
+    ROW_CX,
+    ROW_CY,
+    ROW_FEATURE,
+    ROW_GAP,
+    ROW_NX,
+    ROW_NY,
+    SECOND_BODY,
+    TIP_VX,
+    TIP_VY,
+    VERTEX,
+)
+
+_REACH = 2.0
+"""Contacts are watched from as far away as pusher and bodies move in this many steps."""
+
+RECOVERY = 0.5
+"""Most of an overlap of two bodies that is undone in a step, as a share of the pusher's way in it.
+They overlap a little where a corner is turned in a step, and must not be thrown apart."""
+
+_SLACK = 0.2
+"""Sine of the angle by which a vertex may be less deep than its neighbor and still be watched. Two
+edges that all but lie on each other then keep both their contacts."""
+
+
+@kernel(allocates=False)
+def take_edges(edges, first, last):
+    """Takes the edges of one body out of those of all."""
+    return Edges(
+        ax=edges.ax[first:last],
+        ay=edges.ay[first:last],
+        bx=edges.bx[first:last],
+        by=edges.by[first:last],
+        previous=edges.previous[first:last],
+    )
+
+
+@kernel(allocates=False)
+def find_scene_contacts(bodies, state, disc, dt, h, found, ahead, contacts):
+    """Finds the contacts of a step; their modes are those of the step before, where they were.
+
+    Args:
+        bodies: `Bodies`.
+        state: `SceneState`.
+        disc: `Disc`, the pusher.
+        dt, h: the step, and the time after which it looks at the bodies, s.
+        found, ahead: workspace (2, 9), each.
+        contacts: `Contacts`, filled.
+
+    Returns:
+        The least gap between the pusher and an outline, m; infinite where it is far.
+    """
+    count = contacts.counts[0]
+    contacts.counts[1] = count
+    contacts.counts[0] = 0
+    for r in range(count):
+        contacts.last_modes[r] = contacts.modes[r]
+        for column in range(IDENTITY):
+            contacts.last_ids[r, column] = contacts.ids[r, column]
+    tip_speed = sqrt(disc.vx * disc.vx + disc.vy * disc.vy)
+    recovery = RECOVERY * tip_speed * dt
+    n = state.q.shape[0]
+    gap = _find_finger_contacts(bodies, state, disc, tip_speed, dt, h, found, ahead, contacts)
+    for i in range(n):
+        for j in range(n):
+            if i == j:
+                continue
+            # How far the two may be from each other and still meet soon.
+            speed_i = _calc_speed(bodies, state, i)
+            speed_j = _calc_speed(bodies, state, j)
+            reach = _REACH * (tip_speed + speed_i + speed_j) * dt
+            dx = state.q[j, 0] - state.q[i, 0]
+            dy = state.q[j, 1] - state.q[i, 1]
+            limit = bodies.reach[i] + bodies.reach[j] + reach
+            if dx * dx + dy * dy <= limit * limit:
+                _find_pair_contacts(bodies, state, i, j, reach, recovery, h, found, ahead, contacts)
+    for r in range(contacts.counts[0]):
+        contacts.modes[r] = _recall_mode(contacts, r)
+    return gap
+
+
+@kernel(allocates=False)
+def _calc_speed(bodies, state, b):
+    """Bounds the speed of the points of a body in the step before, m/s."""
+    ux = state.twist[b, 0]
+    uy = state.twist[b, 1]
+    turning = bodies.reach[b] * abs(state.twist[b, 2])
+    return sqrt(ux * ux + uy * uy) + turning
+
+
+@kernel(allocates=False)
+def _find_finger_contacts(bodies, state, disc, tip_speed, dt, h, found, ahead, contacts):
+    """Finds the contacts of the pusher with every outline; returns its least gap, m."""
+    least = float("inf")
+    if disc.radius <= 0.0:
+        return least
+    reach = _REACH * tip_speed * dt
+    for i in range(state.q.shape[0]):
+        c = state.turn[i, 0]
+        s = state.turn[i, 1]
+        dx = disc.x - state.q[i, 0]
+        dy = disc.y - state.q[i, 1]
+        limit = bodies.reach[i] + disc.radius + reach
+        if dx * dx + dy * dy > limit * limit:
+            continue
+        edges = take_edges(bodies.outline, bodies.first_edge[i], bodies.first_edge[i + 1])
+
+        # The disc's center and velocity in the body frame, and its motion seen from the body.
+        tx = c * dx + s * dy
+        ty = -s * dx + c * dy
+        vx = c * disc.vx + s * disc.vy
+        vy = -s * disc.vx + c * disc.vy
+        count = _look(edges, state, i, tx, ty, vx, vy, disc.radius, reach, h, found, ahead)
+        if count > 0:
+            least = min(least, found[0, GAP])
+        for row in range(count):
+            r = _take_row(contacts, ahead[row, GAP])
+            if r >= 0:
+                _write_row(contacts, r, i, FINGER, 0, found, ahead, row)
+                numbers = contacts.numbers[r]
+                # the pusher's velocity in the frame of the step, which is turned by a = h w
+                a = h * state.twist[i, 2]
+                ca = cos(a)
+                sa = sin(a)
+                numbers[TIP_VX] = ca * vx + sa * vy
+                numbers[TIP_VY] = -sa * vx + ca * vy
+                numbers[FRICTION] = bodies.finger_friction[i]
+    return least
+
+
+@kernel(allocates=False)
+def _find_pair_contacts(bodies, state, i, j, reach, recovery, h, found, ahead, contacts):
+    """Finds where convex vertices of body j's core touch the core of body i.
+
+    Overlaps deeper than `recovery`, m, are taken for so deep ones.
+    """
+    first = bodies.first_corner[i]
+    last = bodies.first_corner[i + 1]
+    edges = take_edges(bodies.core, first, last)
+    start = bodies.first_corner[j]
+    corners = take_edges(bodies.core, start, bodies.first_corner[j + 1])
+    radius = bodies.corner[i] + bodies.corner[j]
+    # Only what is within this box can touch body i soon.
+    limit = radius + reach
+    left = bodies.box[i, 0] - limit
+    bottom = bodies.box[i, 1] - limit
+    right = bodies.box[i, 2] + limit
+    top = bodies.box[i, 3] + limit
+
+    # Body j seen from body i: p_i = shift + turn p_j.
+    ci = state.turn[i, 0]
+    si = state.turn[i, 1]
+    cj = state.turn[j, 0]
+    sj = state.turn[j, 1]
+    dx = state.q[j, 0] - state.q[i, 0]
+    dy = state.q[j, 1] - state.q[i, 1]
+    shift_x = ci * dx + si * dy
+    shift_y = -si * dx + ci * dy
+    c = ci * cj + si * sj
+    s = ci * sj - si * cj
+    twist = state.twist
+    for vertex in range(corners.ax.shape[0]):
+        px = corners.ax[vertex]
+        py = corners.ay[vertex]
+        tx = shift_x + c * px - s * py
+        ty = shift_y + s * px + c * py
+        if tx < left or tx > right or ty < bottom or ty > top:
+            continue
+        if not bodies.convex[start + vertex]:
+            continue
+        # The vertex moves as its body did in the step before.
+        w = twist[j, 2]
+        ux = twist[j, 0] - w * py
+        uy = twist[j, 1] + w * px
+        vx = c * ux - s * uy
+        vy = s * ux + c * uy
+        count = _look(edges, state, i, tx, ty, vx, vy, radius, reach, h, found, ahead)
+        for row in range(count):
+            # The normal in the frame of j's step, for which both frames are turned by h w.
+            a = h * (twist[i, 2] - w)
+            ca = cos(a)
+            sa = sin(a)
+            turn_c = c * ca + s * sa
+            turn_s = c * sa - s * ca
+            own_nx = ahead[row, NX]
+            own_ny = ahead[row, NY]
+            nx = turn_c * own_nx - turn_s * own_ny
+            ny = turn_s * own_nx + turn_c * own_ny
+            # Vertices that lie deeper stand for this one.
+            if not _is_deep(corners, vertex, nx, ny):
+                continue
+            if ahead[row, BEND] > 0.0:
+                # Two vertices meet: counted once, and only where neither is beside an edge.
+                ox = ahead[row, CX] - tx
+                oy = ahead[row, CY] - ty
+                if j < i or _is_beside(corners, vertex, c * ox + s * oy, -s * ox + c * oy):
+                    continue
+            r = _take_row(contacts, ahead[row, GAP])
+            if r < 0:
+                continue
+            _write_row(contacts, r, i, j, vertex, found, ahead, row)
+            numbers = contacts.numbers[r]
+            # The contact point lies on the round corners.
+            corner_i = bodies.corner[i]
+            corner_j = bodies.corner[j]
+            numbers[ROW_CX] -= corner_i * own_nx
+            numbers[ROW_CY] -= corner_i * own_ny
+            numbers[OTHER_NX] = nx
+            numbers[OTHER_NY] = ny
+            numbers[OTHER_CX] = px + corner_j * nx
+            numbers[OTHER_CY] = py + corner_j * ny
+            numbers[FRICTION] = bodies.pair_friction[i, j]
+            numbers[ROW_GAP] = max(numbers[ROW_GAP], -recovery)
+
+
+@kernel(allocates=False)
+def _look(edges, state, i, tx, ty, vx, vy, radius, reach, h, found, ahead):
+    """Finds the contacts of a disc with body i now, `found`, and halfway through the step, `ahead`.
+
+    The disc's center t, m, and velocity v, m/s, are in the body frame. Returns their number.
+    """
+    count = find_contacts(edges, tx, ty, radius, reach, found)
+    if count == 0:
+        return 0
+    # v - u - w z × t: the disc's motion seen from the body that moves as it did.
+    twist = state.twist
+    w = twist[i, 2]
+    rx = vx - twist[i, 0] + w * ty
+    ry = vy - twist[i, 1] - w * tx
+    return look_ahead(edges, tx, ty, h * rx, h * ry, radius, reach, found, ahead)
+
+
+@kernel(allocates=False)
+def _is_deep(corners, vertex, nx, ny):
+    """Whether a vertex is nearly the deepest of its neighborhood along the normal (nx, ny)."""
+    # the neighbor at the end of the edge that begins here, then the one before
+    before = corners.previous[vertex]
+    x = corners.ax[vertex]
+    y = corners.ay[vertex]
+    ex = corners.bx[vertex] - x
+    ey = corners.by[vertex] - y
+    if ex * nx + ey * ny > _SLACK * sqrt(ex * ex + ey * ey):
+        return False
+    ex = corners.ax[before] - x
+    ey = corners.ay[before] - y
+    return ex * nx + ey * ny <= _SLACK * sqrt(ex * ex + ey * ey)
+
+
+@kernel(allocates=False)
+def _is_beside(corners, vertex, ox, oy):
+    """Whether a point, at (ox, oy) from a vertex, is beside an edge that begins or ends there."""
+    before = corners.previous[vertex]
+    x = corners.ax[vertex]
+    y = corners.ay[vertex]
+    # in front of the vertex along the edge that begins here, or along the one before
+    ex = corners.bx[vertex] - x
+    ey = corners.by[vertex] - y
+    if ox * ex + oy * ey > 0.0:
+        return True
+    ex = corners.ax[before] - x
+    ey = corners.ay[before] - y
+    return ox * ex + oy * ey > 0.0
+
+
+@kernel(allocates=False)
+def _take_row(contacts, gap):
+    """Takes a row for a contact: a free one, or that of the widest gap if this one is closer.
+
+    Returns:
+        The row; -1 where there is none.
+    """
+    count = contacts.counts[0]
+    if count < contacts.modes.shape[0]:
+        contacts.counts[0] = count + 1
+        return count
+    contacts.lost[0] += 1
+    widest = 0
+    for r in range(count):
+        if contacts.numbers[r, ROW_GAP] > contacts.numbers[widest, ROW_GAP]:
+            widest = r
+    return widest if gap < contacts.numbers[widest, ROW_GAP] else -1
+
+
+@kernel(allocates=False)
+def _write_row(contacts, r, i, j, vertex, found, ahead, row):
+    """Writes what a contact is and where it is on body i, as the disc's row of `contact` has it."""
+    ids = contacts.ids[r]
+    ids[FIRST_BODY] = i
+    ids[SECOND_BODY] = j
+    ids[VERTEX] = vertex
+    ids[ROW_FEATURE] = int(ahead[row, FEATURE])
+    numbers = contacts.numbers[r]
+    numbers[ROW_NX] = ahead[row, NX]
+    numbers[ROW_NY] = ahead[row, NY]
+    numbers[ROW_CX] = ahead[row, CX]
+    numbers[ROW_CY] = ahead[row, CY]
+    numbers[ROW_GAP] = ahead[row, GAP]
+    numbers[ROW_BEND] = ahead[row, BEND]
+    numbers[TIP_VX] = 0.0
+    numbers[TIP_VY] = 0.0
+    # the direction along which the look ahead went
+    at_vertex = found[0, BEND] > 0.0
+    numbers[FIRST_BEND] = found[0, BEND]
+    numbers[FIRST_X] = found[0, CX] if at_vertex else found[0, NX]
+    numbers[FIRST_Y] = found[0, CY] if at_vertex else found[0, NY]
+
+
+@kernel(allocates=False)
+def _recall_mode(contacts, r):
+    """Looks up the mode that a contact had in the step before; sticking where it is a new one."""
+    ids = contacts.ids[r]
+    similar = -1
+    for old in range(contacts.counts[1]):
+        last = contacts.last_ids[old]
+        same = (
+            last[FIRST_BODY] == ids[FIRST_BODY]
+            and last[SECOND_BODY] == ids[SECOND_BODY]
+            and last[VERTEX] == ids[VERTEX]
+        )
+        if same:
+            if last[ROW_FEATURE] == ids[ROW_FEATURE]:
+                return contacts.last_modes[old]
+            similar = old
+    if similar >= 0:
+        return contacts.last_modes[similar]
+    return STICK if contacts.numbers[r, ROW_GAP] <= 0.0 else SEPARATE

@@ -1,0 +1,211 @@
+"""What a scene's rollout is given, works with and records, as named tuples that kernels take.
+
+N bodies, M cells in all, P pairs of bodies, T steps, and room for R contacts a step.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.scene.compiled import kernel
+
+FINGER = -1
+"""What stands for the pusher where a contact names its second body."""
+
+FIRST_BODY, SECOND_BODY, VERTEX, ROW_FEATURE = range(4)
+"""Places in a contact's identity: the body whose outline is touched; the one that touches it, or
+`FINGER`; the vertex of the second's core that does; and the edge of the first's outline or core."""
+
+IDENTITY = 4
+"""Numbers in a contact's identity."""
+
+(
+    ROW_NX,
+    ROW_NY,
+    ROW_CX,
+    ROW_CY,
+    OTHER_NX,
+    OTHER_NY,
+    OTHER_CX,
+    OTHER_CY,
+    ROW_GAP,
+    TIP_VX,
+    TIP_VY,
+    FRICTION,
+    ROW_BEND,
+    FIRST_BEND,
+    FIRST_X,
+    FIRST_Y,
+) = range(16)
+"""Places in a contact's numbers.
+
+Normal N, into the first body, and contact point c, in the frame of the first body's step; the same
+two in that of the second's; the gap, m; the pusher's velocity in the first body's frame; the
+friction coefficient; whether a vertex of the first is touched (`contact`); and of the nearest
+contact when the step begins, whether it is at a vertex, and that vertex or else its normal."""
+
+NUMBERS = 16
+"""Numbers that describe a contact."""
+
+
+class Bodies(NamedTuple):
+    """The bodies, as the kernels know them; all cells, edges and corners stand one after another.
+
+    Attributes:
+        first_cell: (N+1,) the first cell of each body, and M.
+        cells: (2, M) cell centers p_BC, m.
+        k: (M,) friction each cell can carry, N.
+        spin: (N, 3) of `isotropic_friction.Isotropic`.
+        load: (N,) friction that all cells of a body can carry, N.
+        arm: (N,) radius of gyration of the cells' places, m.
+        reach: (N,) farthest point of the outline from B's origin, m.
+        box: (N, 4) least x and y and greatest x and y of each core, body frame, m.
+        finger_friction: (N,) with the pusher.
+        pair_friction: (N, N) between two bodies.
+        outline: `Edges` of all outlines, which the pusher touches; `previous` counts within a body.
+        first_edge: (N+1,) the first of each body's.
+        core: `Edges` of all cores, which touch each other: outlines moved inwards by `corner`.
+        first_corner: (N+1,) the first of each body's.
+        convex: (V,) whether the vertex where an edge of a core begins is convex.
+        corner: (N,) radius of the corners, m.
+    """
+
+    first_cell: Any
+    cells: Any
+    k: Any
+    spin: Any
+    load: Any
+    arm: Any
+    reach: Any
+    box: Any
+    finger_friction: Any
+    pair_friction: Any
+    outline: Any
+    first_edge: Any
+    core: Any
+    first_corner: Any
+    convex: Any
+    corner: Any
+
+
+class Pusher(NamedTuple):
+    """The disc that pushes.
+
+    Attributes:
+        tip: (T+1, 2) its center, m.
+        path_length: of its whole path, m.
+        radius: m; negative where there is none.
+    """
+
+    tip: Any
+    path_length: float
+    radius: float
+
+
+class Disc(NamedTuple):
+    """The pusher in one step: center, m, velocity, m/s, and radius, m; W."""
+
+    x: float
+    y: float
+    vx: float
+    vy: float
+    radius: float
+
+
+class Tolerances(NamedTuple):
+    """How steps are taken.
+
+    Attributes:
+        ahead: share of a step after which it looks at the bodies.
+        relative_stiction: tolerance of stiction, as a share of the speed.
+    """
+
+    ahead: float
+    relative_stiction: float
+
+
+class SceneState(NamedTuple):
+    """Where the bodies are and how they move.
+
+    Attributes:
+        q: (N, 3) poses, m and rad.
+        turn: (N, 2) cosine and sine of their angles.
+        twist: (N, 3) of the step before, in the frame of its end, m/s and rad/s.
+        before: (N, 3) of the one before that.
+        moved: (N,) steps moved in a row, up to `step_memory.MOVING`.
+    """
+
+    q: Any
+    turn: Any
+    twist: Any
+    before: Any
+    moved: Any
+
+
+class Contacts(NamedTuple):
+    """The contacts of a step, as rows.
+
+    Attributes:
+        ids: (R, 4) who touches whom where.
+        numbers: (R, 16) see above.
+        lam: (R, 2) forces lam_n, lam_t, N.
+        modes: (R,) see `contact_modes`.
+        last_ids, last_modes: those of the step before.
+        counts: (2,) contacts of the step, and of the one before.
+        lost: (1,) contacts for which there was no room, in all steps.
+    """
+
+    ids: Any
+    numbers: Any
+    lam: Any
+    modes: Any
+    last_ids: Any
+    last_modes: Any
+    counts: Any
+    lost: Any
+
+
+class SceneSteps(NamedTuple):
+    """What is recorded of T steps; W.
+
+    Attributes:
+        poses: (T+1, N, 3), m and rad.
+        twists: (T, N, 3) in the frames of the step.
+        counts: (T,) contacts of each step, which fill the first rows of the next arrays.
+        ids: (T, R, 4).
+        modes: (T, R).
+        forces: (T, R, 2) on the first body, N.
+        points: (T, R, 2) m.
+        gaps: (T, R) at the step's beginning, m.
+        finger_gaps: (T+1,) of the pusher to the nearest outline, m; infinite where far.
+        statuses: (T, 2) status and iterations.
+        residuals: (T, 2) of the balance of forces and of the contact conditions, see
+            `kernels.scene.step`.
+    """
+
+    poses: Any
+    twists: Any
+    counts: Any
+    ids: Any
+    modes: Any
+    forces: Any
+    points: Any
+    gaps: Any
+    finger_gaps: Any
+    statuses: Any
+    residuals: Any
+
+
+@kernel()
+def make_contacts(room):
+    """Makes room for so many contacts; none is there."""
+    return Contacts(
+        ids=np.zeros((room, IDENTITY), np.int64),
+        numbers=np.zeros((room, NUMBERS)),
+        lam=np.zeros((room, 2)),
+        modes=np.zeros(room, np.int64),
+        last_ids=np.zeros((room, IDENTITY), np.int64),
+        last_modes=np.zeros(room, np.int64),
+        counts=np.zeros(2, np.int64),
+        lost=np.zeros(1, np.int64),
+    )

@@ -1,0 +1,333 @@
+"""A whole push of several bodies, step by step, and the derivative of every recorded pose with it.
+
+It goes as that of one body does (`dynamics.kernels.rollout`), in the quasi-static regime: a step
+sees every body as it is expected to stand halfway through the step, were it to go on as before, and
+each body turns about its own instantaneous center for the length of the step.
+"""
+
+from math import cos, sin, sqrt
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.contact import GAP, find_contacts
+from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE
+from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
+from gridpush_drake.dynamics.kernels.scene.compiled import kernel
+from gridpush_drake.dynamics.kernels.scene.contact_problem import SceneScales
+from gridpush_drake.dynamics.kernels.scene.contacts import find_scene_contacts, take_edges
+from gridpush_drake.dynamics.kernels.scene.records import (
+    FIRST_BODY,
+    IDENTITY,
+    OTHER_CX,
+    OTHER_CY,
+    ROW_CX,
+    ROW_CY,
+    ROW_GAP,
+    ROW_NX,
+    ROW_NY,
+    SECOND_BODY,
+    TIP_VX,
+    TIP_VY,
+    Disc,
+)
+from gridpush_drake.dynamics.kernels.scene.step import (
+    OVERLAP,
+    make_step_work,
+    solve_scene_step,
+    wake,
+)
+from gridpush_drake.dynamics.kernels.scene.step_derivative import (
+    fill_step_derivative,
+    make_derivative,
+    start_columns,
+    step_columns,
+)
+from gridpush_drake.dynamics.kernels.step import CONVERGED
+from gridpush_drake.dynamics.kernels.step_memory import MOVING
+
+_TINY_SPEED = 1e-12
+"""Added to the scale of speeds, m/s, so that it is never zero."""
+
+
+@kernel()
+def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step, record, J):
+    """Simulates T steps.
+
+    Args:
+        bodies: `Bodies`.
+        pusher: `Pusher`.
+        tolerances: `Tolerances`.
+        state: `SceneState` at the beginning; that of the end when it is done.
+        contacts: `Contacts` of the step before, likewise.
+        dts: (T,) steps, s, or as `push.measure_steps` has them.
+        row_of_step: (T+1,) row of J that records this step, -1 for none.
+        record: `SceneSteps`, filled.
+        J: (rows, N, 3, width) filled, see `step_derivative`; without columns where no derivative is
+            wanted.
+    """
+    n = state.q.shape[0]
+    cells = bodies.k.shape[0]
+    room = contacts.modes.shape[0]
+    width = J.shape[3]
+    differentiate = width > 0
+    load = 0.0
+    for b in range(n):
+        load += bodies.load[b]
+
+    # Room for all that a step calculates, made once.
+    found = np.zeros((2, 9))
+    ahead = np.zeros((2, 9))
+    xi = np.zeros((n, 3))
+    shift = np.zeros((n, 2))
+    work = make_step_work(n, room)
+    derivative = make_derivative(
+        n, cells if differentiate else 0, room if differentiate else 0, width
+    )
+
+    for b in range(n):
+        state.turn[b, 0] = cos(state.q[b, 2])
+        state.turn[b, 1] = sin(state.q[b, 2])
+        for i in range(3):
+            record.poses[0, b, i] = state.q[b, i]
+    if differentiate:
+        start_columns(derivative.S, cells)
+        _record_columns(J, row_of_step[0], derivative.S)
+
+    tip = pusher.tip
+    for t in range(dts.shape[0]):
+        dt = dts[t]
+        h = tolerances.ahead * dt
+        disc = Disc(
+            x=tip[t, 0],
+            y=tip[t, 1],
+            vx=(tip[t + 1, 0] - tip[t, 0]) / dt,
+            vy=(tip[t + 1, 1] - tip[t, 1]) / dt,
+            radius=pusher.radius,
+        )
+
+        # Who touches whom, and whom that sets in motion.
+        record.finger_gaps[t] = find_scene_contacts(
+            bodies, state, disc, dt, h, found, ahead, contacts
+        )
+        awake = wake(contacts, work)
+        closing = _calc_closing_speed(contacts, dt)
+        tip_speed = sqrt(disc.vx * disc.vx + disc.vy * disc.vy)
+        speed = tip_speed + closing + _TINY_SPEED
+        scales = SceneScales(
+            load=load, speed=speed, tip_speed=tip_speed if tip_speed > 0.0 else speed
+        )
+        eps = tolerances.relative_stiction * speed
+        status = CONVERGED
+        iterations = 0
+        moving = awake > 0 and closing > 0.0
+        if moving:
+            _guess_twists(state, contacts, disc, h, xi, work)
+            status, iterations = solve_scene_step(bodies, contacts, dt, scales, eps, xi, work)
+            if differentiate:
+                fill_step_derivative(
+                    bodies,
+                    state,
+                    disc,
+                    contacts,
+                    h,
+                    dt,
+                    scales,
+                    xi,
+                    work.awake,
+                    work.contact,
+                    derivative,
+                )
+        else:
+            # Nothing moves any of them: the step is solved by rest, which depends on nothing.
+            _rest(xi, contacts, work, derivative.F)
+        record.statuses[t, 0] = status
+        record.statuses[t, 1] = iterations
+        record.residuals[t, 0] = work.certificate[0]
+        record.residuals[t, 1] = work.certificate[1]
+
+        # Every pose moves by its twist.
+        for b in range(n):
+            maps = PoseMaps(A=derivative.A, G=derivative.G[b], L=work.H[b])
+            d0, d1, _, _ = calc_displacement_maps(xi[b], dt, False, 0.0, 0.0, 0.0, maps)
+            shift[b, 0] = state.turn[b, 0] * d0 - state.turn[b, 1] * d1
+            shift[b, 1] = state.turn[b, 1] * d0 + state.turn[b, 0] * d1
+        if differentiate:
+            step_columns(
+                bodies,
+                state,
+                disc,
+                disc.x - tip[0, 0],
+                disc.y - tip[0, 1],
+                pusher.path_length,
+                eps,
+                xi,
+                dt,
+                shift,
+                derivative,
+            )
+        _record_contacts(record, t, state, contacts, shift, h, tolerances.ahead)
+        _advance(state, xi, shift, dt, moving, work.awake)
+        for b in range(n):
+            for i in range(3):
+                record.poses[t + 1, b, i] = state.q[b, i]
+                record.twists[t, b, i] = xi[b, i]
+        if differentiate:
+            _record_columns(J, row_of_step[t + 1], derivative.S)
+    record.finger_gaps[dts.shape[0]] = _measure_gap(
+        bodies, state, tip[dts.shape[0], 0], tip[dts.shape[0], 1], pusher.radius, found
+    )
+
+
+@kernel(allocates=False)
+def _calc_closing_speed(contacts, dt):
+    """Calculates the fastest approach of pusher and outlines, or out of an overlap, m/s.
+
+    It is zero where nothing approaches.
+    """
+    closing = 0.0
+    for r in range(contacts.counts[0]):
+        numbers = contacts.numbers[r]
+        if contacts.ids[r, SECOND_BODY] < 0:
+            approach = numbers[ROW_NX] * numbers[TIP_VX] + numbers[ROW_NY] * numbers[TIP_VY]
+            closing = max(closing, approach - numbers[ROW_GAP] / dt)
+        elif numbers[ROW_GAP] < -OVERLAP:
+            closing = max(closing, -numbers[ROW_GAP] / dt)
+    return closing
+
+
+@kernel(allocates=False)
+def _guess_twists(state, contacts, disc, h, xi, work):
+    """Guesses the twists: extrapolated, as they were, or as what wakes a body takes it along."""
+    for b in range(xi.shape[0]):
+        for i in range(3):
+            xi[b, i] = 0.0
+    count = 0
+    for b in range(xi.shape[0]):
+        if work.awake[b]:
+            count += 1
+    # in the order in which they are woken: what comes is guessed before whom it takes along
+    for k in range(count):
+        b = work.order[k]
+        twist = state.twist[b]
+        if state.moved[b] > 0:
+            further = 1.0 if state.moved[b] >= MOVING else 0.0
+            for i in range(3):
+                xi[b, i] = twist[i] + further * (twist[i] - state.before[b, i])
+            continue
+        r = work.parent[b]
+        if r < 0:
+            continue
+        numbers = contacts.numbers[r]
+        other = contacts.ids[r, SECOND_BODY]
+        if other < 0:
+            xi[b, 0] = numbers[TIP_VX]
+            xi[b, 1] = numbers[TIP_VY]
+            continue
+        # The velocity of the contact point on the body that comes, turned into this one's frame.
+        if other == b:
+            other = contacts.ids[r, FIRST_BODY]
+            px = numbers[ROW_CX]
+            py = numbers[ROW_CY]
+        else:
+            px = numbers[OTHER_CX]
+            py = numbers[OTHER_CY]
+        vx = xi[other, 0] - xi[other, 2] * py
+        vy = xi[other, 1] + xi[other, 2] * px
+        angle = state.q[other, 2] - state.q[b, 2]
+        c = cos(angle)
+        s = sin(angle)
+        xi[b, 0] = c * vx - s * vy
+        xi[b, 1] = s * vx + c * vy
+
+
+@kernel(allocates=False)
+def _rest(xi, contacts, work, F):
+    """Makes a step in which nothing moves."""
+    for b in range(xi.shape[0]):
+        work.awake[b] = False
+        for i in range(3):
+            xi[b, i] = 0.0
+    for r in range(contacts.counts[0]):
+        contacts.lam[r, 0] = 0.0
+        contacts.lam[r, 1] = 0.0
+        contacts.modes[r] = SEPARATE
+    work.certificate[0] = 0.0
+    work.certificate[1] = 0.0
+    for row in range(F.shape[0]):
+        for column in range(F.shape[1]):
+            F[row, column] = 0.0
+
+
+@kernel(allocates=False)
+def _advance(state, xi, shift, dt, moving, awake):
+    """Moves the bodies on by the step, and remembers their twists."""
+    for b in range(xi.shape[0]):
+        for i in range(3):
+            state.before[b, i] = state.twist[b, i]
+            state.twist[b, i] = xi[b, i]
+        state.moved[b] = min(state.moved[b] + 1, MOVING) if moving and awake[b] else 0
+        if state.moved[b] > 0:
+            state.q[b, 0] += shift[b, 0]
+            state.q[b, 1] += shift[b, 1]
+            state.q[b, 2] += xi[b, 2] * dt
+            state.turn[b, 0] = cos(state.q[b, 2])
+            state.turn[b, 1] = sin(state.q[b, 2])
+
+
+@kernel(allocates=False)
+def _record_contacts(record, t, state, contacts, shift, h, ahead):
+    """Records the contacts of step t, where they are halfway through it."""
+    record.counts[t] = contacts.counts[0]
+    for r in range(contacts.counts[0]):
+        for column in range(IDENTITY):
+            record.ids[t, r, column] = contacts.ids[r, column]
+        record.modes[t, r] = contacts.modes[r]
+        # force and place, turned from the frame of the step into W
+        numbers = contacts.numbers[r]
+        record.gaps[t, r] = numbers[ROW_GAP]
+        b = contacts.ids[r, FIRST_BODY]
+        angle = state.q[b, 2] + h * state.twist[b, 2]
+        c = cos(angle)
+        s = sin(angle)
+        nx = numbers[ROW_NX]
+        ny = numbers[ROW_NY]
+        normal = contacts.lam[r, 0]
+        tangential = contacts.lam[r, 1]
+        fx = nx * normal - ny * tangential
+        fy = ny * normal + nx * tangential
+        record.forces[t, r, 0] = c * fx - s * fy
+        record.forces[t, r, 1] = s * fx + c * fy
+        x = state.q[b, 0] + ahead * shift[b, 0]
+        y = state.q[b, 1] + ahead * shift[b, 1]
+        cx = numbers[ROW_CX]
+        cy = numbers[ROW_CY]
+        record.points[t, r, 0] = x + c * cx - s * cy
+        record.points[t, r, 1] = y + s * cx + c * cy
+
+
+@kernel(allocates=False)
+def _record_columns(J, row, S):
+    """Writes the variations of the poses to J[row] where row >= 0."""
+    if row < 0:
+        return
+    for b in range(J.shape[1]):
+        for i in range(3):
+            for column in range(J.shape[3]):
+                J[row, b, i, column] = S[3 * b + i, column]
+
+
+@kernel(allocates=False)
+def _measure_gap(bodies, state, x, y, radius, found):
+    """The least gap of the pusher at (x, y), m; infinite where it is further than its radius."""
+    least = np.inf
+    if radius <= 0.0:
+        return least
+    for b in range(state.q.shape[0]):
+        edges = take_edges(bodies.outline, bodies.first_edge[b], bodies.first_edge[b + 1])
+        dx = x - state.q[b, 0]
+        dy = y - state.q[b, 1]
+        c = state.turn[b, 0]
+        s = state.turn[b, 1]
+        if find_contacts(edges, c * dx + s * dy, -s * dx + c * dy, radius, radius, found) > 0:
+            least = min(least, found[0, GAP])
+    return least

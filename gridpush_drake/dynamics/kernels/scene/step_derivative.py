@@ -1,0 +1,424 @@
+"""The exact derivative of a converged step of several bodies, by the implicit function theorem.
+
+At fixed modes the step's equations are K (xi, lam) = F(z), with z all that the step starts from.
+Their derivative has the matrix of `contact_problem`,
+
+    H dxi - E dlam = dF_wrench,    C dxi + compliance dlam = -dF_velocity
+
+whose right-hand sides are those of `contact_terms`. The columns of the whole push, one for each
+parameter, are then carried over the step: s = (dx, dtheta) in W and the twist's variation, body by
+body.
+
+Inputs of a step, in this order: poses (W) and twists (body frame) of the N bodies, place and
+velocity of the pusher, N frictions with the pusher, and those of the P pairs (i, j), i < j.
+
+Columns of the push: k of all M cells | N frictions with the pusher | P of pairs | start x, start y,
+direction, length | first poses.
+"""
+
+from math import sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, SLIDE_PLUS, STICK
+from gridpush_drake.dynamics.kernels.isotropic_friction import fill_cell_forces
+from gridpush_drake.dynamics.kernels.scene.compiled import kernel
+from gridpush_drake.dynamics.kernels.scene.contact_problem import (
+    PAIR_COMPLIANCE,
+    build_contact_matrix,
+    calc_compliance,
+)
+from gridpush_drake.dynamics.kernels.scene.contact_terms import (
+    APPROACH,
+    INPUTS,
+    OTHER_POSE,
+    OTHER_TWIST,
+    OTHER_WRENCH,
+    OUTPUTS,
+    POSE,
+    SLIP,
+    TIP,
+    TIP_VELOCITY,
+    TWIST,
+    WRENCH,
+    calc_contact_terms,
+)
+from gridpush_drake.dynamics.kernels.scene.contacts import RECOVERY
+from gridpush_drake.dynamics.kernels.scene.records import (
+    FIRST_BODY,
+    OTHER_CX,
+    OTHER_CY,
+    OTHER_NX,
+    OTHER_NY,
+    ROW_CX,
+    ROW_CY,
+    ROW_GAP,
+    ROW_NX,
+    ROW_NY,
+    SECOND_BODY,
+)
+from gridpush_drake.dynamics.kernels.small_matrix import solve_dense
+
+_DELTA = 1e-30
+"""Imaginary step of the derivatives. Its square vanishes beside every number here."""
+
+_BOUNDED = 1e-9
+"""Share by which an overlap may be less than the bound and still be bounded, for round-off."""
+
+PUSH_COLUMNS = 4
+"""Columns of the push: start x, start y, direction, length."""
+
+
+class Derivative(NamedTuple):
+    """The derivative of a step and of the push so far, for N bodies and R contacts.
+
+    Attributes:
+        F: (3N, inputs + 3N) wrenches' derivatives; then dxi by every input, and by a generalized
+            force on every body.
+        V: (2R+N, inputs + 3N) velocities' derivatives, workspace.
+        S: (6N, width) variations of the poses, and of the twists.
+        next_S: workspace of its shape.
+        f: (3, M) the cells' forces for one newton each.
+        z, out: complex workspace of `contact_terms`.
+        G: (N, 3, 3) the displacement's derivative by the twist, in the new body frame.
+        A: (3, 3) workspace.
+    """
+
+    F: Any
+    V: Any
+    S: Any
+    next_S: Any
+    f: Any
+    z: Any
+    out: Any
+    G: Any
+    A: Any
+
+
+@kernel()
+def make_derivative(n, cells, room, width):
+    """Makes the workspace for n bodies of so many cells in all, and `width` columns."""
+    inputs = count_inputs(n)
+    return Derivative(
+        F=np.zeros((3 * n, inputs + 3 * n)),
+        V=np.zeros((2 * room + n, inputs + 3 * n)),
+        S=np.zeros((6 * n, width)),
+        next_S=np.zeros((3 * n, width)),
+        f=np.zeros((3, cells)),
+        z=np.zeros(INPUTS, np.complex128),
+        out=np.zeros(OUTPUTS, np.complex128),
+        G=np.zeros((n, 3, 3)),
+        A=np.zeros((3, 3)),
+    )
+
+
+@kernel(allocates=False)
+def count_inputs(n):
+    """Counts the inputs of a step of n bodies."""
+    return 6 * n + 4 + n + (n * (n - 1)) // 2
+
+
+@kernel(allocates=False)
+def find_pair(i, j, n):
+    """Numbers the pairs (i, j), i < j, of n bodies: (0, 1), (0, 2), ..., (1, 2), ..."""
+    low = min(i, j)
+    high = max(i, j)
+    return low * n - (low * (low + 1)) // 2 + high - low - 1
+
+
+@kernel(allocates=False)
+def fill_step_derivative(bodies, state, disc, contacts, h, dt, scales, xi, awake, work, derivative):
+    """Fills in dxi by every input of a step; zeros where the step has no derivative.
+
+    Args:
+        bodies, state, disc: as the step saw them.
+        contacts: `Contacts` with the solution.
+        h, dt: the time after which the step looks at the bodies, and the step, s.
+        scales: `SceneScales`.
+        xi: (N, 3) twists of the solution.
+        awake: (N,) which bodies take part.
+        work: `ContactWork` with S^-1 at the solution.
+        derivative: `Derivative`; its F is filled.
+    """
+    n = xi.shape[0]
+    inputs = count_inputs(n)
+    columns = inputs + 3 * n
+    F = derivative.F
+    V = derivative.V
+    # A generalized force on every body, besides what the inputs do.
+    for row in range(3 * n):
+        for column in range(columns):
+            F[row, column] = 0.0
+    for b in range(n):
+        if awake[b]:
+            for a in range(3):
+                F[3 * b + a, inputs + 3 * b + a] = 1.0
+
+    compliance = calc_compliance(contacts, scales)
+    size = build_contact_matrix(contacts, compliance, work)
+    for row in range(size):
+        for column in range(columns):
+            V[row, column] = 0.0
+    row = 0
+    for r in range(contacts.counts[0]):
+        if contacts.modes[r] != SEPARATE:
+            _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, derivative)
+            row += 2 if contacts.modes[r] == STICK else 1
+
+    # First the response without contacts, S^-1 F, then that of the contact forces.
+    for b in range(n):
+        inverse = work.inverse[b]
+        for column in range(columns):
+            x = F[3 * b, column]
+            y = F[3 * b + 1, column]
+            z = F[3 * b + 2, column]
+            for a in range(3):
+                value = inverse[a, 0] * x + inverse[a, 1] * y + inverse[a, 2] * z
+                F[3 * b + a, column] = value if awake[b] else 0.0
+    for p in range(size):
+        i = work.ends[work.used[p], 0]
+        j = work.ends[work.used[p], 1]
+        C = work.rows[work.used[p]]
+        for column in range(columns):
+            value = -V[p, column]
+            for a in range(3):
+                value -= C[a] * F[3 * i + a, column]
+                if j >= 0:
+                    value -= C[3 + a] * F[3 * j + a, column]
+            V[p, column] = value
+    # The contact forces' derivatives, and with them the twists'.
+    if not solve_dense(work.W, V, size, columns):
+        for row in range(3 * n):
+            for column in range(columns):
+                F[row, column] = 0.0
+        return
+    for p in range(size):
+        i = work.ends[work.used[p], 0]
+        j = work.ends[work.used[p], 1]
+        response = work.responses[p]
+        for a in range(3):
+            for column in range(columns):
+                F[3 * i + a, column] += response[a] * V[p, column]
+            if j >= 0:
+                for column in range(columns):
+                    F[3 * j + a, column] += response[3 + a] * V[p, column]
+
+
+@kernel(allocates=False)
+def _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, derivative):
+    """Adds the derivatives of a contact's wrenches to F, and of its velocities to rows of V."""
+    n = xi.shape[0]
+    ids = contacts.ids[r]
+    i = ids[FIRST_BODY]
+    j = ids[SECOND_BODY]
+    mode = contacts.modes[r]
+    z = derivative.z
+    out = derivative.out
+    V = derivative.V
+    for a in range(3):
+        z[POSE + a] = state.q[i, a]
+        z[TWIST + a] = state.twist[i, a]
+        if j >= 0:
+            z[OTHER_POSE + a] = state.q[j, a]
+            z[OTHER_TWIST + a] = state.twist[j, a]
+    z[TIP] = disc.x
+    z[TIP + 1] = disc.y
+    z[TIP_VELOCITY] = disc.vx
+    z[TIP_VELOCITY + 1] = disc.vy
+    for k in range(INPUTS):
+        # which of the step's inputs the contact's is
+        if k < OTHER_POSE:
+            column = 3 * i + k if k < TWIST else 3 * n + 3 * i + k - TWIST
+        elif k < TIP:
+            if j < 0:
+                continue
+            place = k - OTHER_POSE
+            column = 3 * j + place if place < 3 else 3 * n + 3 * j + place - 3
+        else:
+            if j >= 0:
+                continue
+            column = 6 * n + k - TIP
+        value = z[k]
+        z[k] = value + 1j * _DELTA
+        calc_contact_terms(
+            z,
+            bodies,
+            ids,
+            contacts.numbers[r],
+            disc.radius,
+            h,
+            dt,
+            xi,
+            contacts.lam[r],
+            out,
+        )
+        z[k] = value
+        for a in range(3):
+            derivative.F[3 * i + a, column] += out[WRENCH + a].imag / _DELTA
+            if j >= 0:
+                derivative.F[3 * j + a, column] += out[OTHER_WRENCH + a].imag / _DELTA
+        V[row, column] += out[APPROACH].imag / _DELTA
+        if mode == STICK:
+            V[row + 1, column] += out[SLIP].imag / _DELTA
+    if j >= 0:
+        _add_pusher_speed(disc, contacts.numbers[r], contacts.lam[r], n, row, mode, dt, scales, V)
+    if mode != STICK:
+        # Sliding: lam_t = ± mu lam_n, so the friction coefficient acts on the wrenches.
+        slide = contacts.lam[r, 0] if mode == SLIDE_PLUS else -contacts.lam[r, 0]
+        _add_friction(contacts.numbers[r], i, j, n, slide, derivative.F)
+
+
+@kernel(allocates=False)
+def _add_pusher_speed(disc, numbers, lam, n, row, mode, dt, scales, V):
+    """Adds to rows of V what the pusher's speed does to the contact of two bodies.
+
+    Their compliance goes with it, and so does the overlap that is undone in a step.
+    """
+    speed2 = disc.vx * disc.vx + disc.vy * disc.vy
+    if speed2 == 0.0:
+        return
+    speed = sqrt(speed2)
+    softness = PAIR_COMPLIANCE / scales.load
+    normal = softness * lam[0]
+    if numbers[ROW_GAP] <= -(1.0 - _BOUNDED) * RECOVERY * speed * dt:
+        normal -= RECOVERY
+    at_velocity = 6 * n + 2
+    V[row, at_velocity] += normal * disc.vx / speed
+    V[row, at_velocity + 1] += normal * disc.vy / speed
+    if mode == STICK:
+        tangential = softness * lam[1]
+        V[row + 1, at_velocity] += tangential * disc.vx / speed
+        V[row + 1, at_velocity + 1] += tangential * disc.vy / speed
+
+
+@kernel(allocates=False)
+def _add_friction(numbers, i, j, n, slide, F):
+    """Adds a sliding contact's derivative by its friction coefficient to F."""
+    column = 6 * n + 4 + (i if j < 0 else n + find_pair(i, j, n))
+    fx = -slide * numbers[ROW_NY]
+    fy = slide * numbers[ROW_NX]
+    F[3 * i, column] += fx
+    F[3 * i + 1, column] += fy
+    F[3 * i + 2, column] += numbers[ROW_CX] * fy - numbers[ROW_CY] * fx
+    if j >= 0:
+        fx = slide * numbers[OTHER_NY]
+        fy = -slide * numbers[OTHER_NX]
+        F[3 * j, column] += fx
+        F[3 * j + 1, column] += fy
+        F[3 * j + 2, column] += numbers[OTHER_CX] * fy - numbers[OTHER_CY] * fx
+
+
+@kernel(allocates=False)
+def start_columns(S, cells):
+    """Fills in the variations at the beginning: every pose varies by itself.
+
+    Args:
+        S: (6N, width) zeros.
+        cells: number of cells of all bodies.
+    """
+    n = S.shape[0] // 6
+    first = cells + n + (n * (n - 1)) // 2 + PUSH_COLUMNS
+    for row in range(3 * n):
+        S[row, first + row] = 1.0
+
+
+@kernel(allocates=False)
+def step_columns(bodies, state, disc, ray_x, ray_y, path_length, eps, xi, dt, shift, derivative):
+    """Carries every column over one step.
+
+    Args:
+        bodies: `Bodies`.
+        state: `SceneState` at the step's beginning.
+        disc: `Disc` of the step.
+        ray_x, ray_y: how far the disc is from where the push began, m.
+        path_length: of the whole push, m.
+        eps: stiction tolerance, m/s.
+        xi: (N, 3) twists of the step.
+        dt: the step, s.
+        shift: (N, 2) the displacements of the step, W, m.
+        derivative: `Derivative`; its S is carried on.
+    """
+    n = xi.shape[0]
+    F = derivative.F
+    S = derivative.S
+    dxi = derivative.next_S
+    width = S.shape[1]
+    inputs = count_inputs(n)
+    cells = bodies.k.shape[0]
+    frictions = n + (n * (n - 1)) // 2
+
+    # What all columns have in common: dxi by the poses and twists at the beginning.
+    for row in range(3 * n):
+        out = dxi[row]
+        for column in range(width):
+            out[column] = 0.0
+        for k in range(6 * n):
+            factor = F[row, k]
+            if factor == 0.0:
+                continue
+            variation = S[k]
+            for column in range(width):
+                out[column] += factor * variation[column]
+
+    # The cells: each acts on its own body by the force -f.
+    for b in range(n):
+        first = bodies.first_cell[b]
+        last = bodies.first_cell[b + 1]
+        forces = derivative.f[:, first:last]
+        fill_cell_forces(
+            bodies.cells[0][first:last],
+            bodies.cells[1][first:last],
+            bodies.spin[b],
+            eps * eps,
+            xi[b],
+            forces,
+        )
+        for row in range(3 * n):
+            y0 = F[row, inputs + 3 * b]
+            y1 = F[row, inputs + 3 * b + 1]
+            y2 = F[row, inputs + 3 * b + 2]
+            if y0 == 0.0 and y1 == 0.0 and y2 == 0.0:
+                continue
+            out = dxi[row]
+            for i in range(last - first):
+                out[first + i] -= y0 * forces[0, i] + y1 * forces[1, i] + y2 * forces[2, i]
+
+    # The frictions of the contacts, and the pusher's path.
+    tip = 6 * n
+    for row in range(3 * n):
+        out = dxi[row]
+        for k in range(frictions):
+            out[cells + k] += F[row, tip + 4 + k]
+        at_push = cells + frictions
+        fx = F[row, tip]
+        fy = F[row, tip + 1]
+        fvx = F[row, tip + 2]
+        fvy = F[row, tip + 3]
+        out[at_push] += fx
+        out[at_push + 1] += fy
+        out[at_push + 2] += -ray_y * fx + ray_x * fy - disc.vy * fvx + disc.vx * fvy
+        if path_length > 0.0:
+            # a longer path in the same time stretches places and velocities alike
+            stretch = ray_x * fx + ray_y * fy + disc.vx * fvx + disc.vy * fvy
+            out[at_push + 3] += stretch / path_length
+
+    # x' = x + R d and theta' = theta + w dt; the twist's variation is dxi itself.
+    for b in range(n):
+        angle = state.q[b, 2] + xi[b, 2] * dt
+        c = np.cos(angle)
+        s = np.sin(angle)
+        G = derivative.G[b]
+        for column in range(width):
+            u = dxi[3 * b, column]
+            v = dxi[3 * b + 1, column]
+            w = dxi[3 * b + 2, column]
+            gx = G[0, 0] * u + G[0, 1] * v + G[0, 2] * w
+            gy = G[1, 0] * u + G[1, 1] * v + G[1, 2] * w
+            turned = S[3 * b + 2, column]
+            S[3 * b, column] += c * gx - s * gy - turned * shift[b, 1]
+            S[3 * b + 1, column] += s * gx + c * gy + turned * shift[b, 0]
+            S[3 * b + 2, column] += dt * w
+    for row in range(3 * n):
+        for column in range(width):
+            S[3 * n + row, column] = dxi[row, column]

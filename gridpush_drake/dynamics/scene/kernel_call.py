@@ -1,0 +1,170 @@
+"""The call of the compiled rollout of a scene: objects in, arrays through, a record of steps out.
+
+It checks nothing: `simulation` and `GridSceneSystem` do, before they come here.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.contact import Edges
+from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
+from gridpush_drake.dynamics.kernels.scene.records import (
+    IDENTITY,
+    NUMBERS,
+    Bodies,
+    Contacts,
+    Pusher,
+    SceneState,
+    SceneSteps,
+    Tolerances,
+)
+from gridpush_drake.dynamics.kernels.scene.rollout import rollout_scene
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.scene.bodies import Scene, calc_outline_reach, get_core
+from gridpush_drake.geometry.polygons import OutlineEdges
+from gridpush_drake.geometry.se2 import Array, IntArray
+
+CONTACTS_A_BODY = 16
+"""Contacts within reach for which there is room, for each body."""
+
+
+def make_bodies(scene: Scene, physics: Physics) -> Bodies:
+    """Collects what the kernels know of a scene's objects."""
+    # what every cell can bear, and the law of each object
+    k = [params.friction * params.mass * physics.gravity for params in scene.params]
+    laws = [
+        physics.law.make(loads, calc_spin_arm(obj, params), physics.used_spin)
+        for obj, params, loads in zip(scene.objects, scene.params, k, strict=True)
+    ]
+    # outlines for the pusher, cores for each other
+    cores = [get_core(obj) for obj in scene.objects]
+    outlines = [obj.edges for obj in scene.objects]
+    cells = np.concatenate([obj.p_BC for obj in scene.objects])
+    return Bodies(
+        first_cell=_count_up([obj.n for obj in scene.objects]),
+        cells=np.array(cells.T, order="C"),
+        k=np.concatenate(k),
+        spin=np.array([law.spin for law in laws]),
+        load=np.array([float(loads.sum()) for loads in k]),
+        arm=np.array([float(obj.radius_of_gyration) for obj in scene.objects]),
+        reach=np.array([calc_outline_reach(obj) for obj in scene.objects]),
+        box=np.array(
+            [
+                np.concatenate([core.edges.start.min(axis=0), core.edges.start.max(axis=0)])
+                for core in cores
+            ]
+        ),
+        finger_friction=np.array([float(params.contact_friction) for params in scene.params]),
+        pair_friction=np.array(scene.pair_friction),
+        outline=_join_edges(outlines),
+        first_edge=_count_up([len(edges.start) for edges in outlines]),
+        core=_join_edges([core.edges for core in cores]),
+        first_corner=_count_up([len(core.edges.start) for core in cores]),
+        convex=np.concatenate([core.convex for core in cores]),
+        corner=np.array([core.radius for core in cores]),
+    )
+
+
+def make_scene_state(poses: Array) -> SceneState:
+    """Makes the state of N bodies at rest at poses (N, 3)."""
+    n = len(poses)
+    return SceneState(
+        q=np.array(poses, dtype=np.float64),
+        turn=np.zeros((n, 2)),
+        twist=np.zeros((n, 3)),
+        before=np.zeros((n, 3)),
+        moved=np.zeros(n, np.int64),
+    )
+
+
+def make_scene_contacts(n: int) -> Contacts:
+    """Makes room for the contacts of n bodies; none is there."""
+    room = CONTACTS_A_BODY * n
+    return Contacts(
+        ids=np.zeros((room, IDENTITY), np.int64),
+        numbers=np.zeros((room, NUMBERS)),
+        lam=np.zeros((room, 2)),
+        modes=np.zeros(room, np.int64),
+        last_ids=np.zeros((room, IDENTITY), np.int64),
+        last_modes=np.zeros(room, np.int64),
+        counts=np.zeros(2, np.int64),
+        lost=np.zeros(1, np.int64),
+    )
+
+
+def run_scene_kernel(
+    bodies: Bodies,
+    physics: Physics,
+    *,
+    pusher: Pusher,
+    state: SceneState,
+    contacts: Contacts,
+    dts: Array,
+    row_of_step: IntArray,
+    J: Array,
+) -> SceneSteps:
+    """Simulates T steps.
+
+    Args:
+        bodies: the objects.
+        physics: quasi-static.
+        pusher: the pusher's path.
+        state: of the bodies at the beginning; updated in place.
+        contacts: of the step before; updated in place.
+        dts: (T,) steps as `push.measure_steps` has them.
+        row_of_step: (T+1,) row of J that records this step, -1 for none.
+        J: (rows, N, 3, width) filled; without columns where no derivative is wanted.
+
+    Returns:
+        The record.
+    """
+    steps = len(dts)
+    n = len(state.q)
+    room = len(contacts.modes)
+    record = SceneSteps(
+        poses=np.empty((steps + 1, n, 3)),
+        twists=np.empty((steps, n, 3)),
+        counts=np.empty(steps, np.int64),
+        ids=np.zeros((steps, room, IDENTITY), np.int64),
+        modes=np.zeros((steps, room), np.int64),
+        forces=np.zeros((steps, room, 2)),
+        points=np.zeros((steps, room, 2)),
+        gaps=np.zeros((steps, room)),
+        finger_gaps=np.empty(steps + 1),
+        statuses=np.empty((steps, 2), np.int64),
+        residuals=np.empty((steps, 2)),
+    )
+    tolerances = Tolerances(
+        ahead=physics.ahead, relative_stiction=float(physics.relative_stiction_tolerance)
+    )
+    rollout_scene(
+        bodies=bodies,
+        pusher=pusher,
+        tolerances=tolerances,
+        state=state,
+        contacts=contacts,
+        dts=dts,
+        row_of_step=row_of_step,
+        record=record,
+        J=J,
+    )
+    return record
+
+
+def _count_up(lengths: Sequence[int]) -> IntArray:
+    """Where each of several parts of such lengths begins, and the end of the last."""
+    return np.append(0, np.cumsum(lengths, dtype=np.int64))
+
+
+def _join_edges(parts: Sequence[OutlineEdges]) -> Edges:
+    """Joins the edges of several outlines; `previous` goes on counting within each."""
+    start = np.concatenate([edges.start for edges in parts])
+    end = np.concatenate([edges.end for edges in parts])
+    return Edges(
+        ax=np.array(start[:, 0]),
+        ay=np.array(start[:, 1]),
+        bx=np.array(end[:, 0]),
+        by=np.array(end[:, 1]),
+        previous=np.concatenate([np.asarray(edges.previous, np.int64) for edges in parts]),
+    )

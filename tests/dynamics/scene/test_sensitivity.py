@@ -1,0 +1,60 @@
+"""Exact gradients of scenes against central differences."""
+
+import numpy as np
+import pytest
+
+from tests.helpers.finite_difference import check_jacobian
+from tests.helpers.push_cases import GEOMETRY, PARAMETERS, ROUND_OFF
+from tests.helpers.scene_cases import SceneCase, make_row
+from tests.helpers.shapes import SHAPES
+
+STEPS = 25
+
+
+def check_scene(case, seed):
+    """Checks every block; where contacts or their modes differ within the stencil, there is no derivative."""
+    skipped = 0
+    for name, value, jacobian in case.blocks():
+        if not np.any(np.abs(jacobian) > 1e-9):
+            continue
+        case.switched = False
+        failures = []
+        for step in GEOMETRY if name in ("start", "pose", "turn", "stretch") else PARAMETERS:
+            size = np.abs(value).max() if np.any(value) else 1.0
+            floor = ROUND_OFF / (step * size) + 1e-6 * np.abs(jacobian).max()
+            try:
+                check_jacobian(
+                    lambda x, name=name: case.run(**{name: x}).poses,
+                    value,
+                    jacobian,
+                    step=step,
+                    order=4,
+                    rtol=1e-5,
+                    atol=floor,
+                )
+                break
+            except AssertionError as error:
+                failures.append(str(error))
+        else:
+            assert case.switched, f"seed {seed}, {name}: {failures}"
+            skipped += 1
+    return skipped
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_exact_gradients(count):
+    skipped = 0
+    blocks = 0
+    together = 0
+    for seed in range(8):
+        shapes = np.random.default_rng(seed).permutation(list(SHAPES))[:count]
+        scene, push = make_row(seed, shapes, cells=8)
+        case = SceneCase(scene, push, STEPS, ["coupled", "separate"][seed % 2])
+        assert case.result.status == "ok"
+        skipped += check_scene(case, seed)
+        blocks += len(case.blocks())
+        modes = case.result.modes
+        together += bool((modes[case.result.bodies[:, :, 1] >= 0] != 0).any())
+    print(f"{count} objects: {skipped} of {blocks} blocks cross a switch, {together} touch")
+    assert together >= 6
+    assert skipped <= blocks // 3

@@ -1,0 +1,115 @@
+"""Rows of objects to be pushed through each other, and scenes as functions of all they depend on."""
+
+import numpy as np
+
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
+from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.random_pushes import make_random_contents
+from tests.helpers.shapes import make_shape
+
+RADIUS = 0.01
+SPACING = 0.001
+CLEARANCE = 1e-4
+
+
+def make_row(seed, shapes, cells=20):
+    """Objects side by side along x, at random angles, a millimeter apart at most, and a push along x."""
+    rng = np.random.default_rng(seed)
+    bodies = []
+    taken = None
+    for shape in shapes:
+        obj = make_shape(shape, cells)
+        pose = np.array([0.0, rng.uniform(-0.01, 0.01), rng.uniform(-np.pi, np.pi)])
+        while taken is not None and taken.distance(transform_shape(pose, obj.outline)) == 0:
+            pose[0] += SPACING
+        placed = transform_shape(pose, obj.outline)
+        taken = placed if taken is None else taken.union(placed)
+        bodies.append(SceneBody(obj, make_random_contents(rng, obj), pose))
+    first = transform_shape(bodies[0].pose, bodies[0].obj.outline)
+    middle = 0.5 * (first.bounds[1] + first.bounds[3])
+    start = np.array([first.bounds[0] - RADIUS - CLEARANCE, middle])
+    return Scene(bodies, rng.uniform(0.1, 0.5)), Push(start, (0.05, 0.0), 1.0, RADIUS)
+
+
+class SceneCase:
+    """A push of a scene, as a function of everything that its poses depend on."""
+
+    def __init__(self, scene, push, steps, spin="coupled"):
+        self.scene = scene
+        self.push = push
+        self.times = np.linspace(0.0, push.duration, steps + 1)
+        self.physics = Physics(spin=spin)
+        self.result = self.run(gradients=True)
+        self.switched = False
+
+    def run(self, *, gradients=False, turn=0.0, stretch=0.0, **changed):
+        """Simulates with some of what `blocks` lists changed; notes a change of modes."""
+        scene = self.scene
+        n = len(scene)
+        bodies = []
+        for b in range(n):
+            params = scene.params[b]
+            bodies.append(
+                SceneBody(
+                    scene.objects[b],
+                    CellParameters(
+                        changed.get(f"mass {b}", params.mass),
+                        changed.get(f"friction {b}", params.friction),
+                        float(changed.get("contact_friction", self.contact_friction)[b]),
+                        patch_ratio=params.patch_ratio,
+                    ),
+                    scene.poses[b] + changed.get("pose", np.zeros((n, 3)))[b],
+                )
+            )
+        pairs = np.zeros((n, n))
+        pairs[np.triu_indices(n, 1)] = changed.get("pair_friction", self.pair_friction)
+        c, s = np.cos(turn), np.sin(turn)
+        path = self.push.xy - self.push.xy[0]
+        length = self.push.length
+        start = self.push.start + changed.get("start", np.zeros(2))
+        xy = start + (1 + stretch / length) * path @ np.array([[c, s], [-s, c]])
+        result = simulate_scene(
+            Scene(bodies, pairs + pairs.T),
+            Push.along(self.push.t, xy, self.push.radius),
+            gradients=gradients,
+            times=self.times,
+            physics=self.physics,
+        )
+        if not gradients:
+            same = result.modes.shape == self.result.modes.shape
+            same = same and (result.modes == self.result.modes).all()
+            same = same and (result.bodies == self.result.bodies).all()
+            self.switched |= not same
+        return result
+
+    @property
+    def contact_friction(self):
+        return np.array([params.contact_friction for params in self.scene.params])
+
+    @property
+    def pair_friction(self):
+        return self.scene.pair_friction[np.triu_indices(len(self.scene), 1)]
+
+    def blocks(self):
+        """Name, value and Jacobian of everything; the names are the keywords of `run`.
+
+        Places are varied by what is added to them, so that all differences have the same step.
+        """
+        J = self.result.jacobian
+        i, j = np.triu_indices(len(self.scene), 1)
+        blocks = [
+            ("contact_friction", self.contact_friction, J.contact_friction),
+            ("pair_friction", self.pair_friction, J.pair_friction[..., i, j]),
+            ("start", np.zeros(2), J.start),
+            ("pose", np.zeros(self.scene.poses.shape), J.pose),
+            ("turn", np.array(0.0), J.direction),
+            ("stretch", np.array(0.0), J.length),
+        ]
+        for b, params in enumerate(self.scene.params):
+            blocks.append((f"mass {b}", params.mass, J.mass[b]))
+            blocks.append((f"friction {b}", params.friction, J.friction[b]))
+        return blocks
