@@ -29,16 +29,19 @@ USABLE = ("Solved", "AlmostSolved", "InsufficientProgress")
 one."""
 
 
-def solve_conic(P: csc_array, q: Array, A: csc_array, cones: list[object]) -> tuple[Array, Array]:
+def solve_conic(
+    P: csc_array, q: Array, A: csc_array, cones: list[object], b: Array | None = None
+) -> tuple[Array, Array]:
     """Solves a quadratic cone program.
 
-        min 1/2 x·P x + q·x    s.t.  -A x in the cones
+        min 1/2 x·P x + q·x    s.t.  b - A x in the cones
 
     Args:
         P: (k, k) upper triangle.
         q: (k,) linear cost.
         A: (r, k) constraints.
         cones: Clarabel's cones, of r rows in all.
+        b: (r,) constraints' right-hand sides; zeros by default.
 
     Returns:
         x (k,) and the duals z (r,).
@@ -52,7 +55,7 @@ def solve_conic(P: csc_array, q: Array, A: csc_array, cones: list[object]) -> tu
     settings.tol_gap_rel = CONIC_TOLERANCE
     settings.tol_feas = CONIC_TOLERANCE
     settings.tol_ktratio = CONIC_TOLERANCE
-    program = (P, q, A, np.zeros(A.shape[0]), cones)
+    program = (P, q, A, np.zeros(A.shape[0]) if b is None else b, cones)
     solution = clarabel.DefaultSolver(*program, settings).solve()
     if str(solution.status) not in USABLE:
         raise SimulationError(f"Clarabel stopped with {solution.status}")

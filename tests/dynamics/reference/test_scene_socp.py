@@ -1,0 +1,110 @@
+"""The step of a scene against cone programs in maximal coordinates."""
+
+import numpy as np
+import pytest
+
+from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE
+from gridpush_drake.dynamics.kernels.scene.contact_problem import COMPLIANCE, PAIR_COMPLIANCE
+from gridpush_drake.dynamics.kernels.scene.records import (
+    FRICTION,
+    OTHER_CX,
+    OTHER_CY,
+    OTHER_NX,
+    OTHER_NY,
+    ROW_CX,
+    ROW_CY,
+    ROW_GAP,
+    ROW_NX,
+    ROW_NY,
+    TIP_VX,
+    TIP_VY,
+    Pusher,
+)
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.reference.scene_socp import (
+    ContactSide,
+    SceneContact,
+    solve_scene_socp,
+)
+from gridpush_drake.dynamics.scene.kernel_call import (
+    make_bodies,
+    make_scene_contacts,
+    make_scene_state,
+    run_scene_kernel,
+)
+from tests.helpers.scene_cases import make_row
+from tests.helpers.shapes import SHAPES
+
+DT = 0.02
+AGREEMENT = 1e-6
+"""Greatest difference of the cells' velocities, as a share of the pusher's speed."""
+
+
+def read_contacts(contacts, scale):
+    """Reads the contacts of the kernel's last step as those of the reference."""
+    found = []
+    count = contacts.counts[0]
+    for ids, numbers in zip(contacts.ids[:count], contacts.numbers[:count], strict=True):
+        first = ContactSide(int(ids[0]), numbers[[ROW_NX, ROW_NY]], numbers[[ROW_CX, ROW_CY]])
+        second = None
+        share = COMPLIANCE
+        if ids[1] >= 0:
+            share = PAIR_COMPLIANCE
+            second = ContactSide(
+                int(ids[1]), numbers[[OTHER_NX, OTHER_NY]], numbers[[OTHER_CX, OTHER_CY]]
+            )
+        found.append(
+            SceneContact(
+                first,
+                second,
+                numbers[[TIP_VX, TIP_VY]],
+                float(numbers[ROW_GAP]),
+                float(numbers[FRICTION]),
+                share * scale,
+            )
+        )
+    return found
+
+
+@pytest.mark.parametrize("spin", ["coupled", "separate"])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_steps_agree_with_cone_programs(count, spin):
+    compared = 0
+    several = 0
+    for seed in range(4):
+        shapes = np.random.default_rng(seed).permutation(list(SHAPES))[:count]
+        scene, push = make_row(seed, shapes, cells=8)
+        physics = Physics(regime="quasi_static", spin=spin)
+        bodies = make_bodies(scene, physics)
+        state = make_scene_state(scene.poses)
+        contacts = make_scene_contacts(count)
+        times = np.arange(0, push.duration, DT)
+        for step, time in enumerate(times[:-1]):
+            tip = push.tip_at([time, time + DT])
+            record = run_scene_kernel(
+                bodies,
+                physics,
+                pusher=Pusher(tip, push.length, push.radius),
+                state=state,
+                contacts=contacts,
+                dts=np.array([DT]),
+                row_of_step=np.full(2, -1),
+                J=np.empty((0, count, 3, 0)),
+            )
+            if step % 8 or not contacts.modes[: contacts.counts[0]].any():
+                continue
+            speed = float(np.linalg.norm(push.velocity))
+            rows = read_contacts(contacts, speed / float(bodies.load.sum()))
+            expected = solve_scene_socp(scene.objects, scene.params, rows, DT, speed, spin=spin)
+            awake = state.moved > 0
+            for b, obj in enumerate(scene.objects):
+                if not awake[b]:
+                    continue
+                off = (record.twists[0, b] - expected.twists[b]) * (1, 1, obj.radius_of_gyration)
+                assert np.abs(off).max() < AGREEMENT * speed, (seed, step, b, off / speed)
+            compared += 1
+            between = contacts.ids[: contacts.counts[0], 1] >= 0
+            several += bool((contacts.modes[: contacts.counts[0]][between] != SEPARATE).any())
+    print(f"{count} objects, {spin}: {compared} steps, in {several} of them objects touch")
+    assert compared >= 8
+    assert several >= (4 if count > 1 else 0)
