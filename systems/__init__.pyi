@@ -9,6 +9,7 @@ from .grid_identifier import GridIdentifier as GridIdentifier
 from .grid_lcp_step import GridLcpStep as GridLcpStep
 from .grid_lcp_step import GridLcpStep_ as GridLcpStep_
 from .grid_lcp_system import GridLcpSystem as GridLcpSystem
+from .grid_scene_system import GridSceneSystem as GridSceneSystem
 from .messages import GraspCommand as GraspCommand
 from .messages import GraspOutcome as GraspOutcome
 from .messages import GraspPhase as GraspPhase
