@@ -7,6 +7,7 @@ from .figures import draw_model as draw_model
 from .figures import draw_motion as draw_motion
 from .figures import draw_object as draw_object
 from .figures import draw_pushes as draw_pushes
+from .figures import draw_scene_motion as draw_scene_motion
 from .page import ReportSummary as ReportSummary
 from .page import make_report as make_report
 from .plan_figures import draw_plan as draw_plan

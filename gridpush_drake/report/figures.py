@@ -11,6 +11,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import Scene
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.result import HistoryEntry, Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -26,6 +27,7 @@ from gridpush_drake.report.draw import (
     LEARNED,
     MM,
     PAGE_WIDTH,
+    PART_COLORS,
     add_color_bar,
     add_scale_bar,
     draw_arrow,
@@ -445,6 +447,27 @@ def draw_motion(obj: GridObject, push: Push, poses: Array) -> Figure:
         draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
     draw_outline(ax, obj, pose=poses[0], color=FAINT, linestyle="dashed")
     draw_cells(ax, obj, pose=poses[-1])
+    draw_tips(ax, push, LEARNED)
+    ax.autoscale_view()
+    return figure
+
+
+def draw_scene_motion(scene: Scene, push: Push, poses: Array) -> Figure:
+    """Draws how several objects moved: each from its beginning to its end, and the pusher's path.
+
+    Args:
+        scene: the objects.
+        push: the pusher's motion.
+        poses: (T+1, N, 3) of the N objects, m and rad, such as `SceneMotion.poses`.
+    """
+    figure, ax = make_chart(MOTION_WIDTH, 0.75 * MOTION_WIDTH)
+    shown = np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]
+    for i, obj in enumerate(scene.objects):
+        color = PART_COLORS[i % len(PART_COLORS)]
+        for pose in poses[shown, i]:
+            draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
+        draw_outline(ax, obj, pose=poses[0, i], color=FAINT, linestyle="dashed")
+        draw_cells(ax, obj, pose=poses[-1, i]).set_facecolor(color)
     draw_tips(ax, push, LEARNED)
     ax.autoscale_view()
     return figure

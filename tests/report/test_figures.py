@@ -16,6 +16,7 @@ from PIL import Image
 from shapely import Polygon
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
@@ -35,7 +36,13 @@ from gridpush_drake.report.draw import (
     to_png,
     to_svg,
 )
-from gridpush_drake.report.figures import draw_model, draw_motion, draw_object, draw_pushes
+from gridpush_drake.report.figures import (
+    draw_model,
+    draw_motion,
+    draw_object,
+    draw_pushes,
+    draw_scene_motion,
+)
 from gridpush_drake.report.plan_figures import (
     CLOSE_UP,
     GraspDrawn,
@@ -139,8 +146,22 @@ def motion():
     return draw_motion(make_block(), Push((-0.1, 0), (0.1, 0), 1.0, 0.01), poses)
 
 
+def scene_motion():
+    block = make_block()
+    params = CellParameters.uniform(block)
+    scene = Scene([SceneBody(block, params), SceneBody(block, params, (0.3, 0, 0))])
+    poses = np.linspace(scene.poses, scene.poses + (0.05, 0.02, 0.4), 30)
+    return draw_scene_motion(scene, Push((-0.1, 0), (0.1, 0), 1.0, 0.01), poses)
+
+
 @pytest.mark.parametrize(
-    "draw", [lambda: draw_object(make_block()), lambda: draw_model(make_identification()), motion]
+    "draw",
+    [
+        lambda: draw_object(make_block()),
+        lambda: draw_model(make_identification()),
+        motion,
+        scene_motion,
+    ],
 )
 def test_a_notebook_shows_it_as_a_png_with_something_on_it(draw):
     with Image.open(BytesIO(draw()._repr_png_())) as image:
