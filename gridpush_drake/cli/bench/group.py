@@ -48,6 +48,10 @@ BENCHES: dict[str, LazyCommand] = {
         "Set Drake's plant beside the grid LCP, time the LCP system, and let the whole "
         "station learn.",
     ),
+    "scene": LazyCommand(
+        "gridpush_drake.bench.scene:STUDY",
+        "Set MuJoCo beside the model of objects that push each other, and time their pushes.",
+    ),
     "perception": LazyCommand(
         "gridpush_drake.bench.perception:STUDY",
         "Find objects in photographs, real and rendered, and track them while they are pushed.",
