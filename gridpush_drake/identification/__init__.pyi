@@ -1,9 +1,7 @@
 from .hypotheses import DEFAULT_HYPOTHESES as DEFAULT_HYPOTHESES
-from .hypotheses import Concentrated as Concentrated
 from .hypotheses import LoadHypothesis as LoadHypothesis
 from .hypotheses import LoadPrior as LoadPrior
 from .hypotheses import RigidBottom as RigidBottom
-from .hypotheses import Ring as Ring
 from .hypotheses import Setting as Setting
 from .hypotheses import SmoothField as SmoothField
 from .hypotheses import TwoParts as TwoParts
@@ -21,3 +19,5 @@ from .prediction import predict as predict
 from .result import HypothesisEvidence as HypothesisEvidence
 from .result import Identification as Identification
 from .result import IdentificationStatus as IdentificationStatus
+from .scene_learning import SceneIdentification as SceneIdentification
+from .scene_learning import identify_scene as identify_scene

@@ -128,8 +128,8 @@ class Scene(Frozen):
         """The objects' names, in a line."""
         return f"Scene of {', '.join(obj.name for obj in self.objects)}"
 
-    def with_poses(self, poses: ArrayLike) -> "Scene":
-        """Places the same objects elsewhere, at (N, 3), m and rad.
+    def with_poses(self, poses: ArrayLike, *, may_overlap: bool = False) -> "Scene":
+        """Places the same objects elsewhere, at (N, 3), m and rad; `may_overlap` as of a scene.
 
         Raises:
             SimulationError: the poses are not N of three finite numbers, or two objects overlap.
@@ -140,7 +140,7 @@ class Scene(Frozen):
                 f"poses of shape {places.shape}; expected ({len(self)}, 3), one for each object"
             )
         bodies = [SceneBody(*each) for each in zip(self.objects, self.params, places, strict=True)]
-        return Scene(bodies, self.pair_friction)
+        return Scene(bodies, self.pair_friction, may_overlap=may_overlap)
 
 
 def _check_pair_friction(given: ArrayLike, n: int) -> Array:

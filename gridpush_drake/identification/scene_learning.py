@@ -1,0 +1,339 @@
+"""`identify_scene`: the maps of several objects, and their friction, learned together.
+
+Pushes in which one object pushes another tell of both: how the pushed one answers, and by how much
+it holds the other back. So all are learned in one: with z = (log k of every object's cells; log of
+the frictions with the pusher; log of the pairs' frictions) and the residuals r(z) of all poses that
+were seen, divided by their noise,
+
+    min over z of  |r(z)|²/2 + (z - z_0)^T P^-1 (z - z_0)/2
+
+by Levenberg's and Marquardt's method, with the exact derivatives of `simulate_scene`. The prior of
+an object's log k is a smooth field of amplitude a (`hypotheses.calc_smooth_covariance`) and one
+number more for the object as a whole: how heavy it is beside the others. Several amplitudes are
+fitted, coarse to fine, and the one of greatest evidence, by Laplace's approximation, is taken.
+
+What pushes cannot tell: a factor that all k have in common, for slow pushes only weigh the objects
+against each other; and masses by themselves, as for one object (`docs/theory/model.md`, section 7).
+The masses that are given stand for k_i = mu_i m_i g with the friction that the object's file names.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve
+
+from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
+from gridpush_drake.dynamics.push import make_times_with
+from gridpush_drake.dynamics.scene.bodies import DEFAULT_PAIR_FRICTION, Scene, SceneBody
+from gridpush_drake.dynamics.scene.motion import SceneJacobian, SceneMotion
+from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.identification.hypotheses import WEAKNESS, calc_smooth_covariance
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
+
+AMPLITUDES = (0.05, 0.3, 0.7, 1.5)
+"""Standard deviations of log k within an object that are tried."""
+
+TOTAL_STD = 1.0
+"""Standard deviation of the logarithm of an object's whole load beside the others'."""
+
+FRICTION_STD = 0.5
+"""Standard deviation of the logarithm of a contact's friction coefficient."""
+
+NOISE = (1e-3, 1e-3, 5e-3)
+"""Standard deviations of what poses are off from their predictions, m, m and rad: those of seeing
+them, and those of the model."""
+
+ITERATIONS = 12
+"""Most steps of a fit."""
+
+SETTLED = 1e-3
+"""Decrease of the objective, in its own unit, that ends a fit."""
+
+FIRST_DAMPING = 1e-2
+"""Damping of a fit's first step, as a share of the prior's curvature."""
+
+MAX_DAMPING = 1e6
+"""Damping at which a fit ends, for no step helps."""
+
+DAMPING_FACTOR = 10.0
+"""Factor by which the damping falls after a step that helps, and grows after one that does not."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneIdentification:
+    """What was learned of several objects.
+
+    Attributes:
+        scene: the objects, with the parameters and pair frictions that fit best.
+        covariance: (Z, Z) posterior covariance of z, see the module's description.
+        amplitude: standard deviation of log k of the smooth fields that were taken.
+        evidence: logarithm of the evidence of each of `AMPLITUDES`.
+        noise_scale: root mean square of the residuals, in units of the noise that was assumed.
+        simulations: number of pushes that were simulated.
+    """
+
+    scene: Scene
+    covariance: Array
+    amplitude: float
+    evidence: Array
+    noise_scale: float
+    simulations: int
+
+    def calc_center(self, body: int) -> tuple[Array, Array]:
+        """Calculates where an object's load is centered.
+
+        Args:
+            body: number of the object.
+
+        Returns:
+            The center of friction (2,), body frame, m, and its posterior covariance (2, 2), m².
+        """
+        obj = self.scene.objects[body]
+        params = self.scene.params[body]
+        share = params.relative_friction()
+        center = share @ obj.p_BC
+        # dc = sum of share_i (p_i - c) dlog k_i
+        J = (share[:, None] * (obj.p_BC - center)).T
+        cells = self._cells(body)
+        return center, J @ self.covariance[np.ix_(cells, cells)] @ J.T
+
+    def calc_load_ratio(self, body: int, other: int) -> tuple[float, float]:
+        """Calculates how heavy one object is beside another, with the friction of both.
+
+        Args:
+            body: number of the object.
+            other: number of the other one.
+
+        Returns:
+            The logarithm of the ratio of their whole friction with the table, and its posterior
+            standard deviation.
+        """
+        loads = []
+        J = np.zeros(len(self.covariance))
+        for b, sign in ((body, 1.0), (other, -1.0)):
+            params = self.scene.params[b]
+            loads.append(float(params.mass @ params.friction))
+            J[self._cells(b)] += sign * params.relative_friction()
+        ratio = float(np.log(loads[0] / loads[1]))
+        return ratio, float(np.sqrt(J @ self.covariance @ J))
+
+    def calc_pair_friction_std(self) -> Array:
+        """Calculates the posterior standard deviations (P,) of the logarithms of pair frictions."""
+        pairs = len(self.scene) * (len(self.scene) - 1) // 2
+        variances = np.diag(self.covariance)
+        return np.sqrt(variances[len(variances) - pairs :])
+
+    def _cells(self, body: int) -> IntArray:
+        """The places in z of an object's cells."""
+        first = sum(obj.n for obj in self.scene.objects[:body])
+        return np.arange(first, first + self.scene.objects[body].n)
+
+
+def identify_scene(
+    objects: Sequence[GridObject],
+    log: SceneLog,
+    *,
+    pair_friction: float = DEFAULT_PAIR_FRICTION,
+    noise: tuple[float, float, float] = NOISE,
+    amplitudes: Sequence[float] = AMPLITUDES,
+    physics: Physics = QUASI_STATIC,
+) -> SceneIdentification:
+    """Learns the objects of a log together.
+
+    Args:
+        objects: the N objects, in the order of the log's.
+        log: their pushes.
+        pair_friction: friction of two objects against each other that is expected beforehand.
+        noise: standard deviations of the poses about their predictions, m, m and rad.
+        amplitudes: standard deviations of log k of the smooth fields that are tried, increasing.
+        physics: spin, gravity and tolerances.
+
+    Returns:
+        What was learned.
+
+    Raises:
+        IdentificationError: the log is empty or has another number of objects, or a number is not
+            positive.
+    """
+    if len(log) == 0:
+        raise IdentificationError("scene log: holds no push; expected at least one")
+    if log.names and len(log.names) != len(objects):
+        raise IdentificationError(
+            f"scene log of {len(log.names)} objects ({', '.join(log.names)}); expected "
+            f"{len(objects)}: {', '.join(obj.name for obj in objects)}"
+        )
+    for name, values in (("noise", noise), ("amplitudes", amplitudes)):
+        if not (len(values) and np.isfinite(values).all() and min(values) > 0):
+            raise IdentificationError(f"{name} is {tuple(values)!r}; expected positive numbers")
+    problem = _SceneProblem(objects, log, pair_friction, np.asarray(noise), physics)
+
+    # Coarse to fine, each from where the last one ended.
+    fits = []
+    z = problem.z0
+    for amplitude in amplitudes:
+        fit = problem.fit(amplitude, z)
+        z = fit.z
+        fits.append(fit)
+    evidence = np.array([fit.evidence for fit in fits])
+    weighted = evidence - WEAKNESS * np.log(amplitudes)
+    best = fits[int(np.argmax(weighted))]
+    return SceneIdentification(
+        scene=problem.make_scene(best.z, log[0].poses),
+        covariance=best.covariance,
+        amplitude=float(amplitudes[int(np.argmax(weighted))]),
+        evidence=evidence,
+        noise_scale=best.noise_scale,
+        simulations=problem.simulations,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """The best z of one amplitude, its posterior covariance and evidence."""
+
+    z: Array
+    covariance: Array
+    evidence: float
+    noise_scale: float
+
+
+class _SceneProblem:
+    """The residuals of a log as a function of z, and their derivatives."""
+
+    def __init__(
+        self,
+        objects: Sequence[GridObject],
+        log: SceneLog,
+        pair_friction: float,
+        noise: Array,
+        physics: Physics,
+    ) -> None:
+        self.objects = tuple(objects)
+        self.log = log
+        self.noise = noise
+        self.physics = physics
+        self.simulations = 0
+        self.even = [CellParameters.uniform(obj) for obj in objects]
+        n = len(objects)
+        self.pairs = np.triu_indices(n, 1)
+        k = [np.log(each.mass * each.friction) for each in self.even]
+        finger = np.log([each.contact_friction for each in self.even])
+        self.z0 = np.concatenate([*k, finger, np.full(len(self.pairs[0]), np.log(pair_friction))])
+        self._smooth = [calc_smooth_covariance(obj) for obj in objects]
+
+    def make_params(self, z: Array) -> tuple[list[CellParameters], Array]:
+        """Makes the parameters and the pair frictions (N, N) of z."""
+        sizes = [obj.n for obj in self.objects]
+        n = len(sizes)
+        *logs, finger, pair = np.split(z, np.cumsum([*sizes, n]))
+        params = [
+            CellParameters(np.exp(log) / even.friction, even.friction, float(np.exp(mu)))
+            for log, even, mu in zip(logs, self.even, finger, strict=True)
+        ]
+        friction = np.zeros((n, n))
+        friction[self.pairs] = np.exp(pair)
+        return params, friction + friction.T
+
+    def make_scene(self, z: Array, poses: Array) -> Scene:
+        """Makes the scene of z at poses (N, 3), m and rad."""
+        params, friction = self.make_params(z)
+        bodies = [
+            SceneBody(obj, each, pose)
+            for obj, each, pose in zip(self.objects, params, poses, strict=True)
+        ]
+        return Scene(bodies, friction, may_overlap=True)
+
+    def linearize(self, z: Array) -> tuple[Array, Array]:
+        """Calculates the residuals (R,), in units of the noise, and their derivatives by z."""
+        residuals = []
+        derivatives = []
+        for seen in self.log:
+            motion, rows = self._simulate(z, seen, gradients=True)
+            residuals.append(self._calc_residual(motion, rows, seen))
+            derivatives.append(self._chain(z, motion.jacobian) / self.noise[:, None])
+        J = np.concatenate([each.reshape(-1, len(z)) for each in derivatives])
+        return np.concatenate(residuals), J
+
+    def calc_residuals(self, z: Array) -> Array:
+        """Calculates the residuals (R,) alone."""
+        parts = []
+        for seen in self.log:
+            motion, rows = self._simulate(z, seen, gradients=False)
+            parts.append(self._calc_residual(motion, rows, seen))
+        return np.concatenate(parts)
+
+    def fit(self, amplitude: float, z: Array) -> _Fit:
+        """Finds the best z of one amplitude, from a start."""
+        # z = z_0 + L v with v ~ N(0, 1)
+        cells = [np.linalg.cholesky(amplitude**2 * C + TOTAL_STD**2) for C in self._smooth]
+        others = len(self.z0) - sum(obj.n for obj in self.objects)
+        L = block_diag(*cells, FRICTION_STD * np.eye(others))
+        v = np.linalg.solve(L, z - self.z0)
+        r, J = self.linearize(self.z0 + L @ v)
+        objective = 0.5 * (r @ r + v @ v)
+        damping = FIRST_DAMPING
+        for _ in range(ITERATIONS):
+            A = J @ L
+            curvature = A.T @ A + np.eye(len(v))
+            slope = A.T @ r + v
+            improved = False
+            while damping <= MAX_DAMPING and not improved:
+                damped = curvature + damping * np.eye(len(v))
+                step = -cho_solve(cho_factor(damped), slope)
+                tried = v + step
+                rest = self.calc_residuals(self.z0 + L @ tried)
+                new = 0.5 * (rest @ rest + tried @ tried)
+                improved = new < objective
+                damping = damping / DAMPING_FACTOR if improved else damping * DAMPING_FACTOR
+            if not improved:
+                break
+            gain = objective - new
+            v = tried
+            objective = new
+            r, J = self.linearize(self.z0 + L @ v)
+            if gain < SETTLED:
+                break
+        A = J @ L
+        curvature = A.T @ A + np.eye(len(v))
+        # the evidence by Laplace's approximation, and the posterior, with the noise that was found
+        evidence = -objective - 0.5 * float(np.linalg.slogdet(curvature)[1])
+        scale = float(np.sqrt(r @ r / len(r)))
+        covariance = L @ np.linalg.inv(A.T @ A / max(scale, 1.0) ** 2 + np.eye(len(v))) @ L.T
+        return _Fit(self.z0 + L @ v, covariance, float(evidence), scale)
+
+    def _simulate(
+        self, z: Array, seen: ObservedScenePush, gradients: bool
+    ) -> tuple[SceneMotion, IntArray]:
+        """Simulates a push from where it was seen to begin, and finds the rows that were seen."""
+        self.simulations += 1
+        times = make_times_with(seen.push, seen.t_observed, "quasi_static")
+        rows = np.searchsorted(times, seen.t_observed)
+        motion = simulate_scene(
+            self.make_scene(z, seen.poses),
+            seen.push,
+            gradients=gradients,
+            physics=self.physics,
+            times=times,
+            record=rows,
+        )
+        return motion, rows
+
+    def _calc_residual(self, motion: SceneMotion, rows: IntArray, seen: ObservedScenePush) -> Array:
+        """Calculates a push's residuals, in units of the noise."""
+        off = motion.poses[rows] - seen.poses_observed
+        off[..., 2] = np.arctan2(np.sin(off[..., 2]), np.cos(off[..., 2]))
+        return np.asarray((off / self.noise).ravel())
+
+    def _chain(self, z: Array, jacobian: SceneJacobian) -> Array:
+        """Makes the derivatives (K, N, 3, Z) of the poses by z."""
+        params, friction = self.make_params(z)
+        by_k = [block * each.mass for block, each in zip(jacobian.mass, params, strict=True)]
+        finger = jacobian.contact_friction * np.array([each.contact_friction for each in params])
+        i, j = self.pairs
+        pair = jacobian.pair_friction[..., i, j] * friction[i, j]
+        return np.concatenate([*by_k, finger, pair], axis=-1)
