@@ -3,6 +3,9 @@
 Every `period` it looks at the object and the tip. `pushes.segmentation` finds the pushes and writes
 them down. When a push has ended, `identify` learns from the log. The estimate is the one that
 `identify` makes of this log anywhere else.
+
+After two surprises in a row (`identification.surprise`) the object is another one than was learned,
+and what was seen before them is not learned from any more.
 """
 
 from collections.abc import Callable
@@ -24,6 +27,7 @@ from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
+from gridpush_drake.identification.surprise import SurpriseRecord
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
@@ -77,6 +81,7 @@ class IdentifierState(Unchanging):
         left_out: names of the pushes from which nothing could be learned.
         message: why nothing could be learned from the last push; empty if it was learned from, or
             was not meant to be.
+        surprises: what surprises there were among the pushes of the log.
     """
 
     segmenter: SegmenterState = field(default_factory=SegmenterState)
@@ -87,6 +92,7 @@ class IdentifierState(Unchanging):
     request: Request | None = None
     left_out: tuple[str, ...] = ()
     message: str = ""
+    surprises: SurpriseRecord = field(default_factory=SurpriseRecord)
 
 
 class GridIdentifier(AbstractStateSystem[IdentifierState]):
@@ -134,6 +140,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
       estimate then stays as it was, and later estimates do without that push.
     * age: vector of 1, time since the estimate was asked for, which is when a push had ended, s;
       NaN before the first.
+
+    After two surprises in a row (`identification.surprise`) the object is another one than was
+    learned: then only those two pushes and later ones are learned from.
 
     Learning takes long. With an answer delay it is done in a worker, see `systems.worker`: one push
     after another, while the outputs hold and further pushes are logged. Before the first push the
@@ -233,6 +242,8 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
     def Learn(self, log: PushLog, start: Identification | None = None) -> Identification:
         """Identifies the object from a log as the system does when a push ends.
 
+        It knows nothing of what the system has forgotten.
+
         Args:
             log: the log; only the pushes that `select` takes of it are learned from.
             start: the identification at which learning begins; None for the prior.
@@ -299,7 +310,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         if observed is None:
             return state
         log = replace(state.log, pushes=(*state.log.pushes, observed))
-        return replace(state, log=log, message="")
+        before = None if state.estimate is None else state.estimate.found
+        surprises = state.surprises.note(before, log)
+        return replace(state, log=log, message="", surprises=surprises)
 
     def _learn(self, state: IdentifierState, time: float) -> IdentifierState:
         """Takes what a worker has learned, and learns from the log's next pushes one by one."""
@@ -326,13 +339,16 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             to be learned from it.
         """
         log = state.log[: state.considered + 1]
+        forgotten = state.surprises.forgotten
+        left_out = {seen.name for seen in log[:forgotten]} | set(state.left_out)
         chosen = self.select(log)
-        chosen = chosen.subset(
-            [i for i, seen in enumerate(chosen) if seen.name not in state.left_out]
-        )
+        chosen = chosen.subset([i for i, seen in enumerate(chosen) if seen.name not in left_out])
         if not len(chosen) or chosen[-1] is not log[-1]:
             return None
         start = state.estimate.found if state.estimate is not None and self.warm_start else None
+        # What was learned of another object is no place to begin at.
+        if start is not None and forgotten and left_out & set(start.push_names):
+            start = None
         return partial(_learn_from, weakly(self.Learn), chosen, start)
 
     def _take_answer(self, state: IdentifierState, answer: Answer, asked: float) -> IdentifierState:

@@ -196,13 +196,10 @@ def predict_spread(
     problem = PushProblem(obj, log_of_ends, model.params, physics or model.physics)
     linear = problem.linearize(model.posterior.mean)
 
-    scale2 = model.interval_scale**2
     freedom = noise.calc_freedom(len(model.push_names))
     found = []
     for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):
-        left_open = J @ model.posterior.covariance @ J.T
-        covariance = left_open + noise.calc_covariance(inputs, model.noise_scale)
-        covariance *= scale2
+        covariance = calc_end_covariance(model, J, inputs)
         # The third residual is rho dtheta.
         std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
         cell_error = calc_norm_quantile(covariance, freedom)
@@ -210,12 +207,33 @@ def predict_spread(
     return found
 
 
-def calc_norm_quantile(covariance: Array, freedom: float = NORMAL) -> float:
-    """Calculates the quantile INTERVAL of |r|, where r has Student's t distribution.
+def calc_end_covariance(model: Identification, J: Array, inputs: Array) -> Array:
+    """Calculates the covariance of how far off a push's end is predicted, at infinite freedom.
+
+    Args:
+        model: what was learned, with its posterior, and the noise that its pushes showed.
+        J: (3, n+1) derivatives of the end's residuals by z.
+        inputs: (3, 5) their derivatives by the inputs, see `NoiseModel.calc_covariance`.
+
+    Returns:
+        (3, 3), m².
+    """
+    # kappa² (J S J^T + Sigma)
+    left_open = J @ model.posterior.covariance @ J.T
+    covariance = left_open + model.noise.calc_covariance(inputs, model.noise_scale)
+    covariance *= model.interval_scale**2
+    return np.asarray(covariance)
+
+
+def calc_norm_quantile(
+    covariance: Array, freedom: float = NORMAL, probability: float = INTERVAL
+) -> float:
+    """Calculates a quantile of |r|, where r has Student's t distribution.
 
     Args:
         covariance: (p, p) of r at infinite freedom, m².
         freedom: degrees of freedom; normal by default.
+        probability: probability with which |r| is below the quantile.
 
     Returns:
         The quantile, m.
@@ -223,7 +241,7 @@ def calc_norm_quantile(covariance: Array, freedom: float = NORMAL) -> float:
     # |r|² is taken for a scaled F, with as many numbers as give it the normal's first two moments.
     values = np.linalg.eigvalsh(covariance)
     numbers = values.sum() ** 2 / (values**2).sum()
-    return float(np.sqrt(values.sum() * f.ppf(INTERVAL, numbers, freedom)))
+    return float(np.sqrt(values.sum() * f.ppf(probability, numbers, freedom)))
 
 
 def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) -> PoseError:

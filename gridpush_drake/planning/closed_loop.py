@@ -15,6 +15,11 @@ belong to the same rest if
 
 and their mean says where the object lies. Poses from before one that differs from the last are
 forgotten.
+
+Every push that was made is judged by the model as it was before it (`identification.surprise`). A
+loop says of a push that it surprised. After two surprises in a row the object is another one than
+was learned: the loop falls back to pokes, and does not slide on. Where the object hangs over the
+edge, one surprise is enough to stop.
 """
 
 from collections.abc import Sequence
@@ -28,6 +33,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.surprise import SurpriseRecord
 from gridpush_drake.planning.robot_status import GraspStatus, PushStatus
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -44,6 +50,10 @@ LOST = "lost"
 
 FAILED = "failed"
 """Mode of a loop that gave up."""
+
+MAX_FALLBACKS = 2
+"""Number of times that a loop falls back to pokes, because the object moved unlike what was learned
+of it. The next time it gives up."""
 
 
 @dataclass(frozen=True)
@@ -182,13 +192,17 @@ class LoopState(Unchanging):
     """All that a loop remembers; never changed, only replaced.
 
     Attributes:
-        status: what the loop says of itself: frozen, with a `mode`, a `reason` and an
-            `expected_pose`.
+        status: what the loop says of itself: frozen, with a `mode`, a `reason`, an
+            `expected_pose`, and the fields `surprises` and `surprise`.
         filter: poses seen since everything came to rest.
         push: the last push asked for; None before the first, and where it was withdrawn.
         push_id: number of the last push asked for, counted from 1; a number is never used again.
         refused: the pushes that were refused since the last one that was not.
         request: the decision that is being calculated beside the loop; None where none is.
+        believed: what was learned before the last push was asked for; None where that was nothing.
+        logged: number of pushes in the log when the last push was asked for.
+        surprises: what surprises there were among the pushes made.
+        fallbacks: how often the loop fell back to pokes.
     """
 
     status: Any
@@ -197,6 +211,10 @@ class LoopState(Unchanging):
     push_id: int = 0
     refused: tuple[Push, ...] = ()
     request: Any = None
+    believed: Identification | None = None
+    logged: int = 0
+    surprises: SurpriseRecord = field(default_factory=SurpriseRecord)
+    fallbacks: int = 0
 
     def is_pending(self, robot: PushStatus) -> bool:
         """Whether the robot has not taken the push up yet."""
@@ -214,9 +232,41 @@ class LoopState(Unchanging):
         status = replace(self.status, mode=type(self.status.mode)(mode), reason=reason, **changes)
         return replace(self, status=status, filter=self.filter.forget())
 
-    def ask(self: "L", push: Push, mode: str, reason: str, **others: Any) -> "L":
-        """The state with another push asked for; further arguments as of `turn_to`."""
-        return replace(self, push=push, push_id=self.push_id + 1).turn_to(mode, reason, **others)
+    def ask(self: "L", push: Push, mode: str, reason: str, seen: Observation, **others: Any) -> "L":
+        """The state with another push asked for.
+
+        Args:
+            push: the push.
+            mode: of the status.
+            reason: for the mode, in a sentence.
+            seen: what the push was chosen by.
+            **others: further fields of the status, see `turn_to`.
+        """
+        asked = replace(
+            self,
+            push=push,
+            push_id=self.push_id + 1,
+            believed=seen.identification,
+            logged=len(seen.log),
+        )
+        return asked.turn_to(mode, reason, **others)
+
+    def judge_push(self: "L", log: PushLog) -> "L":
+        """The state after a push was made: whether it surprised is in the status.
+
+        A push that is not in the log, because it was not seen, is not judged.
+
+        Args:
+            log: all pushes so far.
+        """
+        if len(log) <= self.logged:
+            return self
+        surprises = self.surprises.note(self.believed, log)
+        if surprises is self.surprises:
+            return self
+        sentence = "" if surprises.last is None else surprises.last.describe()
+        status = replace(self.status, surprises=surprises.in_row, surprise=sentence)
+        return replace(self, surprises=surprises, status=status)
 
 
 L = TypeVar("L", bound=LoopState)
@@ -325,7 +375,10 @@ class ClosedLoop(Generic[L]):
         why = seen.robot.reason
         if not why:
             changes = {"reason": "A push was made.", **self._count_made(now, seen)}
-            return replace(now, refused=()).turn_to(WAITING, **changes)
+            now = replace(now, refused=()).judge_push(seen.log)
+            if now.surprises.last is not None:
+                changes["reason"] += f" {now.status.surprise}"
+            return now.turn_to(WAITING, **changes)
         assert now.push is not None
         now = replace(now, refused=(*now.refused, now.push))
         changes = self._count_refused(now)

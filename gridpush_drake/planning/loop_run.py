@@ -2,6 +2,9 @@
 
 The loop is the one that a controller in a station steps. Here nothing happens between two
 observations but a push. The worlds are in `planning.world`.
+
+After two surprises in a row (`identification.surprise`) what was seen before them is forgotten: the
+object's load has changed, and the pushes before that are another object's.
 """
 
 from collections.abc import Callable
@@ -15,6 +18,7 @@ from gridpush_drake.errors import PushRefusedError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.surprise import SurpriseRecord
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation
 from gridpush_drake.planning.robot_status import PushStatus
@@ -67,6 +71,7 @@ class LoopRun(Generic[L]):
         identification: what was learned from them; None where that is nothing.
         planning_seconds: wall-clock time of the loop's steps, s.
         learning_seconds: wall-clock time of learning, s.
+        surprises: what surprises there were among the pushes.
     """
 
     state: L
@@ -74,6 +79,7 @@ class LoopRun(Generic[L]):
     identification: Identification | None = None
     planning_seconds: float = 0.0
     learning_seconds: float = 0.0
+    surprises: SurpriseRecord = field(default_factory=SurpriseRecord)
 
 
 def run_loop(
@@ -94,7 +100,7 @@ def run_loop(
         obj: the object, as whoever learns sees it.
         world: where the object lies and is pushed.
         is_over: says of a loop's state whether it is the last one.
-        learn: learns after every push; None never learns.
+        learn: learns after every push, from all that are not forgotten; None never learns.
         goal: (3,) q_WB that the loop is shown as its goal, m and rad; None for none.
         surface: the table, as whoever learns knows it; None where pushes keep clear of its edge.
         progress: called after every push with the state that asked for it, what was seen, and
@@ -138,10 +144,22 @@ def run_loop(
         refusal = ""
         begin = perf_counter()
         log = replace(run.log, pushes=(*run.log, seen))
-        found = run.identification if learn is None else learn(obj, log, run.identification)
+        surprises = run.surprises.note(run.identification, log)
+        found = run.identification
+        if learn is not None:
+            # What was learned of another object is no place to begin at.
+            start = None if surprises.is_changed else run.identification
+            learned_now = learn(obj, surprises.select(log), start)
+            found = run.identification if learned_now is None else learned_now
         learned = found is not run.identification
         learning_seconds = run.learning_seconds + perf_counter() - begin
-        run = replace(run, log=log, identification=found, learning_seconds=learning_seconds)
+        run = replace(
+            run,
+            log=log,
+            identification=found,
+            learning_seconds=learning_seconds,
+            surprises=surprises,
+        )
         if progress is not None:
             progress(state, seen, learned)
     return run

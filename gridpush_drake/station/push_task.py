@@ -161,7 +161,9 @@ class PushTask(StationTask[PushTaskRecord]):
         """Decides whether the object is at the goal or lost, or the task can get no further."""
         status = record.last
         if self.simulated and np.isnan(record.pose).any():
-            push = status.pushes + (status.mode == ContactPointMode.PUSHING)
+            push = status.pushes + (
+                status.mode in (ContactPointMode.PUSHING, ContactPointMode.POKING)
+            )
             return TaskStatus.LOST, f"The object left the table during push {push}."
         if waiting.unseen > self.lost_after and self.read("executor.status").ready:
             return TaskStatus.LOST, f"The object has not been seen for {self.lost_after:g} s."

@@ -49,6 +49,7 @@ GRASP_SCENARIO = "grasp"
 PUSH_TITLES = {
     ContactPointMode.WAITING: FIRST_TITLE,
     ContactPointMode.PUSHING: "Push {}, toward the goal",
+    ContactPointMode.POKING: "Push {}, a poke to learn the object anew",
     ContactPointMode.REACHED: "At the goal",
     ContactPointMode.FAILED: "Given up",
     ContactPointMode.LOST: "The object is out of sight",

@@ -1,5 +1,7 @@
 """The identifier in a Diagram: the LCP is the world, an ideal finger pokes it, a camera watches with noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
@@ -12,7 +14,8 @@ from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.systems.grid_identifier import GridIdentifier
+from gridpush_drake.systems import grid_identifier
+from gridpush_drake.systems.grid_identifier import GridIdentifier, IdentifierState
 from gridpush_drake.systems.poke_policy import RandomPokeOptions
 from tests.helpers.poke_diagram import PokeDiagram, make_poke_diagram
 from tests.helpers.shapes import make_shape
@@ -213,3 +216,34 @@ def test_prior_before_the_first_push():
 def test_bad_arguments_are_refused(options: dict, message: str) -> None:
     with pytest.raises((IdentificationError, SimulationError), match=message):
         GridIdentifier(make_hammer(12)[0], **options)
+
+
+def test_a_load_that_was_changed_is_learned_anew(monkeypatch):
+    obj, truth = make_hammer()
+    handle = np.where(obj.p_BC[:, 0] > 0.02, 1.0, 12.0)
+    swapped = CellParameters(handle / handle.sum(), truth.friction, truth.contact_friction)
+    noise = (5e-4, 3.5e-3)
+    before = make_pokes(obj, truth, 5, 7, noise=noise)
+    after = make_pokes(obj, swapped, 4, 8, noise=noise)
+    coming = iter([*before, *after])
+    monkeypatch.setattr(
+        grid_identifier,
+        "make_observed_push",
+        lambda episode, obj, radius, name, options: replace(next(coming), name=name),
+    )
+    identifier = GridIdentifier(obj, period=0.1)
+    state = IdentifierState()
+    records = []
+    for number in range(len(before) + len(after)):
+        state = identifier._learn(identifier._log_push(state, object()), float(number))
+        records.append(state.surprises)
+    assert [record.total for record in records[:5]] == [0] * 5
+    forgotten = state.surprises.forgotten
+    assert forgotten >= 5 and state.surprises.total >= 2
+    # The estimate is that of the later pushes alone, as `identify` makes it of them.
+    assert len(state.log) == 9 and not state.message
+    offline = identify(identifier.obj, state.log[forgotten:])
+    assert state.estimate.found.push_names == offline.push_names
+    np.testing.assert_allclose(
+        state.estimate.found.posterior.mean, offline.posterior.mean, atol=0.2
+    )

@@ -1,12 +1,18 @@
 """The loop that pushes an object to a goal pose, for controllers and simulated worlds alike.
 
     waiting ---- at rest, and seen ----> pushing ----> waiting      a push, then a new observation
+       |                                    ^
+       |                                 poking        where pushes surprised
        |
        +--> reached, failed       until there is another goal, or somebody moves the object
 
 Whenever the robot is ready, the object is observed until it lies still. Then `decide_push` says
 where and how to push, by what was learned so far. So an object that slipped, or was moved by
 somebody, is pushed from where it lies.
+
+After two surprises in a row the object is another one than was learned. Then `POKES` pokes are
+made, which tell most of where it bears, before it is pushed on. Where it hangs over the table's
+edge, one surprise ends the pushing.
 
 `PushToGoalLoop` is the loop; `push_to_goal` steps it in a simulated world. A whole sequence by the
 model alone is planned by `push_plan`.
@@ -25,11 +31,13 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.notebook import count
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import (
     FAILED,
     LOST,
+    MAX_FALLBACKS,
     WAITING,
     ClosedLoop,
     LoopOptions,
@@ -39,6 +47,7 @@ from gridpush_drake.planning.closed_loop import (
 )
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
+from gridpush_drake.planning.goal.learning_poke import choose_poke_within
 from gridpush_drake.planning.goal.next_push import (
     GoalRules,
     NextPush,
@@ -53,6 +62,7 @@ from gridpush_drake.planning.goal.push_plan import (
     find_stop_reason,
 )
 from gridpush_drake.planning.loop_run import Learner, run_loop
+from gridpush_drake.planning.support_surface import find_supported
 from gridpush_drake.planning.world import PushWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -72,6 +82,14 @@ REFUSED = "refused"
 
 ERROR = "error"
 """Cause of a failure: no push could be planned, for an argument makes no sense."""
+
+SURPRISED = "surprised"
+"""Cause of a failure: the object moves unlike what was learned of it, and pushing on is not safe or
+does not help."""
+
+POKES = 2
+"""Number of pokes after two surprises in a row. With the two pushes that surprised, the object is
+then learned anew from four."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +190,7 @@ class ContactPointMode(StrEnum):
 
     WAITING = "waiting"
     PUSHING = "pushing"
+    POKING = "poking"
     REACHED = "reached"
     FAILED = "failed"
     LOST = "lost"
@@ -183,11 +202,12 @@ class ContactPointStatus:
 
     Attributes:
         mode: "waiting" for a goal, for the robot, or for the object to be seen at rest; "pushing";
-            "reached" the goal; "failed"; or "lost" the object out of sight.
+            "poking", to learn the object anew; "reached" the goal; "failed"; or "lost" the object
+            out of sight.
         reason: the mode in a sentence.
-        cause: of "reached" or "failed": a key of `planning.goal.push_plan.REASONS`, "refused" or
-            "error"; else empty.
-        pushes: number of pushes towards this goal that were carried out.
+        cause: of "reached" or "failed": a key of `planning.goal.push_plan.REASONS`, "refused",
+            "error" or "surprised"; else empty.
+        pushes: number of pushes towards this goal that were carried out, pokes among them.
         refused: number of pushes, the last ones in a row, that were refused.
         error: mean cell error to the goal where the object was last seen at rest, m; NaN before.
         expected_pose: (x, y, theta) in which the push under way is predicted to leave the object,
@@ -195,6 +215,8 @@ class ContactPointStatus:
         expected_error: mean cell error to the goal there, m; NaN where no push is under way.
         prediction_error: mean cell distance of where the last push left the object from where it
             was predicted to, m; NaN before.
+        surprises: number of the last pushes that were surprises, one after another.
+        surprise: the last push's surprise in a sentence; empty where it was none.
     """
 
     mode: ContactPointMode = ContactPointMode.WAITING
@@ -206,6 +228,8 @@ class ContactPointStatus:
     expected_pose: Pose | None = None
     expected_error: float = nan
     prediction_error: float = nan
+    surprises: int = 0
+    surprise: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,8 +243,8 @@ class PushToGoalState(LoopState):
         decided_at: (3,) where the object lay at the last decision; None before the first.
         planned: the push under way, or the last one, as planned; None before the first.
         cost_to_go: to the goal; None before the first decision.
-        logged: number of pushes in the log when the last push was asked for.
         simulations: number of the planner's simulations, towards this goal.
+        pokes: number of pokes that are still to be made before the object is pushed on.
     """
 
     status: ContactPointStatus = field(default_factory=ContactPointStatus)
@@ -229,8 +253,8 @@ class PushToGoalState(LoopState):
     decided_at: Array | None = None
     planned: PlannedPush | None = None
     cost_to_go: CostToGo | None = None
-    logged: int = 0
     simulations: int = 0
+    pokes: int = 0
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "PushToGoalState":
         """The state in another mode, see `LoopState.turn_to`; it has no cause unless given one."""
@@ -250,7 +274,7 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         params: the model before anything was learned.
     """
 
-    pushing_modes = (ContactPointMode.PUSHING,)
+    pushing_modes = (ContactPointMode.PUSHING, ContactPointMode.POKING)
 
     def __init__(
         self,
@@ -302,9 +326,27 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
             return now
         reason = "No goal is given." if wanted is None else "Looking at the object."
         begun = PushToGoalState(
-            begun=True, goal=wanted, push=now.push, push_id=now.push_id, filter=now.filter
+            begun=True,
+            goal=wanted,
+            push=now.push,
+            push_id=now.push_id,
+            filter=now.filter,
+            believed=now.believed,
+            logged=now.logged,
+            surprises=now.surprises,
+            fallbacks=now.fallbacks,
+            pokes=now.pokes,
         )
         return begun.turn_to(WAITING, reason)
+
+    def _end_push(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
+        """The state after a push; after two surprises in a row pokes are due."""
+        after = super()._end_push(now, seen)
+        if after.surprises is not now.surprises and after.surprises.is_changed:
+            return replace(after, pokes=POKES, fallbacks=after.fallbacks + 1)
+        # A poke that was made is one less to make; one that was refused is chosen anew.
+        poked = now.status.mode == ContactPointMode.POKING and not seen.robot.reason
+        return replace(after, pokes=max(now.pokes - 1, 0)) if poked else after
 
     def decide(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
         """The state with the next push asked for, or at the end."""
@@ -320,6 +362,9 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
             now = replace(now, refused=()).turn_to(WAITING, "Somebody moved the object.", refused=0)
         now = replace(now, decided_at=pose)
         try:
+            surprised = self._face_surprise(now, seen, pose)
+            if surprised is not None:
+                return surprised
             decision = decide_push(
                 obj=self.obj,
                 pose=pose,
@@ -339,14 +384,72 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
             simulations=now.simulations + (chosen.simulations if chosen else 0),
         )
         if chosen is not None and chosen.push is not None:
-            return self._push(now, decision.error, chosen.push, len(seen.log))
+            return self._push(now, decision.error, chosen.push, seen)
         cause = decision.status
         assert cause is not None
         mode = ContactPointMode.REACHED if cause == PushPlanStatus.REACHED else FAILED
         return now.turn_to(mode, REASONS[cause], cause=cause.value, error=decision.error)
 
+    def _face_surprise(
+        self, now: PushToGoalState, seen: Observation, pose: Array
+    ) -> PushToGoalState | None:
+        """The state in which the loop pokes or stops, because pushes surprised.
+
+        Args:
+            now: the state.
+            seen: what is seen.
+            pose: (3,) where the object lies, X_WB, m and rad.
+
+        Returns:
+            The state; None where nothing surprised, the object is at the goal, or no more pushes
+            are allowed.
+
+        Raises:
+            PlanningError: a poke cannot be planned.
+        """
+        last = now.surprises.last
+        if (last is None and not now.pokes) or now.status.pushes >= self.rules.max_pushes:
+            return None
+        error = float(calc_goal_error(self.obj, pose, np.array(now.goal)))
+        if error <= self.rules.tolerance:
+            return None
+        surface = self.rules.constraints.surface
+        hangs_over = surface is not None and not find_supported(self.obj, pose, surface).all()
+        if last is not None and hangs_over:
+            reason = (
+                f"The object hangs over the table's edge, and surprised. {last.describe()} "
+                "It is pushed no further."
+            )
+            return now.turn_to(FAILED, reason, cause=SURPRISED, error=error)
+        if not now.pokes or seen.identification is None:
+            return None
+        if now.fallbacks > MAX_FALLBACKS:
+            reason = "The object goes on moving unlike what was learned of it."
+            return now.turn_to(FAILED, reason, cause=SURPRISED, error=error)
+        poke = choose_poke_within(
+            forbid(self.rules, now.refused),
+            pose,
+            seen.identification,
+            now.surprises.select(seen.log),
+            np.array(now.goal),
+        )
+        if poke is None:
+            reason = "The object moves unlike what was learned of it, and no poke is safe."
+            return now.turn_to(FAILED, reason, cause=SURPRISED, error=error)
+        reason = (
+            "The last pushes surprised, and the object is learned anew: "
+            f"{count(now.pokes, 'poke')} to go."
+        )
+        return self._push(now, error, poke, seen, ContactPointMode.POKING, reason)
+
     def _push(
-        self, now: PushToGoalState, error: float, planned: PlannedPush, logged: int
+        self,
+        now: PushToGoalState,
+        error: float,
+        planned: PlannedPush,
+        seen: Observation,
+        mode: ContactPointMode = ContactPointMode.PUSHING,
+        reason: str = "",
     ) -> PushToGoalState:
         """The state with a push asked for.
 
@@ -354,14 +457,17 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
             now: the state.
             error: mean cell error to the goal now, m.
             planned: the push.
-            logged: number of pushes in the log.
+            seen: what it was chosen by.
+            mode: "pushing", or "poking".
+            reason: why it is made, in a sentence; its number by default.
         """
         x, y, theta = planned.pose.tolist()
         expected_error = float(calc_goal_error(self.obj, planned.pose, np.array(now.goal)))
-        return replace(now, planned=planned, logged=logged).ask(
+        return replace(now, planned=planned).ask(
             planned.push,
-            ContactPointMode.PUSHING,
-            f"Push {now.status.pushes + 1} is under way.",
+            mode,
+            reason or f"Push {now.status.pushes + 1} is under way.",
+            seen,
             error=error,
             expected_pose=(x, y, theta),
             expected_error=expected_error,

@@ -12,6 +12,10 @@ Whenever robot and object are at rest the object is observed for a while, and th
 what to do next; nothing is done on an old observation. A decision depends on that, on what was
 learned, and on how often something was tried. So an object that slipped, or was moved by somebody,
 is simply taken from where it lies.
+
+After two surprises in a row (`identification.surprise`) the object is another one than was learned.
+The planner then begins anew: it pokes until it knows enough, before it slides on. If an object that
+surprised hangs over the edge, nothing more is done: neither slid nor grasped.
 """
 
 from collections.abc import Callable
@@ -27,6 +31,7 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.planning.closed_loop import (
     FAILED,
     LOST,
+    MAX_FALLBACKS,
     WAITING,
     ClosedLoop,
     LoopOptions,
@@ -45,6 +50,7 @@ from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import PushMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, PushPhase
+from gridpush_drake.planning.support_surface import find_supported
 from gridpush_drake.pushes.push_log import PushLog
 
 FindGrasp = Callable[[Array, Array, PlausibleMassSet, bool], SideGrasp | None]
@@ -90,6 +96,8 @@ class PreGraspStatus:
             rad; None without.
         margin: stability margin of the goal at the worst, m; NaN without one.
         forecast: of the last poke asked for; None before the first.
+        surprises: number of the last pushes that were surprises, one after another.
+        surprise: the last push's surprise in a sentence; empty where it was none.
     """
 
     mode: PreGraspMode = PreGraspMode.WAITING
@@ -101,6 +109,8 @@ class PreGraspStatus:
     expected_pose: Pose | None = None
     margin: float = nan
     forecast: PokeForecast | None = None
+    surprises: int = 0
+    surprise: str = ""
 
     @property
     def over(self) -> bool:
@@ -140,12 +150,16 @@ class PreGraspState(LoopState):
         monitor: of the push under way, or of the last one; None before the first.
         grasp: the last grasp asked for; None before the first.
         grasp_id: number of that grasp, counted from 1; 0 before the first.
+        pokes_before: number of pokes made before the loop last fell back to pokes.
+        slides_before: number of slides made before that.
     """
 
     status: PreGraspStatus = field(default_factory=PreGraspStatus)
     monitor: PushMonitor | None = None
     grasp: SideGrasp | None = None
     grasp_id: int = 0
+    pokes_before: int = 0
+    slides_before: int = 0
 
     @property
     def shown_push(self) -> Push | None:
@@ -246,19 +260,60 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             return {"pokes": now.status.pokes - 1, "slides": now.status.slides}
         return {"pokes": now.status.pokes, "slides": now.status.slides - 1}
 
+    def _end_push(self, now: PreGraspState, seen: Observation) -> PreGraspState:
+        """The state after a push; after two surprises in a row the planner begins anew."""
+        after = super()._end_push(now, seen)
+        if after.surprises is now.surprises or not after.surprises.is_changed:
+            return after
+        return replace(
+            after,
+            fallbacks=after.fallbacks + 1,
+            pokes_before=after.status.pokes,
+            slides_before=after.status.slides,
+        )
+
+    def _stop_surprised(self, now: PreGraspState, pose: Array) -> PreGraspState | None:
+        """The state in which the loop gives up, because pushes surprised; None to go on.
+
+        Args:
+            now: the state.
+            pose: (3,) where the object lies, X_WB, m and rad.
+        """
+        last = now.surprises.last
+        planner = self.planner
+        supported = find_supported(planner.obj, pose, planner.surface)
+        if last is not None and not supported.all():
+            reason = (
+                f"The object hangs over the table's edge, and surprised. {last.describe()} "
+                "It is neither slid on nor grasped."
+            )
+            return now.turn_to(FAILED, reason, goal=None)
+        if now.fallbacks > MAX_FALLBACKS:
+            reason = "The object goes on moving unlike what was learned of it."
+            return now.turn_to(FAILED, reason, goal=None)
+        return None
+
     def decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """The state with the next push or grasp asked for, or at the end."""
         pose = now.filter.calc_mean()
+        stopped = self._stop_surprised(now, pose)
+        if stopped is not None:
+            return stopped
         try:
             uncertain = self._infer(seen.identification, seen.log)
-            decision = self.planner.decide(pose, uncertain, now.status.pokes, now.status.slides)
+            decision = self.planner.decide(
+                pose,
+                uncertain,
+                now.status.pokes - now.pokes_before,
+                now.status.slides - now.slides_before,
+            )
         except GridPushError as error:
             return now.turn_to(FAILED, f"Nothing could be planned: {error}.", goal=None)
         reason = _make_sentence(decision.reason)
         if decision.action == "fail":
             return now.turn_to(FAILED, reason, goal=decision.goal, margin=decision.margin)
         if decision.push is not None:
-            return self._push(now, pose, uncertain, decision, decision.push)
+            return self._push(now, pose, uncertain, decision, decision.push, seen)
         # The object can be grasped. It is observed once more before that is done.
         if now.status.mode != PreGraspMode.VERIFYING:
             return now.turn_to(
@@ -274,6 +329,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         uncertain: UncertainModel | None,
         decision: PreGraspDecision,
         push: Push,
+        seen: Observation,
     ) -> PreGraspState:
         """The state with a push asked for, and watched."""
         planner = self.planner
@@ -291,6 +347,8 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         last = now.status.forecast
         if last is not None and decision.forecast is not None:
             reason += last.describe_outcome(decision.forecast)
+        if now.surprises.is_changed:
+            reason = f"The last pushes surprised, and the object is learned anew: {reason}"
         expected_pose = None
         if decision.expected_pose is not None:
             expected_pose = tuple(decision.expected_pose.tolist())
@@ -299,6 +357,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             push,
             PreGraspMode.EXPLORING if poke else PreGraspMode.SLIDING,
             reason,
+            seen,
             pokes=now.status.pokes + poke,
             slides=now.status.slides + (not poke),
             goal=decision.goal,

@@ -1,0 +1,164 @@
+"""Surprises: pushes that end where the model, as it was before them, said that they hardly could.
+
+With r = (dx_c, dy_c, rho dtheta) the residual of a push's last pose, the model predicts
+
+    r ~ t(0, kappa² (J S J^T + Sigma))
+
+(`prediction.predict_spread`). The push is a surprise if |r| is above the quantile of 99 % of that
+distribution. Then the object is not what the model says it is, or something else moved it: its load
+has changed, it was exchanged, it caught on something.
+
+A model that has learned from pushes which contradict each other explains them all by noise, and
+nothing surprises it any more. So after a surprise, if the newer model has become much vaguer, the
+model as it was before the surprise remains the judge.
+
+Nothing is learned here, and what follows from a surprise is decided elsewhere: `SurpriseRecord`
+counts them, closed loops (`planning.closed_loop`) act on the count, and learners forget by it what
+was seen before. Theory: `docs/theory/identification.md`, section 13.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.prediction import calc_end_covariance, calc_norm_quantile
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.notebook import MM
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+SURE = 0.99
+"""Probability with which a push ends within the region that is no surprise."""
+
+FORGET_AFTER = 2
+"""Number of surprises in a row after which what was seen before them is forgotten."""
+
+MUCH_VAGUER = 3.0
+"""If the region of a newer model is more than this many times as wide, the model as it was before a
+surprise judges the next push."""
+
+
+@dataclass(frozen=True)
+class Judgment:
+    """Where a push ended, compared with where a model that did not know it put it.
+
+    Attributes:
+        push: the push's name.
+        distance: how far from the predicted end it ended, root mean square over the cells, m.
+        limit: greatest distance that is no surprise, m.
+    """
+
+    push: str
+    distance: float
+    limit: float
+
+    @property
+    def surprises(self) -> bool:
+        """Whether the push ended outside of the region; so does one whose distance is no number."""
+        return not self.distance <= self.limit
+
+    def describe(self) -> str:
+        """The judgment of a surprise, in a sentence."""
+        return (
+            f"It ended {self.distance * MM:.1f} mm from where it was predicted to, "
+            f"and {SURE:.0%} of such pushes end within {self.limit * MM:.1f} mm."
+        )
+
+
+def judge_push(
+    model: Identification, seen: ObservedPush, table: Array | None = None
+) -> Judgment | None:
+    """Judges a push by what the model said of it beforehand.
+
+    Args:
+        model: what was learned from pushes before this one.
+        seen: the push.
+        table: (K, 2) corners in W of the table's top, m, if loads shift at its edge.
+
+    Returns:
+        The judgment; None where nothing was learned before the push, or where its end cannot be
+        judged: it was not seen, or the object hung over an edge that is not known.
+    """
+    unknown_edge = seen.overhang and table is None
+    if not model.push_names or not len(seen.t_observed) or unknown_edge:
+        return None
+
+    # Only the last pose counts: it is what plans are made of.
+    end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
+    problem = PushProblem(model.obj, PushLog((end,), table=table), model.params, model.physics)
+    linear = problem.linearize(model.posterior.mean)
+    covariance = calc_end_covariance(model, linear.by_z[0], linear.by_inputs[0])
+    freedom = model.noise.calc_freedom(len(model.push_names))
+    return Judgment(
+        push=seen.name,
+        distance=float(np.linalg.norm(linear.residuals[0])),
+        limit=calc_norm_quantile(covariance, freedom, SURE),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SurpriseRecord:
+    """What surprises there were, push after push; never changed, only replaced.
+
+    Attributes:
+        total: number of surprises so far.
+        in_row: number of the last pushes that were surprises, one after another. After
+            `FORGET_AFTER` it is counted anew, because the model is then learned anew.
+        last: the surprise of the last push; None where it was none.
+        forgotten: number of pushes, the first ones of the log, that are not learned from any more.
+        trusted: what was learned before the first of the last surprises in a row; None where the
+            last push was no surprise.
+    """
+
+    total: int = 0
+    in_row: int = 0
+    last: Judgment | None = None
+    forgotten: int = 0
+    trusted: Identification | None = None
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether the last push says that the object is another one than was learned."""
+        return self.in_row >= FORGET_AFTER
+
+    def note(self, model: Identification | None, log: PushLog) -> "SurpriseRecord":
+        """The record with the last push of a log judged; itself where it cannot be judged.
+
+        Args:
+            model: what was learned from the pushes before it; None before anything was.
+            log: all pushes so far.
+        """
+        begun = replace(self, in_row=0, trusted=None) if self.is_changed else self
+        judgment = begun._judge(model, log)
+        if judgment is None:
+            return self
+        if not judgment.surprises:
+            return self if self.last is None else replace(begun, in_row=0, last=None, trusted=None)
+        noted = replace(
+            begun,
+            total=begun.total + 1,
+            in_row=begun.in_row + 1,
+            last=judgment,
+            trusted=begun.trusted or model,
+        )
+        if noted.is_changed:
+            # The pushes that surprised were made with the object as it now is.
+            noted = replace(noted, forgotten=len(log) - FORGET_AFTER)
+        return noted
+
+    def _judge(self, model: Identification | None, log: PushLog) -> Judgment | None:
+        """Judges the last push of a log by the model, or by the trusted one if that says more."""
+        if model is None or not len(log):
+            return None
+        judgment = judge_push(model, log[-1], log.table)
+        if self.trusted is None or judgment is None:
+            return judgment
+        trusted = judge_push(self.trusted, log[-1], log.table)
+        if trusted is not None and judgment.limit > MUCH_VAGUER * trusted.limit:
+            return trusted
+        return judgment
+
+    def select(self, log: PushLog) -> PushLog:
+        """Selects the pushes of a log that may be learned from; itself if nothing is forgotten."""
+        return log[self.forgotten :] if self.forgotten else log

@@ -1,0 +1,103 @@
+"""A poke on the way to a goal, made to learn an object anew.
+
+An object that moved unlike what was learned of it is not pushed on by a model that is wrong. First
+it is poked where that is expected to tell most of its center of friction (`planning.pregrasp.
+exploration`), within the rules that pushes to the goal keep to: on the table, clear of obstacles,
+and so short that it is safe by every model that may be the true one (`next_push.Robustness`).
+"""
+
+import numpy as np
+from shapely import Point
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.geometry.se2 import Array, rotate, transform_back
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
+from gridpush_drake.planning.goal.next_push import GoalRules, Robustness, draw_model_samples
+from gridpush_drake.planning.pregrasp.exploration import (
+    PokeOptions,
+    choose_poke,
+    make_center_functional,
+    make_pokes,
+)
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.pushes.push_log import PushLog
+
+
+def choose_poke_within(
+    rules: GoalRules, pose: Array, found: Identification, log: PushLog, goal: Array
+) -> PlannedPush | None:
+    """Chooses the poke that is expected to tell most of the center of friction.
+
+    Args:
+        rules: what pushes to the goal keep to.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        found: what was learned of it.
+        log: the pushes that it was learned from, at least.
+        goal: (3,) the goal, of which the plan says how far off the poke leaves the object.
+
+    Returns:
+        The poke; None where no poke keeps to the rules.
+    """
+    obj = found.obj
+    used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
+    model = UncertainModel.of_identification(found, log=used)
+    contact = rules.contact
+    options = PokeOptions(
+        radius=contact.radius,
+        speed=contact.speed,
+        clearance=contact.clearance,
+        distance=min(PokeOptions.distance, contact.distance_range[1]),
+    )
+    pokes = make_pokes(model, pose, options, rules.constraints)
+    if not pokes:
+        return None
+    choice = choose_poke(model, pose, pokes, make_center_functional(model))
+
+    # The best one first, until one is safe by all models and the robot can make it.
+    robustness = None
+    if rules.robustness is not None:
+        robustness = Robustness(
+            obj=obj,
+            models=[found.params, *draw_model_samples(obj, found.params, found, rules.robustness)],
+            constraints=rules.constraints,
+            contact=contact,
+            options=rules.robustness,
+        )
+    for index in np.argsort(choice.expected_stds, kind="stable").tolist():
+        if not np.isfinite(choice.expected_stds[index]):
+            break
+        planned = _plan(found, pokes[index], pose, goal)
+        safe = planned if robustness is None else robustness.cut(pose, planned)
+        if safe is not None and rules.constraints.allows_push(safe.push):
+            return safe
+    return None
+
+
+def _plan(found: Identification, push: Push, pose: Array, goal: Array) -> PlannedPush:
+    """Says of a poke where it begins, and where the model puts the object at its end."""
+    obj = found.obj
+    motion = simulate(obj, found.params, push, pose, regime="quasi_static")
+    arc_length, angle = _find_contact(obj, push, pose)
+    return PlannedPush(
+        arc_length=arc_length,
+        angle=angle,
+        distance=push.length,
+        push=push,
+        pose=motion.final_pose,
+        cost=float(calc_goal_error(obj, motion.final_pose, goal)),
+        simulations=1,
+    )
+
+
+def _find_contact(obj: GridObject, push: Push, pose: Array) -> tuple[float, float]:
+    """Finds where on the outline a push begins, m, and its angle from the inward normal, rad."""
+    start = transform_back(pose, push.start[None])[0]
+    arc_length = float(obj.outline.exterior.project(Point(start)))
+    _, _, normal = obj.edges.at(arc_length)
+    inward = -np.asarray(normal)
+    direction = rotate(-pose[2], push.velocity / np.linalg.norm(push.velocity))
+    across = inward[0] * direction[1] - inward[1] * direction[0]
+    return arc_length, float(np.arctan2(across, inward @ direction))
