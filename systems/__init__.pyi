@@ -3,6 +3,7 @@ from .arm_guard import GuardLimits as GuardLimits
 from .arm_guard import GuardMode as GuardMode
 from .arm_guard import GuardStatus as GuardStatus
 from .contact_point_controller import ContactPointController as ContactPointController
+from .edge_presser import EdgePresser as EdgePresser
 from .estimate_visualizer import EstimateVisualizer as EstimateVisualizer
 from .grasp_executor import GraspExecutor as GraspExecutor
 from .grid_identifier import GridIdentifier as GridIdentifier
@@ -14,6 +15,7 @@ from .messages import GraspCommand as GraspCommand
 from .messages import GraspOutcome as GraspOutcome
 from .messages import GraspPhase as GraspPhase
 from .messages import GraspStatus as GraspStatus
+from .messages import PressCommand as PressCommand
 from .messages import PushCommand as PushCommand
 from .messages import PushPhase as PushPhase
 from .messages import PushStatus as PushStatus

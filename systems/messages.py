@@ -90,6 +90,33 @@ class PushCommand(_Command):
         )
 
 
+PRESS_COMMAND_SIZE = 7
+"""Length of a `PressCommand` as a vector."""
+
+
+@dataclass(frozen=True)
+class PressCommand(_Command):
+    """A press on a part of an object that hangs over the table's edge, world frame.
+
+    Attributes:
+        command_id: counts the commands from 1; a command is new when its id is. 0 stands for no
+            command.
+        x: x of the tip's center, m.
+        y: y of the tip's center, m.
+        edge_x: x of a point of the edge, m.
+        edge_y: y of a point of the edge, m.
+        edge_angle: direction of the edge's outward normal, from W's x axis, counterclockwise, rad.
+        top: height of the object's top above the table, m.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    edge_x: float = 0.0
+    edge_y: float = 0.0
+    edge_angle: float = 0.0
+    top: float = 0.0
+
+
 GRASP_COMMAND_SIZE = 6
 """Length of a `GraspCommand` as a vector."""
 

@@ -38,6 +38,11 @@ BENCHES: dict[str, LazyCommand] = {
         "gridpush_drake.bench.grasp:STUDY",
         "Let the whole station poke objects, slide them to the table's edge, grasp and lift them.",
     ),
+    "weighing": LazyCommand(
+        "gridpush_drake.bench.weighing:STUDY",
+        "Find mass, center of mass and friction of objects of which nothing is told, by pushes "
+        "and presses at the table's edge.",
+    ),
     "truth": LazyCommand(
         "gridpush_drake.bench.truth.learning:STUDY",
         "Learn bodies that do not obey the model: MuJoCo pushes them, on feet, foundations "

@@ -1,0 +1,380 @@
+"""`gridpush bench weighing`: mass, center of mass and friction of objects of which nothing is told.
+
+Each object gets a hidden mass of 0.1 to 3 kg, masses of its parts, and a friction of each part. It
+is pushed five times by a finger that feels forces, in the model's own simulator. Then it is laid
+over the table's edge in Drake and pressed, as `planning.weighing` plans, until it is known. Poses,
+forces and places are told with noise. What is not simulated is how it gets from one place at the
+edge to the next: it is put there.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
+from gridpush_drake.bench.table import DEGREES, MM, Table, by_object, calc_mean, mean_of
+from gridpush_drake.bench.weighing_world import EDGE, WeighingNoise, WeighingWorld
+from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.weighed_model import weigh_model
+from gridpush_drake.multibody.ground_truth import sample_ground_truth
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.weighing.press import PressOutcome
+from gridpush_drake.planning.weighing.sequence import plan_next_press
+from gridpush_drake.planning.world import FALLEN_TILT
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.weighings import WeighingLog
+
+TRUTHS = 10
+"""Number of hidden truths of each object by default."""
+
+MASS_RANGE = (0.1, 3.0)
+"""Least and greatest mass of an object, kg; drawn evenly in its logarithm."""
+
+FRICTION_RANGE = (0.1, 0.9)
+"""Least and greatest friction coefficient of a part, and what a plan takes for possible."""
+
+SUPPOSED_FRICTION = 0.3
+"""Friction coefficient that is supposed before anything is known."""
+
+PUSHES = 5
+"""Number of pushes before the first press."""
+
+PUSH_LENGTH = 0.06
+"""Length of a push, m."""
+
+PUSH_SPEED = 0.03
+"""Speed of a push, m/s."""
+
+SLANT = 0.5
+"""Greatest angle of a push from the outline's inward normal, rad."""
+
+POSES = 6
+"""Number of poses that are seen during a push, after the first."""
+
+FORCE_PERIOD = 0.02
+"""Time between two samples of the force of a push, s."""
+
+REST = 0.2
+"""Time that an object has to come to rest at the edge, s."""
+
+MASS_GOAL = 0.03
+"""Relative error of the mass that is hoped for."""
+
+CENTER_GOAL = 0.003
+"""Error of the center of mass that is hoped for, m."""
+
+FRICTION_GOAL = 0.03
+"""Error of the mean friction coefficient that is hoped for."""
+
+CHI_SQUARE = 5.991
+"""95 % quantile of a chi square with two degrees of freedom."""
+
+
+@dataclass(frozen=True)
+class WeighingJob:
+    """The weighing of one object with one hidden truth.
+
+    Attributes:
+        name: name of a shipped object.
+        seed: seed of truth and noise.
+    """
+
+    name: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class WeighingScore:
+    """What came of it.
+
+    Attributes:
+        name: name of the object.
+        seed: seed of truth and noise.
+        mass: true mass, kg.
+        presses: number of presses.
+        withstood: number of them at which the object did not tilt up to the greatest force.
+        time: how long all presses took, s.
+        mass_error: error of the mass, relative to it.
+        center_error: distance of the center of mass from where it is estimated, m.
+        friction_error: error of the mean friction coefficient.
+        mass_holds: whether the 95 % interval of the mass holds it.
+        center_holds: whether the 95 % region of the center of mass holds it.
+        friction_holds: whether the 95 % interval of the mean friction holds it.
+        max_tilt: greatest true tilt, rad.
+        moved: greatest distance that a press left the object from where it lay, m.
+        fell: whether it fell off the table.
+    """
+
+    name: str
+    seed: int
+    mass: float
+    presses: int
+    withstood: int
+    time: float
+    mass_error: float
+    center_error: float
+    friction_error: float
+    mass_holds: bool
+    center_holds: bool
+    friction_holds: bool
+    max_tilt: float
+    moved: float
+    fell: bool
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        objects: names of shipped objects; all by default.
+        truths: number of hidden truths of each object; the first one has the seed `seed`.
+    """
+
+    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    truths: int = option(TRUTHS, "Hidden truths of each object.", least=1)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the objects."""
+        return tuple(list_shipped_objects()) if self.objects is None else self.objects
+
+
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant: one truth of the first object."""
+    return replace(options, objects=options.names[:1], truths=1)
+
+
+def make_jobs(options: Options) -> list[WeighingJob]:
+    """Makes a job for each object and truth.
+
+    Raises:
+        ObjectError: an object is not shipped.
+        GridPushError: there is no object, or no truth.
+    """
+    if not options.names:
+        raise GridPushError("objects: none; expected at least one")
+    if options.truths < 1:
+        raise GridPushError("truths: none; expected at least one")
+    for name in options.names:
+        find_shipped_object(name)
+    seeds = range(options.seed, options.seed + options.truths)
+    return [WeighingJob(name, seed) for name in options.names for seed in seeds]
+
+
+def run_job(job: WeighingJob) -> WeighingScore:
+    """Pushes and weighs one object."""
+    obj = forget(GridObject.from_yaml(find_shipped_object(job.name)))
+    truth = draw_truth(obj, job.seed)
+    found = identify(obj, make_pushes(obj, truth, job.seed), seed=job.seed)
+    model = UncertainModel.of_identification(found, friction_range=FRICTION_RANGE)
+    centers = model.masses.center_of_mass_polygon
+
+    world = WeighingWorld(obj, truth, seed=job.seed)
+    log = WeighingLog()
+    known = found
+    presses = 0
+    withstood = 0
+    time = 0.0
+    max_tilt = 0.0
+    moved = 0.0
+    while True:
+        chosen = plan_next_press(known, centers, EDGE, world.height, presses, withstood)
+        if chosen is None:
+            break
+        world.put(chosen.pose)
+        world.let_pass(REST)
+        seen = world.observe()
+        made = world.press(chosen.target)
+        presses += 1
+        time += made.time
+        max_tilt = max(max_tilt, made.max_tilt)
+        moved = max(moved, made.moved)
+        if made.max_tilt >= FALLEN_TILT:
+            break
+        withstood += made.state.outcome == PressOutcome.TOO_HEAVY
+        weighing = made.state.make_weighing(made.target, world.options, seen)
+        if weighing is not None:
+            log = replace(log, presses=(*log.presses, weighing))
+            known = weigh_model(found, log, seed=job.seed)
+    return score(
+        job, known, truth, presses=presses, withstood=withstood, time=time, tilt=max_tilt,
+        moved=moved,
+    )  # fmt: skip
+
+
+def score(
+    job: WeighingJob,
+    known: Identification,
+    truth: CellParameters,
+    *,
+    presses: int,
+    withstood: int,
+    time: float,
+    tilt: float,
+    moved: float,
+) -> WeighingScore:
+    """Compares what is known with the truth."""
+    mass = truth.total_mass
+    friction = float(truth.mass @ truth.friction) / mass
+    center = truth.center_of_mass(known.obj)
+    absolute = known.absolute
+    if absolute is None:
+        # Nothing could be weighed.
+        nan = float("nan")
+        off = known.params.center_of_mass(known.obj) - center
+        errors = (nan, float(np.linalg.norm(off)), nan)
+        holds = (False, False, False)
+    else:
+        off = absolute.center_of_mass - center
+        errors = (
+            absolute.total_mass / mass - 1,
+            float(np.linalg.norm(off)),
+            absolute.friction - friction,
+        )
+        low, high = absolute.mass_interval
+        least, most = absolute.friction_interval
+        distance = float(off @ np.linalg.solve(absolute.center_covariance, off))
+        holds = (low <= mass <= high, distance <= CHI_SQUARE, least <= friction <= most)
+    return WeighingScore(
+        name=job.name,
+        seed=job.seed,
+        mass=mass,
+        presses=presses,
+        withstood=withstood,
+        time=time,
+        mass_error=errors[0],
+        center_error=errors[1],
+        friction_error=errors[2],
+        mass_holds=holds[0],
+        center_holds=holds[1],
+        friction_holds=holds[2],
+        max_tilt=tilt,
+        moved=moved,
+        fell=tilt >= FALLEN_TILT,
+    )
+
+
+def forget(obj: GridObject) -> GridObject:
+    """Returns an object of which nothing is told but its outline."""
+    prior = replace(
+        obj.prior,
+        total_mass=None,
+        center_of_mass=None,
+        friction=SUPPOSED_FRICTION,
+        friction_min=FRICTION_RANGE[0],
+        friction_max=FRICTION_RANGE[1],
+    )
+    return replace(obj, prior=prior)
+
+
+def draw_truth(obj: GridObject, seed: int) -> CellParameters:
+    """Draws the hidden masses and frictions."""
+    drawn = sample_ground_truth(obj, seed, friction_range=FRICTION_RANGE, friction_by_part=True)
+    rng = np.random.default_rng((seed, 12))
+    mass = float(np.exp(rng.uniform(*np.log(MASS_RANGE))))
+    return replace(drawn, mass=drawn.mass * (mass / drawn.total_mass))
+
+
+def make_pushes(obj: GridObject, truth: CellParameters, seed: int) -> PushLog:
+    """Makes pushes from random places of the outline inwards, with measured forces."""
+    rng = np.random.default_rng((seed, 13))
+    noise = WeighingNoise()
+    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    pushes = []
+    while len(pushes) < PUSHES:
+        place = rng.uniform(0, obj.edges.perimeter)
+        angle = rng.uniform(-SLANT, SLANT)
+        push = Push.on_outline(obj, place, angle, PUSH_LENGTH, radius=radius, speed=PUSH_SPEED)
+        times = make_path_times(push, "quasi_static")
+        motion = simulate(obj, truth, push, times=times, regime="quasi_static")
+        force = motion.contact_forces.sum(axis=1)
+        if not force.any():
+            continue
+        std = np.array([noise.position, noise.position, noise.angle])
+        rows = np.rint(np.linspace(0, len(times) - 1, POSES + 1)).astype(int)
+        seen = motion.poses[rows] + std * rng.standard_normal((len(rows), 3))
+        force_t = np.arange(0.0, push.duration, FORCE_PERIOD)
+        steps = np.searchsorted(times, force_t, side="right") - 1
+        felt = force[steps] + noise.force * rng.standard_normal((len(steps), 2))
+        pushes.append(
+            ObservedPush(
+                name=f"push_{len(pushes) + 1}",
+                push=push,
+                pose=seen[0],
+                t_observed=times[rows[1:]],
+                poses_observed=seen[1:],
+                force_t=force_t,
+                force=felt,
+            )
+        )
+    return PushLog(tuple(pushes))
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Tabulates the scores by object."""
+    scores = done.of(TASK)
+
+    def share(key: str, goal: float) -> object:
+        """Says how many errors are within a goal."""
+        return lambda some: int(sum(abs(getattr(one, key)) <= goal for one in some))
+
+    def count(key: str) -> object:
+        """Says of how many something is true."""
+        return lambda some: int(sum(getattr(one, key) for one in some))
+
+    def median(key: str, scale: float) -> object:
+        """Says the median of the errors' magnitudes."""
+        return lambda some: scale * float(np.nanmedian([abs(getattr(one, key)) for one in some]))
+
+    columns = {
+        "runs": len,
+        "presses": mean_of("presses"),
+        "time, s": mean_of("time"),
+        "mass, %": median("mass_error", 100),
+        "within 3 %": share("mass_error", MASS_GOAL),
+        "center, mm": median("center_error", MM),
+        "within 3 mm": share("center_error", CENTER_GOAL),
+        "friction": median("friction_error", 1),
+        "within 0.03": share("friction_error", FRICTION_GOAL),
+        "mass held": count("mass_holds"),
+        "center held": count("center_holds"),
+        "friction held": count("friction_holds"),
+        "tilt, °": lambda some: DEGREES * max(one.max_tilt for one in some),
+        "fell": count("fell"),
+    }
+    notes = (
+        f"Hidden: mass {MASS_RANGE[0]:g} to {MASS_RANGE[1]:g} kg, friction of each part "
+        f"{FRICTION_RANGE[0]:g} to {FRICTION_RANGE[1]:g}. Nothing but the outline is told.",
+        f"{PUSHES} pushes with forces, then presses at the edge in Drake. Noise: 0.2 N in each "
+        "sample of the force, 1 mm and 0.3° of each pose, 0.5 mm of the tip.",
+        "presses, time: means; mass, center, friction: medians of the errors; held: true values "
+        "within 95 % intervals (of the center, a region); tilt: the greatest.",
+        f"Greatest move by a press: {MM * max(one.moved for one in scores):.2f} mm. Presses that "
+        f"objects withstood: {calc_mean([one.withstood for one in scores]):.2f} a run.",
+    )
+    rows = by_object(scores, options.names)
+    return [Table.of("Weighed at the table's edge", ("object",), rows, columns, notes)]
+
+
+TASK = Task(job=WeighingJob, run=run_job, describe=lambda job: f"{job.name}, truth {job.seed}")
+"""What is done with a job."""
+
+STUDY = Study(
+    name="weighing",
+    help="Find mass, center of mass and friction of objects of which nothing is told, by pushes "
+    "and presses at the table's edge.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(TASK,),
+    tabulate=tabulate,
+)
+"""`gridpush bench weighing`."""

@@ -1,0 +1,273 @@
+"""Where to press on an object that hangs over the table's edge, so that its tilt is caught.
+
+The object lies with its plausible centers of mass in a convex region C, body frame. Pressing at P,
+a beyond the edge, tilts it about the edge as the force reaches m g b / a, with b how far c is inside.
+Two things must hold for each c in C, whatever the mass:
+
+    b > h tan(t) + error        tilted by the angle t at which the press stops, an object of height
+                                h still has its center of mass inside the edge, and comes back
+    s_min < s* < s_max          where weight and press together act at that moment, the object must
+    s* = (a s_c + b s_P)        lie on the edge: s runs along the edge, from s_min to s_max where
+         / (a + b)              the object crosses it. Else it would roll over a corner instead
+
+s* is a quotient of linear functions of c, so that it is enough to look at the corners of C. Of all
+places that do, the one is taken that is expected to tell the product m b best,
+
+    (std of m b / m b)² = (s_F a / (m g b))² + (s_a / a)²
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, radians, sin, tan
+
+import numpy as np
+import shapely
+from shapely import LineString, Polygon
+
+from gridpush_drake.dynamics.physics import GRAVITY
+from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.geometry.se2 import Array, make_rotation, transform, transform_shape
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.weighing.press import PressTarget
+from gridpush_drake.pushes.weighings import TIP_STD
+
+FAR = 10.0
+"""Half the length of the line that stands for an edge, m."""
+
+
+@dataclass(frozen=True)
+class PressRules:
+    """What a press must keep to, and what is supposed where it is compared with others.
+
+    Attributes:
+        max_tilt: tilt at which every press has stopped, rad.
+        pose_error: how far the object may be from where it was seen, m.
+        min_arm: least distance of the tip from the edge, m.
+        tip_radius: radius of the tip's sphere, m.
+        rim: least distance of the tip's middle from the object's outline, m.
+        spacing: distance of the places that are tried, m.
+        overhang_step: distance of the overhangs that are tried, m.
+        mass: mass that is supposed in comparing places, kg. No place is taken at which it would
+            need more than the greatest force.
+        max_force: greatest force of a press, N.
+        force_std: standard deviation of the force at the tilt, N.
+    """
+
+    max_tilt: float = radians(1.0)
+    pose_error: float = 0.004
+    min_arm: float = 0.02
+    tip_radius: float = 0.008
+    rim: float = 0.0025
+    spacing: float = 0.003
+    overhang_step: float = 0.006
+    mass: float = 0.5
+    max_force: float = 50.0
+    force_std: float = 0.05
+
+    def __post_init__(self) -> None:
+        require_positive(PlanningError, "press: ", **vars(self))
+
+
+@dataclass(frozen=True)
+class Edge:
+    """The line of a table's edge.
+
+    Attributes:
+        point: (x, y) of one of its points, W, m.
+        angle: direction of its outward normal, rad.
+    """
+
+    point: tuple[float, float]
+    angle: float
+
+    @property
+    def normal(self) -> Array:
+        """(2,) outward unit normal, W."""
+        return np.array([cos(self.angle), sin(self.angle)])
+
+    @property
+    def tangent(self) -> Array:
+        """(2,) unit vector along the edge, W."""
+        return np.array([-sin(self.angle), cos(self.angle)])
+
+    def calc_beyond(self, p: Array) -> Array:
+        """Calculates how far points (..., 2) are beyond the edge, m; negative on the table."""
+        return np.asarray((p - np.array(self.point)) @ self.normal)
+
+    def calc_along(self, p: Array) -> Array:
+        """Calculates where points (..., 2) are along the edge, m."""
+        return np.asarray((p - np.array(self.point)) @ self.tangent)
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedPress:
+    """A press that is safe, and what is expected of it.
+
+    Attributes:
+        pose: (3,) X_WB of the object, m and rad.
+        target: where to press.
+        relative_std: expected standard deviation of m b, relative to it.
+        inside: least distance of the plausible centers of mass from the edge, m.
+    """
+
+    pose: Array
+    target: PressTarget
+    relative_std: float
+    inside: float
+
+
+def plan_press(
+    obj: GridObject,
+    centers: Array,
+    pose: Array,
+    edge: Edge,
+    top: float,
+    rules: PressRules | None = None,
+) -> PlannedPress | None:
+    """Plans a press on an object where it lies.
+
+    Args:
+        obj: the object.
+        centers: (V, 2) corners of the region that its center of mass is in, body frame, m.
+        pose: (3,) X_WB, m and rad.
+        edge: the edge over which it hangs.
+        top: height of its top above the table, m.
+        rules: what the press must keep to.
+
+    Returns:
+        The press; None where none is safe.
+    """
+    rules = rules or PressRules()
+    c_W = transform(pose, centers)
+    b = -edge.calc_beyond(c_W)
+    inside = float(b.min())
+    if inside <= top * tan(rules.max_tilt) + rules.pose_error:
+        return None
+    outline = transform_shape(pose, obj.outline)
+    crossing = _find_crossing(outline, edge)
+    if crossing is None:
+        return None
+    places = _list_places(outline, edge, rules)
+    if not len(places):
+        return None
+
+    # Where weight and press act together, for each place and each corner of the region.
+    a = edge.calc_beyond(places)[:, None]
+    s = edge.calc_along(places)[:, None]
+    together = (a * edge.calc_along(c_W) + b * s) / (a + b)
+    low, high = crossing
+    slack = np.minimum(together - low, high - together).min(axis=1)
+    middle = float(b.mean())
+    light = rules.mass * GRAVITY * float(b.max()) <= rules.max_force * a[:, 0]
+    safe = (slack > rules.pose_error) & light
+    if not safe.any():
+        return None
+
+    # The most telling one, with the center of mass in the middle of the region.
+    arm = a[safe, 0]
+    by_force = rules.force_std * arm / (rules.mass * GRAVITY * middle)
+    by_place = TIP_STD / arm
+    stds = np.hypot(by_force, by_place)
+    best = int(np.argmin(stds))
+    x, y = places[safe][best].tolist()
+    target = PressTarget(
+        place=(x, y),
+        edge_point=edge.point,
+        edge_angle=edge.angle,
+        top=top,
+        tip_radius=rules.tip_radius,
+    )
+    return PlannedPress(
+        pose=np.asarray(pose), target=target, relative_std=float(stds[best]), inside=inside
+    )
+
+
+def list_rests(
+    obj: GridObject,
+    centers: Array,
+    heading: float,
+    edge: Edge,
+    top: float,
+    rules: PressRules | None = None,
+    along: float = 0.0,
+) -> list[PlannedPress]:
+    """Lists how far an object may hang over an edge, with a press on it for each overhang.
+
+    Args:
+        obj: the object.
+        centers: (V, 2) corners of the region that its center of mass is in, body frame, m.
+        heading: of the object, rad.
+        edge: the edge.
+        top: height of the object's top above the table, m.
+        rules: what the presses must keep to.
+        along: where the middle of the object is along the edge, from the edge's point, m.
+
+    Returns:
+        A press for each overhang at which one is safe.
+    """
+    rules = rules or PressRules()
+    # How far the body reaches along the edge's normal, from its origin.
+    corners = shapely.get_coordinates(obj.outline) @ make_rotation(heading).T
+    reach = corners @ edge.normal
+    middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
+    overhangs = np.arange(rules.min_arm + rules.rim, float(np.ptp(reach)), rules.overhang_step)
+    sideways = along - float(middle @ edge.tangent)
+    found = []
+    for overhang in overhangs:
+        beyond = overhang - reach.max()
+        p = np.array(edge.point) + beyond * edge.normal + sideways * edge.tangent
+        planned = plan_press(obj, centers, np.array([*p, heading]), edge, top, rules)
+        if planned is not None:
+            found.append(planned)
+    return found
+
+
+def cut_region(centers: Array, mean: Array, covariance: Array, sigmas: float) -> Array:
+    """Cuts a region of centers of mass down to what an estimate leaves.
+
+    Args:
+        centers: (V, 2) corners of the convex region, m.
+        mean: (2,) estimate of the center, m.
+        covariance: (2, 2) of it, m².
+        sigmas: how many standard deviations the center may be off, in every direction.
+
+    Returns:
+        (V', 2) corners of what both allow; of the estimate's alone, where they contradict each
+        other.
+    """
+    # The ellipse, as a polygon about it.
+    root = np.linalg.cholesky(covariance)
+    angles = 2 * np.pi * np.arange(ELLIPSE_SIDES) / ELLIPSE_SIDES
+    outside = sigmas / np.cos(np.pi / ELLIPSE_SIDES)
+    circle = outside * np.column_stack([np.cos(angles), np.sin(angles)])
+    ellipse = Polygon(mean + circle @ root.T)
+    both = shapely.MultiPoint(centers).convex_hull.intersection(ellipse)
+    kept = both if isinstance(both, Polygon) and not both.is_empty else ellipse
+    return np.asarray(kept.exterior.coords)[:-1]
+
+
+ELLIPSE_SIDES = 24
+"""Number of sides of the polygon that stands for an ellipse."""
+
+
+def _find_crossing(outline: Polygon, edge: Edge) -> Sequence[float] | None:
+    """Finds from where to where along the edge an outline crosses it, m; None where it does not."""
+    p = np.array(edge.point)
+    line = LineString([p - FAR * edge.tangent, p + FAR * edge.tangent])
+    crossing = shapely.get_coordinates(outline.intersection(line))
+    if len(crossing) < 2:
+        return None
+    s = edge.calc_along(crossing)
+    return float(s.min()), float(s.max())
+
+
+def _list_places(outline: Polygon, edge: Edge, rules: PressRules) -> Array:
+    """Lists places (K, 2) on a part beyond the edge, W, m, on a grid."""
+    room = outline.buffer(-rules.rim)
+    if room.is_empty:
+        return np.empty((0, 2))
+    left, low, right, high = room.bounds
+    x, y = np.meshgrid(np.arange(left, right, rules.spacing), np.arange(low, high, rules.spacing))
+    grid = np.column_stack([x.ravel(), y.ravel()])
+    grid = grid[edge.calc_beyond(grid) >= rules.min_arm]
+    return np.asarray(grid[shapely.contains_xy(room, grid[:, 0], grid[:, 1])])

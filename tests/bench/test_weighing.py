@@ -1,0 +1,101 @@
+"""Presses at the table's edge in Drake: the physics of a tilt that is caught, and what they tell."""
+
+import numpy as np
+import pytest
+
+from gridpush_drake.bench.weighing import STUDY, TASK, Options, WeighingJob, make_jobs, run_job
+from gridpush_drake.bench.weighing_world import EDGE, EXACT, WeighingWorld
+from gridpush_drake.cli.options import load_object
+from gridpush_drake.dynamics.physics import GRAVITY
+from gridpush_drake.errors import GridPushError, ObjectError
+from gridpush_drake.geometry.se2 import transform, wrap_angle
+from gridpush_drake.multibody.ground_truth import sample_ground_truth
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.weighing.plan import PressRules, list_rests
+from gridpush_drake.planning.weighing.press import PressOutcome
+
+
+def plan(world, heading, mass=0.5):
+    """A press with the center of mass known to a centimeter, as far over the edge as it goes."""
+    center = world.params.center_of_mass(world.obj)
+    centers = center + 0.01 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    rests = list_rests(world.obj, centers, heading, EDGE, world.height, PressRules(mass=mass))
+    return min(rests, key=lambda one: one.relative_std)
+
+
+@pytest.mark.parametrize(("name", "heading"), [("claw_hammer", 0.3), ("snack_bag", np.pi)])
+def test_the_force_at_which_it_tilts_is_that_of_the_moments(name, heading):
+    obj = load_object(name)
+    params = sample_ground_truth(obj, 3, friction_by_part=True)
+    world = WeighingWorld(obj, params, noise=EXACT)
+    planned = plan(world, heading)
+    world.put(planned.pose)
+    world.let_pass(0.2)
+    before = world.read_pose()
+    made = world.press(planned.target)
+    assert made.state.outcome == PressOutcome.TILTED
+    assert 0.0 < made.max_tilt < np.radians(1.0)
+    # It is caught: it lies where it lay.
+    world.let_pass(0.3)
+    assert world.read_tilt() < np.radians(0.02)
+    off = world.read_pose() - before
+    assert np.abs(off[:2]).max() < 2e-4
+    assert abs(wrap_angle(off[2])) < 2e-3
+    # F a = m g b, with no friction in it.
+    weighing = made.state.make_weighing(made.target, world.options, before)
+    b = -transform(before, params.center_of_mass(obj)[None])[0, 0]
+    assert weighing.force * weighing.arm == pytest.approx(
+        params.total_mass * GRAVITY * b, rel=0.006
+    )
+
+
+def test_friction_does_not_matter():
+    """Neither that of the table nor that of the tip, by which the object's top draws it along."""
+    obj = load_object("claw_hammer")
+    smooth = sample_ground_truth(obj, 3)
+    rough = CellParameters(smooth.mass, 2.5 * smooth.friction, 0.9)
+    forces = []
+    for params in (smooth, rough):
+        world = WeighingWorld(obj, params, noise=EXACT)
+        planned = plan(world, 0.3)
+        world.put(planned.pose)
+        world.let_pass(0.2)
+        made = world.press(planned.target)
+        forces.append(made.state.make_weighing(made.target, world.options, planned.pose).force)
+    assert forces[0] == pytest.approx(forces[1], rel=0.004)
+
+
+def test_an_object_that_is_too_heavy_lies_still():
+    obj = load_object("toolbox")
+    params = CellParameters.uniform(obj, 20.0, 0.4)
+    world = WeighingWorld(obj, params, noise=EXACT)
+    planned = plan(world, 0.3)
+    world.put(planned.pose)
+    world.let_pass(0.2)
+    made = world.press(planned.target)
+    assert made.state.outcome == PressOutcome.TOO_HEAVY
+    assert made.max_tilt < np.radians(0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["claw_hammer", "combination_wrench"])
+def test_an_object_of_which_nothing_is_told_is_weighed(name):
+    found = run_job(WeighingJob(name, 0))
+    assert abs(found.mass_error) < 0.03
+    assert found.center_error < 0.003
+    assert abs(found.friction_error) < 0.03
+    assert not found.fell
+    assert found.max_tilt < np.radians(1.0)
+    assert found.time < 60.0
+
+
+def test_jobs_are_those_that_were_asked_for():
+    jobs = make_jobs(Options(objects=("toolbox",), truths=2, seed=5))
+    assert jobs == [WeighingJob("toolbox", 5), WeighingJob("toolbox", 6)]
+    assert len(make_jobs(Options())) == 90
+    assert len(make_jobs(STUDY.shorten(Options()))) == 1
+    assert TASK.describe(jobs[0]) == "toolbox, truth 5"
+    with pytest.raises(ObjectError, match="anvil"):
+        make_jobs(Options(objects=("anvil",)))
+    with pytest.raises(GridPushError, match="truths: none"):
+        make_jobs(Options(truths=0))

@@ -1,0 +1,196 @@
+"""Where it is safe to press at the edge, how a press is carried out, and which press comes next."""
+
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+import pytest
+import shapely
+
+from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.weighed_model import weigh_model
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.weighing.plan import (
+    Edge,
+    PressRules,
+    cut_region,
+    list_rests,
+    plan_press,
+)
+from gridpush_drake.planning.weighing.press import (
+    PressOptions,
+    PressOutcome,
+    PressPhase,
+    PressSample,
+    PressState,
+    PressTarget,
+    advance_press,
+)
+from gridpush_drake.planning.weighing.sequence import (
+    SequenceOptions,
+    believe_before,
+    calc_headings,
+    calc_left_open,
+    plan_next_press,
+)
+from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
+from tests.helpers.shapes import rectangle
+
+EDGE = Edge(point=(0.5, 0.1), angle=0.7)
+TOP = 0.03
+BAR = GridObject.from_outline(rectangle(0.3, 0.06), max_cells=60, name="bar")
+CENTERS = np.array([[0.03, 0.01], [-0.03, 0.01], [-0.03, -0.01], [0.03, -0.01]])
+TARGET = PressTarget((0.05, 0.0), (0.0, 0.0), 0.0, TOP, 0.008)
+
+
+def test_every_planned_press_is_caught_for_each_plausible_center():
+    rules = PressRules()
+    rests = list_rests(BAR, CENTERS, EDGE.angle + 0.1, EDGE, TOP, rules)
+    assert len(rests) > 5
+    rng = np.random.default_rng(0)
+    for planned in rests:
+        place = np.array(planned.target.place)
+        outline = shapely.Polygon(transform(planned.pose, np.array(BAR.outline.exterior.coords)))
+        assert outline.contains(shapely.Point(place).buffer(0.9 * rules.rim))
+        a = planned.target.calc_arm(place)
+        assert a >= rules.min_arm
+        for c in rng.uniform(CENTERS.min(axis=0), CENTERS.max(axis=0), (50, 2)):
+            c_W = transform(planned.pose, c[None])[0]
+            b = -EDGE.calc_beyond(c_W)
+            # Tilted by a degree, with its center at the very top, the object still comes back.
+            assert b > TOP * np.tan(rules.max_tilt) + rules.pose_error
+            together = (a * c_W + b * place) / (a + b)
+            assert outline.buffer(-0.9 * rules.pose_error).contains(shapely.Point(together))
+            assert abs(EDGE.calc_beyond(together)) < 1e-9
+
+
+def test_what_is_not_safe_is_not_planned():
+    heading = EDGE.angle
+    near = np.array([[0.1, 0.0], [0.14, 0.02], [0.14, -0.02]])
+    assert not list_rests(BAR, near, heading, EDGE, TOP)
+    assert list_rests(BAR, near, heading + np.pi, EDGE, TOP)
+    # On the table, nothing hangs over.
+    on_table = np.array([*(np.array(EDGE.point) - 0.3 * EDGE.normal), heading])
+    assert plan_press(BAR, CENTERS, on_table, EDGE, TOP) is None
+    # An object that is supposed to be heavy is not pressed where that takes too much force.
+    heavy = list_rests(BAR, CENTERS, heading, EDGE, TOP, PressRules(mass=10.0))
+    for planned in heavy:
+        b = (-EDGE.calc_beyond(transform(planned.pose, CENTERS))).max()
+        a = planned.target.calc_arm(np.array(planned.target.place))
+        assert 98.1 * b <= 50.0 * a
+    assert len(heavy) < len(list_rests(BAR, CENTERS, heading, EDGE, TOP))
+
+
+def test_a_region_is_cut_to_what_an_estimate_leaves():
+    cut = cut_region(CENTERS, np.array([0.01, 0.0]), np.diag([0.002**2, 1.0]), 3.0)
+    np.testing.assert_allclose(cut.min(axis=0), [0.004, -0.01], atol=1e-4)
+    np.testing.assert_allclose(cut.max(axis=0), [0.016, 0.01], atol=1e-4)
+    # An estimate that contradicts the region is believed.
+    far = cut_region(CENTERS, np.array([0.1, 0.0]), np.diag([0.002**2, 0.002**2]), 3.0)
+    assert far.min(axis=0)[0] > 0.09
+
+
+def press_on(
+    force: float, options: PressOptions | None = None, noise: float = 0.0, top: float = TOP
+) -> PressState:
+    """A press by a spring on a rigid object that tilts about the edge at a force straight down, N."""
+    options = options or PressOptions()
+    rng = np.random.default_rng(1)
+    offset = np.array([0.3, -0.2, 0.7])
+    stiffness = 2000.0
+    state = PressState()
+    tip = TARGET.hover + (0.0, 0.0, 0.012)
+    touching = TARGET.hover[2] + top - TARGET.top
+    for step in range(4000):
+        command = tip if state.command is None else state.command
+        z = float(command[2])
+        # As a spring between command and tip: the object holds the tip up, up to `force`.
+        felt = min(max(stiffness * (touching - z), 0.0), force)
+        tip = np.array([*TARGET.place, z + felt / stiffness])
+        measured = np.array([0.0, 0.0, felt]) + offset + noise * rng.standard_normal(3)
+        state = advance_press(TARGET, options, state, PressSample(0.01 * step, tip, measured))
+        if state.over:
+            return state
+    return state
+
+
+@pytest.mark.parametrize("force", [1.0, 5.0, 30.0])
+@pytest.mark.parametrize("noise", [0.0, 0.2])
+def test_a_press_stops_at_the_first_sign_of_tilt_and_knows_the_force(force, noise):
+    state = press_on(force, noise=noise)
+    assert (state.phase, state.outcome) == (PressPhase.DONE, PressOutcome.TILTED)
+    assert state.tilt < radians(0.5)
+    weighing = state.make_weighing(TARGET, PressOptions(), np.array([-0.05, 0, 0]))
+    assert abs(weighing.force - force) < (3 * weighing.force_std if noise else 1e-3)
+    assert 0.03 < weighing.force_std < 0.08
+    np.testing.assert_allclose(weighing.place, TARGET.place)
+
+
+def test_an_object_that_is_too_heavy_is_left_alone():
+    state = press_on(80.0)
+    assert state.outcome == PressOutcome.TOO_HEAVY
+    assert state.make_weighing(TARGET, PressOptions(), np.zeros(3)) is None
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.2])
+def test_where_nothing_is_met_the_tip_goes_up_again(noise):
+    state = press_on(5.0, noise=noise, top=0.0)
+    assert (state.phase, state.outcome) == (PressPhase.DONE, PressOutcome.NO_CONTACT)
+
+
+def test_numbers_that_are_not_finite_end_a_press():
+    state = PressState()
+    tip = TARGET.hover + (0.0, 0.0, 0.004)
+    state = advance_press(TARGET, PressOptions(), state, PressSample(0.0, tip, np.zeros(3)))
+    state = advance_press(TARGET, PressOptions(), state, PressSample(0.01, tip, np.full(3, np.nan)))
+    assert (state.phase, state.outcome) == (PressPhase.RETREATING, PressOutcome.NO_FORCE)
+
+
+def test_a_force_along_the_normal_counts_by_its_moment():
+    """The object's top draws the tip along: the moment of both forces about the edge is what counts."""
+    state = replace(
+        PressState(), phase=PressPhase.DWELLING, command=TARGET.hover, start_height=0.038
+    )
+    sample = PressSample(0.0, TARGET.hover, np.array([2.0, 0.0, 10.0]))
+    state = advance_press(TARGET, PressOptions(), state, sample)
+    # The object feels -2 N outwards at the height of its top, 30 mm, and 10 N at 50 mm.
+    assert state.forces == pytest.approx((10.0 - 2.0 * 0.03 / 0.05,))
+
+
+def test_the_next_press_is_the_one_expected_to_tell_most():
+    found = describe_prior(BAR)
+    options = SequenceOptions()
+    first = plan_next_press(found, CENTERS, EDGE, TOP)
+    belief = believe_before(found)
+    expected = calc_left_open(belief, first, options.rules, options)
+    for heading in calc_headings(BAR, EDGE):
+        for other in list_rests(BAR, CENTERS, float(heading), EDGE, TOP, options.rules):
+            assert expected <= calc_left_open(belief, other, options.rules, options) + 1e-9
+
+
+def test_what_is_expected_to_be_left_open_is_what_the_estimate_leaves():
+    """The expected covariance is that of the estimate, were the press made with just that force."""
+    found = describe_prior(BAR)
+    options = SequenceOptions()
+    planned = plan_next_press(found, CENTERS, EDGE, TOP)
+    belief = believe_before(found)
+    c_W = transform(planned.pose, belief.center_of_mass[None])[0]
+    place = np.array(planned.target.place)
+    arm = planned.target.calc_arm(place)
+    force = 9.81 * belief.total_mass * -EDGE.calc_beyond(c_W) / arm
+    press = EdgePress(
+        planned.pose, place, force, np.array(EDGE.point), EDGE.angle, options.rules.force_std
+    )
+    after = weigh_model(found, WeighingLog((press,))).absolute
+    left = calc_left_open(belief, planned, options.rules, options)
+    trace = after.covariance[0, 0] / options.mass_std**2
+    trace += np.trace(after.center_covariance) / options.center_std**2
+    assert left == pytest.approx(trace, rel=0.02)
+
+
+def test_presses_end_when_enough_is_known():
+    found = describe_prior(BAR)
+    sure = replace(believe_before(found), covariance=np.diag([0.005**2, 0.0005**2, 0.0005**2, 0.1]))
+    assert plan_next_press(replace(found, absolute=sure), CENTERS, EDGE, TOP) is None
+    assert plan_next_press(found, CENTERS, EDGE, TOP, presses=10) is None
