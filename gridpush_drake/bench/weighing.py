@@ -7,12 +7,14 @@ forces and places are told with noise. What is not simulated is how it gets from
 edge to the next: it is put there.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
-from gridpush_drake.bench.table import DEGREES, MM, Table, by_object, calc_mean, mean_of
+from gridpush_drake.bench.table import DEGREES, MM, Mean, Table, by_object, calc_mean, mean_of
 from gridpush_drake.bench.weighing_world import EDGE, WeighingNoise, WeighingWorld
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
@@ -72,6 +74,9 @@ CENTER_GOAL = 0.003
 
 FRICTION_GOAL = 0.03
 """Error of the mean friction coefficient that is hoped for."""
+
+Column = Callable[[Sequence[Any]], float | int | Mean | None]
+"""What stands in a column of some scores."""
 
 CHI_SQUARE = 5.991
 """95 % quantile of a chi square with two degrees of freedom."""
@@ -182,11 +187,12 @@ def run_job(job: WeighingJob) -> WeighingScore:
     known = found
     presses = 0
     withstood = 0
+    in_a_row = 0
     time = 0.0
     max_tilt = 0.0
     moved = 0.0
     while True:
-        chosen = plan_next_press(known, centers, EDGE, world.height, presses, withstood)
+        chosen = plan_next_press(known, centers, EDGE, world.height, presses, in_a_row)
         if chosen is None:
             break
         world.put(chosen.pose)
@@ -199,7 +205,9 @@ def run_job(job: WeighingJob) -> WeighingScore:
         moved = max(moved, made.moved)
         if made.max_tilt >= FALLEN_TILT:
             break
-        withstood += made.state.outcome == PressOutcome.TOO_HEAVY
+        too_heavy = made.state.outcome == PressOutcome.TOO_HEAVY
+        withstood += too_heavy
+        in_a_row = in_a_row + 1 if too_heavy else 0
         weighing = made.state.make_weighing(made.target, world.options, seen)
         if weighing is not None:
             log = replace(log, presses=(*log.presses, weighing))
@@ -288,7 +296,7 @@ def make_pushes(obj: GridObject, truth: CellParameters, seed: int) -> PushLog:
     rng = np.random.default_rng((seed, 13))
     noise = WeighingNoise()
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    pushes = []
+    pushes: list[ObservedPush] = []
     while len(pushes) < PUSHES:
         place = rng.uniform(0, obj.edges.perimeter)
         angle = rng.uniform(-SLANT, SLANT)
@@ -322,19 +330,19 @@ def tabulate(options: Options, done: Done) -> list[Table]:
     """Tabulates the scores by object."""
     scores = done.of(TASK)
 
-    def share(key: str, goal: float) -> object:
-        """Says how many errors are within a goal."""
+    def share(key: str, goal: float) -> Column:
+        """Makes the column of how many errors are within a goal."""
         return lambda some: int(sum(abs(getattr(one, key)) <= goal for one in some))
 
-    def count(key: str) -> object:
-        """Says of how many something is true."""
+    def count(key: str) -> Column:
+        """Makes the column of how many something is true of."""
         return lambda some: int(sum(getattr(one, key) for one in some))
 
-    def median(key: str, scale: float) -> object:
-        """Says the median of the errors' magnitudes."""
+    def median(key: str, scale: float) -> Column:
+        """Makes the column of the median of the errors' magnitudes."""
         return lambda some: scale * float(np.nanmedian([abs(getattr(one, key)) for one in some]))
 
-    columns = {
+    columns: dict[str, Column] = {
         "runs": len,
         "presses": mean_of("presses"),
         "time, s": mean_of("time"),

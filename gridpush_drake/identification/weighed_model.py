@@ -12,6 +12,7 @@ import numpy as np
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.absolute import (
+    CENTER,
     LOG_FRICTION,
     LOG_MASS,
     AbsoluteEstimate,
@@ -106,6 +107,17 @@ def calc_center_prior(
         covariance = covariance + s**2 / max(float(np.trace(M)), np.finfo(float).tiny) * M @ M
     ridge = WHOLE_OBJECT * obj.radius_of_gyration**2
     return center, covariance + ridge * np.eye(2)
+
+
+def believe_before(found: Identification) -> AbsoluteEstimate:
+    """Says what is held of mass, center of mass and friction before the first press."""
+    prior = AbsolutePrior()
+    center, center_covariance = calc_center_prior(found)
+    log_mass, mass_std = prior.log_mass
+    log_friction, friction_std = prior.log_friction
+    covariance = np.diag([mass_std**2, 0.0, 0.0, friction_std**2])
+    covariance[CENTER, CENTER] = center_covariance
+    return AbsoluteEstimate(mean=np.array([log_mass, *center, log_friction]), covariance=covariance)
 
 
 def apply_absolute(found: Identification, estimate: AbsoluteEstimate) -> Identification:

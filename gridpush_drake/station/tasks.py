@@ -61,6 +61,7 @@ PREGRASP_TITLES = {
     PreGraspMode.EXPLORING: "Poke {status.pokes}, to learn where the mass is",
     PreGraspMode.SLIDING: "Slide {status.slides}, toward the table's edge",
     PreGraspMode.STOPPING: "Breaking off the push",
+    PreGraspMode.WEIGHING: "Weighing it at the table's edge",
     PreGraspMode.VERIFYING: "Checking that it can be grasped here",
     PreGraspMode.GRASPING: "Grasping and lifting",
     PreGraspMode.HOLDING: "Lifted and held",

@@ -66,9 +66,10 @@ from gridpush_drake.planning.pregrasp.slides import (
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.pushes.plausibility import check_size
 
-Action = Literal["poke", "slide", "grasp", "fail"]
+Action = Literal["poke", "slide", "weigh", "grasp", "fail"]
 
 MM = 1e3
 """Millimeters in a meter."""
@@ -168,7 +169,8 @@ class PreGraspDecision:
     """What to do next.
 
     Attributes:
-        action: "poke" and "slide" are pushes to make; "grasp" and "fail" end the task.
+        action: "poke" and "slide" are pushes to make; "weigh" is a press at the table's edge, which
+            only a `WeighingPlanner` asks for; "grasp" and "fail" end the task.
         reason: why, in half a sentence.
         goal: the goal that the slide goes to; the present pose, if the object can be grasped where
             it lies; the best goal that there is, even if it is not safe, before a poke or a
@@ -177,6 +179,7 @@ class PreGraspDecision:
         expected_pose: (3,) pose in which a slide is predicted to leave the object, X_WB, m and rad;
             None otherwise.
         forecast: what a poke is expected to bring; None otherwise.
+        press: where to press to weigh the object; None otherwise.
     """
 
     action: Action
@@ -185,6 +188,7 @@ class PreGraspDecision:
     push: Push | None = None
     expected_pose: Array | None = None
     forecast: PokeForecast | None = None
+    press: PressTarget | None = None
 
     @property
     def margin(self) -> float:

@@ -51,6 +51,7 @@ from gridpush_drake.planning.pregrasp.slides import PushMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, PushPhase
 from gridpush_drake.planning.support_surface import find_supported
+from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.pushes.push_log import PushLog
 
 FindGrasp = Callable[[Array, Array, PlausibleMassSet, bool], SideGrasp | None]
@@ -72,6 +73,7 @@ class PreGraspMode(StrEnum):
     EXPLORING = "exploring"
     SLIDING = "sliding"
     STOPPING = "stopping"
+    WEIGHING = "weighing"
     VERIFYING = "verifying"
     GRASPING = "grasping"
     HOLDING = "holding"
@@ -85,8 +87,9 @@ class PreGraspStatus:
 
     Attributes:
         mode: "waiting" (to see the object at rest), "exploring", "sliding", "stopping" (a push that
-            is broken off), "verifying" (that it can be grasped where it lies), "grasping" (until it
-            is lifted), "holding", "lost" (from sight) or "failed".
+            is broken off), "weighing" (a press at the table's edge is made), "verifying" (that it
+            can be grasped where it lies), "grasping" (until it is lifted), "holding", "lost" (from
+            sight) or "failed".
         reason: for the mode, in a sentence.
         pokes: number of pokes asked for so far and not refused.
         slides: number of slides asked for so far and not refused.
@@ -134,6 +137,7 @@ class PreGraspLoopOptions(LoopOptions):
 
 NO_PUSH = (
     PreGraspMode.STOPPING,
+    PreGraspMode.WEIGHING,
     PreGraspMode.VERIFYING,
     PreGraspMode.GRASPING,
     PreGraspMode.HOLDING,
@@ -152,6 +156,7 @@ class PreGraspState(LoopState):
         grasp_id: number of that grasp, counted from 1; 0 before the first.
         pokes_before: number of pokes made before the loop last fell back to pokes.
         slides_before: number of slides made before that.
+        press: the last press asked for; None before the first.
     """
 
     status: PreGraspStatus = field(default_factory=PreGraspStatus)
@@ -160,6 +165,7 @@ class PreGraspState(LoopState):
     grasp_id: int = 0
     pokes_before: int = 0
     slides_before: int = 0
+    press: PressTarget | None = None
 
     @property
     def shown_push(self) -> Push | None:
@@ -312,6 +318,9 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         reason = _make_sentence(decision.reason)
         if decision.action == "fail":
             return now.turn_to(FAILED, reason, goal=decision.goal, margin=decision.margin)
+        if decision.press is not None:
+            now = replace(now, press=decision.press)
+            return now.turn_to(PreGraspMode.WEIGHING, reason, goal=None)
         if decision.push is not None:
             return self._push(now, pose, uncertain, decision, decision.push, seen)
         # The object can be grasped. It is observed once more before that is done.

@@ -29,8 +29,9 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.physics import GRAVITY, QUASI_STATIC, Physics
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.polygons import bound_by_half_planes
+from gridpush_drake.geometry.polygons import bound_by_half_planes, cut_to_ellipse
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
+from gridpush_drake.identification.absolute import LOG_MASS, AbsoluteEstimate
 from gridpush_drake.identification.evidence import PushEvidence
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.hypotheses import SmoothField
@@ -40,6 +41,7 @@ from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import DrawJudge, Posterior
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.weighed_model import believe_before
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
@@ -61,6 +63,10 @@ PRIOR_SIGMAS = 3.0
 """If the center of mass is known beforehand, it is taken to be within this many standard deviations
 of that, along x and along y."""
 
+WEIGHED_SIGMAS = 3.5
+"""If the object was weighed, mass and center of mass are taken to be within this many standard
+deviations of what weighings say, the center in every direction."""
+
 SLIDE_SAMPLES = 4
 """Number of models, besides the estimate, that a slide's pushes are tried on."""
 
@@ -74,8 +80,9 @@ class PlausibleMassSet:
         mass_min: (S, n) least mass of each cell, one row for every draw of the relative friction.
         mass_max: (S, n) greatest mass of each cell, one row for every draw.
         confidence: share of the draws for which a bound of the center of mass must hold.
-        max_total_mass: greatest mass of the whole object that measured forces allow, kg; None where
-            none were measured, or the object was weighed.
+        max_total_mass: greatest mass of the whole object that measured forces or weighings allow,
+            kg; None where there are none, or the mass was told.
+        weighed: what weighings said of mass and center of mass; None where there are none.
 
     Raises:
         PlanningError: shapes disagree, or the bounds are not positive and ordered.
@@ -86,6 +93,7 @@ class PlausibleMassSet:
     mass_max: Array
     confidence: float = 1.0
     max_total_mass: float | None = None
+    weighed: AbsoluteEstimate | None = None
 
     def __post_init__(self) -> None:
         shape = self.mass_min.shape
@@ -112,6 +120,7 @@ class PlausibleMassSet:
         seed: int = 0,
         force: ForceScale | None = None,
         judge: DrawJudge | None = None,
+        weighed: AbsoluteEstimate | None = None,
     ) -> "PlausibleMassSet":
         """Makes the set of all masses that agree with what was learned.
 
@@ -124,6 +133,7 @@ class PlausibleMassSet:
             force: what measured forces said, which bound the mass of an object that was not
                 weighed.
             judge: says how well draws agree with what was seen, such as the pushes themselves.
+            weighed: what weighings said, which bound mass and center of mass.
 
         Raises:
             PlanningError: the range is not positive and increasing.
@@ -138,12 +148,16 @@ class PlausibleMassSet:
         heaviest = None
         if force is not None and obj.prior.total_mass is None:
             heaviest = force.bounds[1] / (GRAVITY * low)
+        if weighed is not None and obj.prior.total_mass is None:
+            mass_std = float(np.sqrt(weighed.covariance[LOG_MASS, LOG_MASS]))
+            heaviest = weighed.total_mass * float(np.exp(WEIGHED_SIGMAS * mass_std))
         return cls(
             obj=obj,
             mass_min=k / high,
             mass_max=k / low,
             confidence=CONFIDENCE,
             max_total_mass=heaviest,
+            weighed=weighed,
         )
 
     @classmethod
@@ -172,12 +186,17 @@ class PlausibleMassSet:
     def center_of_mass_polygon(self) -> Array:
         """(V, 2) corners of a convex polygon that the center of mass is in, body frame, m.
 
-        They are counterclockwise. If the center of mass is known beforehand
-        (`obj.prior.center_of_mass`), the polygon is cut down to a square about that.
+        They are counterclockwise. If the object was weighed, the polygon is cut down to where
+        weighings leave the center of mass; if the center of mass is known beforehand
+        (`obj.prior.center_of_mass`), to a square about that.
         """
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         directions = make_direction(angle)
         corners = bound_by_half_planes(directions, self.calc_support(directions))
+        if self.weighed is not None:
+            mean = self.weighed.center_of_mass
+            covariance = self.weighed.center_covariance
+            corners = cut_to_ellipse(corners, mean, covariance, WEIGHED_SIGMAS)
         at = self.obj.prior.center_of_mass
         if at is None:
             return corners
@@ -212,6 +231,8 @@ class UncertainModel:
         force: what measured forces said; None where there were none.
         evidence: the pushes learned from, which judge the draws; None where they are not at hand.
         noise: of what pushes show, before `noise_scale`.
+        belief: what is held of mass and center of mass; None where the parameters are taken for
+            granted.
         physics: by which motions are predicted. Slides and pokes are planned slow enough to end at
             rest, so that it is always quasi-static, whatever pushes were learned from.
     """
@@ -227,6 +248,7 @@ class UncertainModel:
     force: ForceScale | None = None
     evidence: PushEvidence | None = None
     noise: NoiseModel = field(default_factory=NoiseModel)
+    belief: AbsoluteEstimate | None = None
     physics: Physics = QUASI_STATIC
 
     @classmethod
@@ -264,6 +286,7 @@ class UncertainModel:
             force=found.force,
             evidence=evidence,
             noise=found.noise,
+            belief=found.absolute or believe_before(found),
             physics=found.physics.with_regime("quasi_static"),
         )
 
@@ -279,6 +302,12 @@ class UncertainModel:
     def of_parameters(cls, obj: GridObject, params: CellParameters) -> "UncertainModel":
         """Makes a model whose parameters are taken for granted."""
         return cls(obj, params)
+
+    @property
+    def weighed(self) -> AbsoluteEstimate | None:
+        """What weighings said; None where there are none."""
+        belief = self.belief
+        return belief if belief is not None and belief.presses + belief.lifts else None
 
     @cached_property
     def masses(self) -> PlausibleMassSet:
@@ -297,6 +326,7 @@ class UncertainModel:
                 seed=self.seed,
                 force=self.force,
                 judge=self.evidence,
+                weighed=self.weighed,
             )
 
     @cached_property

@@ -222,34 +222,6 @@ def list_rests(
     return found
 
 
-def cut_region(centers: Array, mean: Array, covariance: Array, sigmas: float) -> Array:
-    """Cuts a region of centers of mass down to what an estimate leaves.
-
-    Args:
-        centers: (V, 2) corners of the convex region, m.
-        mean: (2,) estimate of the center, m.
-        covariance: (2, 2) of it, m².
-        sigmas: how many standard deviations the center may be off, in every direction.
-
-    Returns:
-        (V', 2) corners of what both allow; of the estimate's alone, where they contradict each
-        other.
-    """
-    # The ellipse, as a polygon about it.
-    root = np.linalg.cholesky(covariance)
-    angles = 2 * np.pi * np.arange(ELLIPSE_SIDES) / ELLIPSE_SIDES
-    outside = sigmas / np.cos(np.pi / ELLIPSE_SIDES)
-    circle = outside * np.column_stack([np.cos(angles), np.sin(angles)])
-    ellipse = Polygon(mean + circle @ root.T)
-    both = shapely.MultiPoint(centers).convex_hull.intersection(ellipse)
-    kept = both if isinstance(both, Polygon) and not both.is_empty else ellipse
-    return np.asarray(kept.exterior.coords)[:-1]
-
-
-ELLIPSE_SIDES = 24
-"""Number of sides of the polygon that stands for an ellipse."""
-
-
 def _find_crossing(outline: Polygon, edge: Edge) -> Sequence[float] | None:
     """Finds from where to where along the edge an outline crosses it, m; None where it does not."""
     p = np.array(edge.point)

@@ -82,6 +82,8 @@ class PressOptions:
         gives_way: share of the commanded descent that the tip must make for the object to give way.
         touch_time: how long the force is averaged to see whether the tip touches, s.
         touch_force: mean force straight down from which the tip counts as touching, N.
+        dwell_tilt: how much further than noticed the object is tilted, for the force to be averaged,
+            rad. At the very beginning other feet than the edge may still bear.
         hold_gain: share of the error of the tip's height by which the command is corrected in each
             sample at the tilt.
         dwell_time: how long the force is averaged at the tilt, s.
@@ -100,6 +102,7 @@ class PressOptions:
     gives_way: float = 0.4
     touch_time: float = 0.1
     touch_force: float = 0.35
+    dwell_tilt: float = radians(0.15)
     hold_gain: float = 0.25
     dwell_time: float = 0.5
     max_tilt: float = radians(1.0)
@@ -333,7 +336,7 @@ def _press(
         velocity=np.zeros(3),
         since=sample.time,
         start_height=float(first.tip[2]),
-        hold_height=float(sample.tip[2]),
+        hold_height=float(sample.tip[2]) - options.dwell_tilt * target.calc_arm(sample.tip),
         window=(),
     )
 
@@ -404,7 +407,7 @@ def _follow(now: PressState, sample: PressSample) -> PressState:
 
 
 def _hold(options: PressOptions, now: PressState, sample: PressSample) -> PressState:
-    """Corrects the command so that the tip stays at the height at which the dwelling began."""
+    """Corrects the command so that the tip stays at one height."""
     followed = _follow(now, sample)
     assert followed.command is not None
     rise = options.hold_gain * (now.hold_height - float(sample.tip[2]))

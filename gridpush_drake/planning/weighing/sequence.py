@@ -22,22 +22,21 @@ import numpy as np
 import shapely
 
 from gridpush_drake.dynamics.physics import GRAVITY
+from gridpush_drake.geometry.polygons import cut_to_ellipse
 from gridpush_drake.geometry.se2 import Array, make_rotation, turn_left
 from gridpush_drake.identification.absolute import (
     CENTER,
     LOG_MASS,
     AbsoluteEstimate,
-    AbsolutePrior,
     PoseNoise,
 )
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.weighed_model import calc_center_prior
+from gridpush_drake.identification.weighed_model import believe_before
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.weighing.plan import (
     Edge,
     PlannedPress,
     PressRules,
-    cut_region,
     list_rests,
 )
 
@@ -74,7 +73,7 @@ def calc_headings(obj: GridObject, edge: Edge) -> Array:
     sides = np.diff(corners[:3], axis=0)
     longest = sides[np.argmax((sides**2).sum(axis=1))]
     along = float(np.arctan2(longest[1], longest[0]))
-    return edge.angle - along + np.pi / 2 * np.arange(4)
+    return np.asarray(edge.angle - along + np.pi / 2 * np.arange(4), dtype=np.float64)
 
 
 def plan_next_press(
@@ -95,7 +94,7 @@ def plan_next_press(
         edge: the edge.
         top: height of the object's top above the table, m.
         presses: number of presses so far.
-        withstood: number of them at which the object did not tilt.
+        withstood: number of those since the last tilt at which the object did not tilt.
         options: when enough is known.
 
     Returns:
@@ -109,7 +108,7 @@ def plan_next_press(
     region = centers
     belief = found.absolute or believe_before(found)
     if found.absolute is not None:
-        region = cut_region(
+        region = cut_to_ellipse(
             centers, belief.center_of_mass, belief.center_covariance, options.sigmas
         )
         rules = replace(rules, mass=belief.total_mass)
@@ -124,17 +123,6 @@ def plan_next_press(
                 best = planned
                 least = left
     return best
-
-
-def believe_before(found: Identification) -> AbsoluteEstimate:
-    """Says what is held of mass, center of mass and friction before the first press."""
-    prior = AbsolutePrior()
-    center, center_covariance = calc_center_prior(found)
-    log_mass, mass_std = prior.log_mass
-    log_friction, friction_std = prior.log_friction
-    covariance = np.diag([mass_std**2, 0.0, 0.0, friction_std**2])
-    covariance[CENTER, CENTER] = center_covariance
-    return AbsoluteEstimate(mean=np.array([log_mass, *center, log_friction]), covariance=covariance)
 
 
 def calc_left_open(
