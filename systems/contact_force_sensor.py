@@ -1,4 +1,4 @@
-"""`ContactForceSensor`: the force of contacts on a body of a plant, as a sensor with noise tells it."""
+"""`ContactForceSensor`: the force of contacts on a body of a plant, told with noise."""
 
 import numpy as np
 from pydrake.common.value import Value

@@ -7,7 +7,7 @@ forces and places are told with noise. What is not simulated is how it gets from
 edge to the next: it is put there.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -75,7 +75,7 @@ CENTER_GOAL = 0.003
 FRICTION_GOAL = 0.03
 """Error of the mean friction coefficient that is hoped for."""
 
-Column = Callable[[Sequence[Any]], float | int | Mean | None]
+Column = Callable[[Any], str | float | int | Mean | None]
 """What stands in a column of some scores."""
 
 CHI_SQUARE = 5.991

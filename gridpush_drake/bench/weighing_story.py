@@ -1,8 +1,9 @@
 """Objects of which nothing is told are slid to where they can be grasped, and weighed on the way.
 
 Pushes are those of the pre-grasp benchmark (`bench.pregrasp.world.EdgeWorld`: quasi-static, with
-loads that follow what lies on the table). Presses are made in Drake (`bench.weighing_world`), on the
-same object with the same masses where it lies, and nothing else of it is told but noisy poses.
+loads that follow what lies on the table). Presses are made in Drake (`bench.weighing_world`), on
+the same object with the same masses where it lies, and nothing else of it is told but noisy
+poses.
 """
 
 from dataclasses import dataclass, replace

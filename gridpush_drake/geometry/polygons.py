@@ -23,9 +23,6 @@ so leave a small polygon, and not nothing for round-off's sake."""
 FAR = 8.0
 """Size of the rectangle that stands for a half-plane, in the largest of the offsets."""
 
-ELLIPSE_SIDES = 24
-"""Number of sides of the polygon that stands for an ellipse."""
-
 MIN_CORNERS = 3
 """Number of corners from which on points are a polygon."""
 
@@ -68,30 +65,6 @@ def bound_by_half_planes(directions: Array, offsets: Array) -> Array:
     corners = np.stack([left, inner_left, inner_right, right], axis=1)
     common = shapely.intersection_all(shapely.polygons(corners))
     return hull_of(shapely.get_coordinates(common))
-
-
-def cut_to_ellipse(corners: Array, mean: Array, covariance: Array, sigmas: float) -> Array:
-    """Cuts a convex polygon down to what an estimate of a point in it leaves.
-
-    Args:
-        corners: (V, 2) corners of the polygon, m.
-        mean: (2,) estimate of the point, m.
-        covariance: (2, 2) of it, m².
-        sigmas: how many standard deviations the point may be off, in every direction.
-
-    Returns:
-        (V', 2) corners of what both allow, counterclockwise; of the estimate's alone, where they
-        contradict each other.
-    """
-    # The polygon about the ellipse.
-    root = np.linalg.cholesky(covariance)
-    angles = 2 * np.pi * np.arange(ELLIPSE_SIDES) / ELLIPSE_SIDES
-    outside = sigmas / np.cos(np.pi / ELLIPSE_SIDES)
-    circle = outside * np.column_stack([np.cos(angles), np.sin(angles)])
-    ellipse = mean + circle @ root.T
-    both = shapely.MultiPoint(corners).convex_hull.intersection(Polygon(ellipse))
-    kept = hull_of(shapely.get_coordinates(both))
-    return kept if len(kept) else hull_of(ellipse)
 
 
 def calc_margin_inside(inner: Array, hull: Array) -> float:

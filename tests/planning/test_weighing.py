@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import shapely
 
-from gridpush_drake.geometry.polygons import cut_to_ellipse
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.weighed_model import believe_before, weigh_model
@@ -27,6 +26,7 @@ from gridpush_drake.planning.weighing.press import (
     PressTarget,
     advance_press,
 )
+from gridpush_drake.planning.weighing.region import cut_to_ellipse
 from gridpush_drake.planning.weighing.sequence import (
     SequenceOptions,
     calc_headings,

@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.physics import GRAVITY, QUASI_STATIC, Physics
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.polygons import bound_by_half_planes, cut_to_ellipse
+from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.absolute import LOG_MASS, AbsoluteEstimate
 from gridpush_drake.identification.evidence import PushEvidence
@@ -44,6 +44,7 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.weighed_model import believe_before
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.weighing.region import cut_to_ellipse
 from gridpush_drake.pushes.push_log import PushLog
 
 PRIOR_AMPLITUDE = 1.0

@@ -1,7 +1,8 @@
 """Where to press on an object that hangs over the table's edge, so that its tilt is caught.
 
 The object lies with its plausible centers of mass in a convex region C, body frame. Pressing at P,
-a beyond the edge, tilts it about the edge as the force reaches m g b / a, with b how far c is inside.
+a beyond the edge, tilts it about the edge as the force reaches m g b / a, with b how far c is
+inside.
 Two things must hold for each c in C, whatever the mass:
 
     b > h tan(t) + error        tilted by the angle t at which the press stops, an object of height

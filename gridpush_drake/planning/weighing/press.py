@@ -82,7 +82,7 @@ class PressOptions:
         gives_way: share of the commanded descent that the tip must make for the object to give way.
         touch_time: how long the force is averaged to see whether the tip touches, s.
         touch_force: mean force straight down from which the tip counts as touching, N.
-        dwell_tilt: how much further than noticed the object is tilted, for the force to be averaged,
+        dwell_tilt: how much further than noticed the object is tilted while the force is averaged,
             rad. At the very beginning other feet than the edge may still bear.
         hold_gain: share of the error of the tip's height by which the command is corrected in each
             sample at the tilt.
@@ -401,7 +401,7 @@ def _move(now: PressState, sample: PressSample, goal: Array, speed: float) -> Pr
 
 
 def _follow(now: PressState, sample: PressSample) -> PressState:
-    """Lets the command follow the tip sideways, so that it is not held against being drawn along."""
+    """Lets the command follow the tip sideways, so that it may be drawn along."""
     assert now.command is not None
     return replace(now, command=np.array([*sample.tip[:2], now.command[2]]))
 

@@ -22,7 +22,6 @@ import numpy as np
 import shapely
 
 from gridpush_drake.dynamics.physics import GRAVITY
-from gridpush_drake.geometry.polygons import cut_to_ellipse
 from gridpush_drake.geometry.se2 import Array, make_rotation, turn_left
 from gridpush_drake.identification.absolute import (
     CENTER,
@@ -39,6 +38,7 @@ from gridpush_drake.planning.weighing.plan import (
     PressRules,
     list_rests,
 )
+from gridpush_drake.planning.weighing.region import cut_to_ellipse
 
 HEAVIER = 1.5
 """Factor on the mass that is supposed, for each press that the object withstood."""
