@@ -7,14 +7,15 @@ forces and places are told with noise. What is not simulated is how it gets from
 edge to the next: it is put there.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import DEGREES, MM, Mean, Table, by_object, calc_mean, mean_of
+from gridpush_drake.bench.weighing_story import make_table, tell_story
 from gridpush_drake.bench.weighing_world import EDGE, WeighingNoise, WeighingWorld
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
@@ -26,12 +27,23 @@ from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
 from gridpush_drake.planning.weighing.press import PressOutcome
 from gridpush_drake.planning.weighing.sequence import plan_next_press
 from gridpush_drake.planning.world import FALLEN_TILT
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 from gridpush_drake.pushes.weighings import WeighingLog
+
+SCALE = "scale"
+"""Name of the part that weighs an object at rest after rest."""
+
+AT_EDGE = "edge"
+"""Name of the part that weighs an object on the way to where it can be grasped."""
+
+MAX_ARM = 0.1
+"""Farthest that a narrow part may be from where the center of mass is estimated, m."""
 
 TRUTHS = 10
 """Number of hidden truths of each object by default."""
@@ -96,6 +108,48 @@ class WeighingJob:
 
 
 @dataclass(frozen=True)
+class EdgeJob:
+    """One object with one hidden truth, slid to where it can be grasped.
+
+    Attributes:
+        name: name of a shipped object.
+        seed: seed of truth, start and noise.
+    """
+
+    name: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class EdgeScore:
+    """How an object got to where it can be grasped, with one planner.
+
+    Attributes:
+        name: name of the object.
+        seed: seed of truth, start and noise.
+        weighs: whether the planner weighs where it would give up.
+        grasped: whether it truly can be grasped.
+        dropped: whether it fell.
+        pokes: number of pokes.
+        slides: number of slides.
+        presses: number of presses.
+        max_tilt: greatest tilt in a press, rad.
+        reason: the end in a sentence.
+    """
+
+    name: str
+    seed: int
+    weighs: bool
+    grasped: bool
+    dropped: bool
+    pokes: int
+    slides: int
+    presses: int
+    max_tilt: float
+    reason: str
+
+
+@dataclass(frozen=True)
 class WeighingScore:
     """What came of it.
 
@@ -141,10 +195,16 @@ class Options(StudyOptions):
     Attributes:
         objects: names of shipped objects; all by default.
         truths: number of hidden truths of each object; the first one has the seed `seed`.
+        part: which part is measured.
     """
 
     objects: tuple[str, ...] | None = option(None, **OBJECTS)
     truths: int = option(TRUTHS, "Hidden truths of each object.", least=1)
+    part: Literal["all", "scale", "edge"] = option(
+        "all",
+        "Which part to measure: scale weighs an object at rest after rest, edge weighs it on the "
+        "way to where it can be grasped.",
+    )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -157,7 +217,7 @@ def shorten(options: Options) -> Options:
     return replace(options, objects=options.names[:1], truths=1)
 
 
-def make_jobs(options: Options) -> list[WeighingJob]:
+def make_jobs(options: Options) -> list[WeighingJob | EdgeJob]:
     """Makes a job for each object and truth.
 
     Raises:
@@ -171,7 +231,14 @@ def make_jobs(options: Options) -> list[WeighingJob]:
     for name in options.names:
         find_shipped_object(name)
     seeds = range(options.seed, options.seed + options.truths)
-    return [WeighingJob(name, seed) for name in options.names for seed in seeds]
+    kinds: dict[str, type[WeighingJob] | type[EdgeJob]] = {SCALE: WeighingJob, AT_EDGE: EdgeJob}
+    return [
+        kind(name, seed)
+        for part, kind in kinds.items()
+        if options.part in ("all", part)
+        for name in options.names
+        for seed in seeds
+    ]
 
 
 def run_job(job: WeighingJob) -> WeighingScore:
@@ -326,9 +393,76 @@ def make_pushes(obj: GridObject, truth: CellParameters, seed: int) -> PushLog:
     return PushLog(tuple(pushes))
 
 
+def run_edge_job(job: EdgeJob) -> list[EdgeScore]:
+    """Brings one object to where it can be grasped, with and without weighing."""
+    obj = forget(GridObject.from_yaml(find_shipped_object(job.name)))
+    truth = draw_truth(obj, job.seed)
+    options = PreGraspOptions(max_arm=MAX_ARM)
+    scores = []
+    for kind in (PreGraspPlanner, WeighingPlanner):
+        story = tell_story(obj, truth, kind(obj, make_table(), options), job.seed)
+        scores.append(
+            EdgeScore(
+                name=job.name,
+                seed=job.seed,
+                weighs=kind is WeighingPlanner,
+                grasped=story.grasped,
+                dropped=story.dropped,
+                pokes=story.pokes,
+                slides=story.slides,
+                presses=story.presses,
+                max_tilt=story.max_tilt,
+                reason=story.reason,
+            )
+        )
+    return scores
+
+
 def tabulate(options: Options, done: Done) -> list[Table]:
-    """Tabulates the scores by object."""
+    """Tabulates the scores of all parts that were measured."""
+    tables = []
     scores = done.of(TASK)
+    if scores:
+        tables.append(tabulate_scores(scores, options.names))
+    stories = [score for scores in done.of(EDGE_TASK) for score in scores]
+    if stories:
+        tables.append(tabulate_stories(stories))
+    return tables
+
+
+def tabulate_stories(stories: Sequence[EdgeScore]) -> Table:
+    """Makes a row for each planner."""
+    rows = [
+        ((name,), [one for one in stories if one.weighs == weighs])
+        for name, weighs in (("gives up", False), ("weighs instead", True))
+    ]
+    columns: dict[str, Column] = {
+        "runs": len,
+        "graspable": lambda some: sum(one.grasped for one in some),
+        "dropped": lambda some: sum(one.dropped for one in some),
+        "pokes": mean_of("pokes"),
+        "slides": mean_of("slides"),
+        "presses": mean_of("presses"),
+        "tilt, °": lambda some: DEGREES * max(one.max_tilt for one in some),
+    }
+    notes = [
+        f"Hidden as above: mass {MASS_RANGE[0]:g} to {MASS_RANGE[1]:g} kg, friction of each part "
+        f"{FRICTION_RANGE[0]:g} to {FRICTION_RANGE[1]:g}; the planners take any friction between "
+        "for possible.",
+        "Pushes in the quasi-static model with loads that follow the table's edge, presses in "
+        "Drake. graspable: a narrow part truly hangs over, and the object is at rest.",
+    ]
+    notes += [
+        f"{one.name}, truth {one.seed}, weighs instead: {one.reason}"
+        for one in stories
+        if one.weighs and not one.grasped
+    ]
+    title = "To the table's edge, with nothing told"
+    return Table.of(title, ("planner",), rows, columns, notes)
+
+
+def tabulate_scores(scores: Sequence[WeighingScore], names: Sequence[str]) -> Table:
+    """Makes a row for each object, and one of all."""
 
     def share(key: str, goal: float) -> Column:
         """Makes the column of how many errors are within a goal."""
@@ -368,12 +502,19 @@ def tabulate(options: Options, done: Done) -> list[Table]:
         f"Greatest move by a press: {MM * max(one.moved for one in scores):.2f} mm. Presses that "
         f"objects withstood: {calc_mean([one.withstood for one in scores]):.2f} a run.",
     )
-    rows = by_object(scores, options.names)
-    return [Table.of("Weighed at the table's edge", ("object",), rows, columns, notes)]
+    rows = by_object(scores, names)
+    return Table.of("Weighed at the table's edge", ("object",), rows, columns, notes)
 
 
 TASK = Task(job=WeighingJob, run=run_job, describe=lambda job: f"{job.name}, truth {job.seed}")
 """What is done with a job."""
+
+EDGE_TASK = Task(
+    job=EdgeJob,
+    run=run_edge_job,
+    describe=lambda job: f"{job.name} to the edge, truth {job.seed}",
+)
+"""What is done with a job of the second part."""
 
 STUDY = Study(
     name="weighing",
@@ -382,7 +523,7 @@ STUDY = Study(
     options=Options,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(TASK,),
+    tasks=(TASK, EDGE_TASK),
     tabulate=tabulate,
 )
 """`gridpush bench weighing`."""

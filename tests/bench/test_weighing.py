@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.weighing import STUDY, TASK, Options, WeighingJob, make_jobs, run_job
+from gridpush_drake.bench.weighing import (
+    STUDY,
+    TASK,
+    EdgeJob,
+    Options,
+    WeighingJob,
+    make_jobs,
+    run_edge_job,
+    run_job,
+)
 from gridpush_drake.bench.weighing_world import EDGE, EXACT, WeighingWorld
 from gridpush_drake.cli.options import load_object
 from gridpush_drake.dynamics.physics import GRAVITY
@@ -89,11 +98,23 @@ def test_an_object_of_which_nothing_is_told_is_weighed(name):
     assert found.time < 60.0
 
 
+@pytest.mark.slow
+def test_where_it_would_give_up_it_weighs_and_goes_on():
+    given_up, weighed = run_edge_job(EdgeJob("claw_hammer", 0))
+    assert not given_up.grasped
+    assert "only closer friction bounds would help" in given_up.reason
+    assert weighed.grasped
+    assert not weighed.dropped
+    assert weighed.presses >= 1
+    assert weighed.max_tilt < np.radians(1.0)
+
+
 def test_jobs_are_those_that_were_asked_for():
-    jobs = make_jobs(Options(objects=("toolbox",), truths=2, seed=5))
+    jobs = make_jobs(Options(objects=("toolbox",), truths=2, seed=5, part="scale"))
     assert jobs == [WeighingJob("toolbox", 5), WeighingJob("toolbox", 6)]
-    assert len(make_jobs(Options())) == 90
-    assert len(make_jobs(STUDY.shorten(Options()))) == 1
+    assert len(make_jobs(Options())) == 180
+    both = make_jobs(STUDY.shorten(Options()))
+    assert both == [WeighingJob("claw_hammer", 0), EdgeJob("claw_hammer", 0)]
     assert TASK.describe(jobs[0]) == "toolbox, truth 5"
     with pytest.raises(ObjectError, match="anvil"):
         make_jobs(Options(objects=("anvil",)))

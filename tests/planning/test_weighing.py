@@ -11,6 +11,10 @@ from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.weighed_model import believe_before, weigh_model
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import (
     Edge,
     PressRules,
@@ -193,3 +197,50 @@ def test_presses_end_when_enough_is_known():
     sure = replace(believe_before(found), covariance=np.diag([0.005**2, 0.0005**2, 0.0005**2, 0.1]))
     assert plan_next_press(replace(found, absolute=sure), CENTERS, EDGE, TOP) is None
     assert plan_next_press(found, CENTERS, EDGE, TOP, presses=10) is None
+
+
+def test_a_planner_weighs_where_the_other_gives_up():
+    """With friction that may be anything it first brings the bar to where it can be pressed."""
+    surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+    obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
+    found = describe_prior(obj)
+    belief = replace(
+        believe_before(found), covariance=np.diag([0.9, 0.018**2, 0.006**2, 0.1]), presses=1
+    )
+    model = replace(UncertainModel.of_identification(found), belief=belief)
+    options = PreGraspOptions(max_pokes=0, min_pokes=0)
+    plain = PreGraspPlanner(obj, surface, options)
+    weighing = WeighingPlanner(obj, surface, options)
+    inside = np.array([0.2, 0.0, 0.0])
+    at_edge = np.array([0.4, 0.0, 0.0])
+    for pose in (inside, at_edge):
+        assert plain.decide(pose, model).action == "fail"
+    slide = weighing.decide(inside, model)
+    assert slide.action == "slide"
+    assert "from where it can be weighed" in slide.reason
+    press = weighing.decide(at_edge, model)
+    assert press.action == "weigh"
+    place = np.array(press.press.place)
+    assert 0.02 <= press.press.calc_arm(place) <= 0.05
+    # After enough presses, it gives up as the other one does.
+    tired = replace(model, belief=replace(belief, presses=8))
+    assert weighing.decide(at_edge, tired).action == "fail"
+
+
+def test_a_weighed_model_leaves_the_center_of_mass_where_it_was_weighed():
+    obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
+    found = describe_prior(obj)
+    wide = UncertainModel.of_identification(found)
+    assert wide.weighed is None
+    sure = replace(
+        believe_before(found),
+        mean=np.array([np.log(0.7), 0.02, 0.0, np.log(0.4)]),
+        covariance=np.diag([0.01**2, 0.001**2, 0.002**2, 0.1]),
+        presses=3,
+    )
+    weighed = UncertainModel.of_identification(replace(found, absolute=sure))
+    corners = weighed.masses.center_of_mass_polygon
+    np.testing.assert_allclose(corners.min(axis=0), [0.0165, -0.007], atol=2e-4)
+    np.testing.assert_allclose(corners.max(axis=0), [0.0235, 0.007], atol=2e-4)
+    assert np.ptp(wide.masses.center_of_mass_polygon, axis=0)[0] > 0.1
+    assert weighed.masses.max_total_mass == pytest.approx(0.7 * np.exp(0.035))
