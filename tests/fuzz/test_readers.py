@@ -16,6 +16,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.weighings import WeighingLog
 from gridpush_drake.station.scenario_file import read_scenario
 from tests.fuzz.mutations import broken
 from tests.helpers.made_identifications import make_block, make_identification
@@ -68,6 +69,12 @@ a,0.5,-0.02,0.02,,,,0.1,1.0
 a,1,-0.02,0.01,0.001,-0.02,0.2,0.1,1.0
 b,5,0.02,-0.034,0,0,-0.2,0,0
 b,6,0.02,-0.01,0.001,0.02,0.1,,
+"""
+
+WEIGHINGS = b"""\
+kind,object_x,object_y,object_theta,place_x,place_y,force,edge_x,edge_y,edge_angle,torque_x,torque_y,force_std
+press,-0.06,0.01,0.3,0.05,0.0,4.2,0.0,0.5,0.0,,,0.1
+lift,-0.06,0.01,0.3,0.02,0.0,6.7,,,,0.1,-0.2,
 """
 
 PLAIN_PGM = b"P2 # a mask\n8 6\n255\n" + b"\n".join(
@@ -165,6 +172,12 @@ def test_push_logs(place, block, text):
         predict(block, CellParameters.uniform(block), PushLog.read_csv(path, require_final=False))
 
     survives(place / "pushes.csv", text, read)
+
+
+@few(100)
+@given(text=broken(WEIGHINGS))
+def test_weighings(place, text):
+    survives(place / "weighings.csv", text, WeighingLog.read_csv)
 
 
 @few(150)

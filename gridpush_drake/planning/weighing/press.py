@@ -80,6 +80,8 @@ class PressOptions:
         tilt_rate: rate at which the object tilts once it gives way, rad/s; it sets the speed.
         notice_tilt: tilt within which giving way is noticed, rad.
         gives_way: share of the commanded descent that the tip must make for the object to give way.
+        sink_share: share of the greatest tilt by which the tip may go down since it touched; from
+            there on the object counts as giving way, too.
         touch_time: how long the force is averaged to see whether the tip touches, s.
         touch_force: mean force straight down from which the tip counts as touching, N.
         dwell_tilt: how much further than noticed the object is tilted while the force is averaged,
@@ -100,6 +102,7 @@ class PressOptions:
     tilt_rate: float = radians(5.0)
     notice_tilt: float = radians(0.2)
     gives_way: float = 0.4
+    sink_share: float = 0.6
     touch_time: float = 0.1
     touch_force: float = 0.35
     dwell_tilt: float = radians(0.15)
@@ -182,7 +185,7 @@ class PressState(Unchanging):
         tare: mean force before the tip touched, (3,), N, and the number of samples in it.
         window: the latest samples, each with the height commanded then, m.
         touched: when the tip began to touch, s; None before.
-        start_height: height of the tip as the object began to give way, m.
+        start_height: height of the tip as it began to touch, m.
         hold_height: height at which the tip is held at the tilt, m.
         forces: straight-down forces F of the samples at the tilt, N.
         places: (x, y) of the tip at these, m.
@@ -316,9 +319,11 @@ def _press(
 
     # It gives way if the tip goes on as it is commanded, and did not just come through the air.
     touched = now.touched
+    height_then = now.start_height
     if touches and touched is None:
         touched = sample.time
-    moved = replace(moved, window=window, touched=touched)
+        height_then = float(sample.tip[2])
+    moved = replace(moved, window=window, touched=touched, start_height=height_then)
     if touched is None or sample.time - touched < options.window:
         return moved
     first, height = next(
@@ -328,15 +333,16 @@ def _press(
     )
     wanted = height - float(now.command[2])
     made = float(first.tip[2] - sample.tip[2])
-    if made < options.gives_way * wanted:
+    arm = target.calc_arm(sample.tip)
+    sank = height_then - float(sample.tip[2]) > options.sink_share * options.max_tilt * arm
+    if made < options.gives_way * wanted and not sank:
         return moved
     return replace(
         now,
         phase=PressPhase.DWELLING,
         velocity=np.zeros(3),
         since=sample.time,
-        start_height=float(first.tip[2]),
-        hold_height=float(sample.tip[2]) - options.dwell_tilt * target.calc_arm(sample.tip),
+        hold_height=float(sample.tip[2]) - options.dwell_tilt * arm,
         window=(),
     )
 
