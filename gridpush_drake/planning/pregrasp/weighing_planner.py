@@ -6,7 +6,7 @@ slides the object to where a part hangs over the edge that can be pressed safely
 known, weighs it there, and goes on with what that told.
 
 How presses are planned is in `planning.weighing`; the theory is in `docs/theory/planning.md`,
-section 7.
+section 8.
 """
 
 from dataclasses import dataclass, field, replace
