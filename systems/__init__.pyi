@@ -5,6 +5,8 @@ from .arm_guard import GuardStatus as GuardStatus
 from .contact_point_controller import ContactPointController as ContactPointController
 from .edge_presser import EdgePresser as EdgePresser
 from .estimate_visualizer import EstimateVisualizer as EstimateVisualizer
+from .feedback_push_controller import FeedbackPushController as FeedbackPushController
+from .feedback_push_controller import FeedbackPushStatus as FeedbackPushStatus
 from .grasp_executor import GraspExecutor as GraspExecutor
 from .grid_identifier import GridIdentifier as GridIdentifier
 from .grid_lcp_step import GridLcpStep as GridLcpStep

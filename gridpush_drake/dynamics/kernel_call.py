@@ -63,7 +63,7 @@ def run_kernel(
     """
     have_rollouts_compiled()
     record = make_record(len(dts))
-    prepared = _prepare(obj, params, physics, table, ahead)
+    prepared = prepare_rollout(obj, params, physics, table, ahead)
     if memory is None:
         memory = make_memory()
     rollout(
@@ -101,7 +101,7 @@ def run_pushes(
     have_rollouts_compiled()
     poses = np.empty((rows, 3))
     touched = np.empty(len(pushes.radii), np.bool_)
-    prepared = _prepare(obj, params, physics, table)
+    prepared = prepare_rollout(obj, params, physics, table)
     rollout_pushes(*prepared, pushes, row_of_step, poses, touched, J)
     return poses, touched
 
@@ -122,14 +122,17 @@ def make_record(steps: int) -> Steps:
     )
 
 
-def _prepare(
+def prepare_rollout(
     obj: GridObject,
     params: CellParameters,
     physics: Physics,
     table: Array | None,
     ahead: float | None = None,
 ) -> tuple[Any, Body, Support, Edges, Scheme]:
-    """Makes the rollout's first arguments: law, body, support, outline and scheme."""
+    """Makes the rollout's first arguments: law, body, support, outline and scheme.
+
+    The other arguments are those of `run_kernel`.
+    """
     outline = _get_outline(obj)
     body = _make_body(obj, params, physics, outline.cells)
     support = make_support(obj, params, physics.gravity, table)

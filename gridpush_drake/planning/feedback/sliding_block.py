@@ -17,30 +17,10 @@ from numpy.typing import ArrayLike
 from shapely import Polygon, unary_union
 
 from gridpush_drake.dynamics.kernels.driven_disc import Block
+from gridpush_drake.dynamics.kernels.walk_round import Ways
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.planning.feedback.stroke_search import Ways
-
-TOUCHES = 96
-"""Places round the block where a stroke may touch."""
-
-RING = 32
-"""Points of the ring on which the disc goes round the block."""
-
-STANDOFF = 0.4
-"""Distance from the touch at which a stroke begins, in radii of the disc."""
-
-CLEARANCE = 1.04
-"""Distance of the disc's center from the outline on its way round, in radii of the disc."""
-
-RING_DISTANCE = 1.4
-"""Distance of the ring from the convex hull, in radii of the disc."""
-
-ARRIVAL = 0.53
-"""Distance from the beginning of a stroke at which the disc has arrived there, in its radii."""
-
-ARC_SEGMENTS = 16
-"""Segments of a quarter circle, where an outline is widened by the disc's radius."""
+from gridpush_drake.planning.feedback.ways import make_ways
 
 
 @dataclass(frozen=True)
@@ -176,31 +156,7 @@ class SlidingBlock:
     @cached_property
     def ways(self) -> Ways:
         """Where the disc can touch, and how it gets round the block, as the kernels take it."""
-        radius = self.disc.radius
-        outline = self.outline.exterior
-        widened = self.outline.buffer(radius, quad_segs=ARC_SEGMENTS).exterior
-        places = [widened.interpolate(i / TOUCHES, normalized=True) for i in range(TOUCHES)]
-        touch = np.array([place.coords[0] for place in places])
-        nearest = np.array(
-            [outline.interpolate(outline.project(place)).coords[0] for place in places]
-        )
-        inward = nearest - touch
-        around = self.outline.convex_hull.buffer(RING_DISTANCE * radius).exterior
-        if not around.is_ccw:
-            around = around.reverse()
-        ring = np.array(
-            [around.interpolate(i / RING, normalized=True).coords[0] for i in range(RING)]
-        )
-        corners = np.array(outline.coords)
-        return Ways(
-            touch=touch,
-            inward=np.arctan2(inward[:, 1], inward[:, 0]),
-            ring=ring,
-            edges=np.column_stack([corners[:-1], corners[1:]]),
-            standoff=STANDOFF * radius,
-            clearance=CLEARANCE * radius,
-            arrival=ARRIVAL * radius,
-        )
+        return make_ways(self.outline, self.disc.radius)
 
     def make_record(self, estimate: BlockEstimate) -> Block:
         """Makes the record that the kernels take."""

@@ -1,0 +1,436 @@
+"""Steers a finger so that a learned object follows a path, or comes to a goal, by what is seen.
+
+At each decision, ten times a second, the controller finds out where the object is now
+(`pose_track`), improves its plan for the finger (`push_search`), refines a plan on a path by Gauss
+and Newton's method for several models at once, and gives the velocity with which the plan begins.
+
+Poses may come at any rate, late and with gaps. What the controller does is told by a status.
+Everything random comes from the seed, and no decision depends on a clock.
+
+The theory is in `docs/theory/feedback.md`, sections 6 to 8. For PushT, where the finger is a disc on
+a spring and the block's three numbers are learned within the episode, see `feedback_controller`.
+"""
+
+from collections.abc import Sequence
+from copy import copy, deepcopy
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridpush_drake.dynamics.kernels.finger_push import STATE, THETA, TIP_X, TIP_Y, PushedModel, X
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array, check_vector, transform, wrap_angle
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.feedback.follow_options import (
+    FOLLOW_REASONS,
+    FollowDecision,
+    FollowOptions,
+    FollowStatus,
+)
+from gridpush_drake.planning.feedback.plan_refinement import refine_plan
+from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
+from gridpush_drake.planning.feedback.pose_track import PoseTrack, TrackOptions
+from gridpush_drake.planning.feedback.push_search import (
+    ANGLE,
+    BEND,
+    CHANGE,
+    LENGTH,
+    PLACE,
+    ROUND,
+    STROKE,
+    WALK,
+    Candidates,
+    Plan,
+    Wish,
+    search_push,
+)
+from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger, make_model, make_room
+from gridpush_drake.planning.feedback.ways import make_ways
+from gridpush_drake.planning.push_constraints import PushConstraints
+
+LENGTHS = (0.15, 1.0)
+"""Least and greatest speed of a stroke, as a share of the finger's."""
+
+ANGLES = (-1.0, 1.0)
+"""Least and greatest angle of a stroke from the inward normal, rad."""
+
+BEND_STD = 0.06
+"""Standard deviation of a stroke's turn in a decision, rad."""
+
+AT_ONCE = 0.25
+"""Share of the strokes that push at once, from where the finger is."""
+
+FROM_NOW = 0.4
+"""Share of the strokes that replace the whole plan; the others keep some of its beginning."""
+
+CHANGE_SIZES = (0.0002, 0.015)
+"""Least and greatest standard deviation of a change of places, m."""
+
+HIT = 0.2
+"""Share of the tolerances within which a plan ends: nearer it need not come."""
+
+SETTLE = 0.2
+"""Time for which the object must be seen at the goal before it counts as reached, s."""
+
+LEAST_MOTION = 0.3
+"""Motion by the model that is taken to have happened at least, in radii of gyration, before it is
+asked how much of it was explained."""
+
+LEAST_GAIN = 1e-3
+"""By how much a plan to a goal must cost less than standing still, in decisions."""
+
+PROGRESS = 0.002
+"""Nearing of the goal, or way on the path, that counts as getting on, m."""
+
+
+class PushFollower:
+    """Pushes one object along one path, or to one goal.
+
+    Attributes:
+        obj: the object.
+        finger: the finger.
+        constraints: table and obstacles.
+        options: how plans are searched for.
+        track: where the object is.
+        progress: how far the object came on its path, m.
+    """
+
+    def __init__(
+        self,
+        obj: GridObject,
+        params: CellParameters,
+        goal: ArrayLike | PosePath,
+        finger: FeedbackFinger,
+        *,
+        draws: Sequence[CellParameters] = (),
+        physics: Physics | None = None,
+        constraints: PushConstraints | None = None,
+        options: FollowOptions | None = None,
+        track: TrackOptions | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Begins with nothing seen.
+
+        Args:
+            obj: the object.
+            params: its masses and frictions, as learned.
+            goal: (3,) pose X_WB, m and rad; or a path, at whose end its last pose is the goal.
+            finger: the finger.
+            draws: other models that agree with what was learned, such as
+                `Identification.samples(4)`; at most `options.draws` are used.
+            physics: physics of the models; the search is quasi-static in any case.
+            constraints: table, obstacles, margins and the finger's region; the further rules are
+                those of straight pushes, and are not asked.
+            options: how plans are searched for.
+            track: how poses are filtered.
+            seed: of the search.
+
+        Raises:
+            PlanningError: an argument is out of range, or a model is of another object.
+        """
+        self.obj = obj
+        self.finger = finger
+        self.constraints = constraints or PushConstraints()
+        self.options = options or FollowOptions()
+        self.track = PoseTrack(obj.radius_of_gyration, track)
+        self.progress = 0.0
+        self._best = np.inf
+        self._best_at = -np.inf
+        self._shoves = 0
+        self._middle = obj.p_BC.mean(axis=0)
+        self._ways = make_ways(obj.outline, finger.radius)
+        # decisions that it takes to go half round the object
+        way = obj.outline.convex_hull.length + 2 * np.pi * finger.radius
+        self._half_round = way / 2 / (finger.walking_speed * self.options.period)
+        self._rng = np.random.default_rng(seed)
+        self._physics = physics
+        self.set_model(params, draws)
+        self.set_goal(goal)
+
+    def copy(self) -> "PushFollower":
+        """Makes a copy that goes on by itself, alike; what never changes is shared."""
+        other = copy(self)
+        other.track = self.track.copy()
+        other._plan = self._plan.copy()
+        other._rng = deepcopy(self._rng)
+        return other
+
+    def set_model(self, params: CellParameters, draws: Sequence[CellParameters] = ()) -> None:
+        """Goes on with another model, such as one that was learned meanwhile.
+
+        Args:
+            params: masses and frictions.
+            draws: other models that may be the true one.
+
+        Raises:
+            PlanningError: a model is of another object.
+        """
+        used = [params, *list(draws)[: self.options.draws]]
+        self._models = [
+            make_model(self.obj, each, self.finger.radius, self._physics) for each in used
+        ]
+        self._unlike_since = np.inf
+
+    def set_goal(self, goal: ArrayLike | PosePath) -> None:
+        """Begins with another goal, or path.
+
+        Args:
+            goal: (3,) pose X_WB, m and rad; or a path.
+
+        Raises:
+            PlanningError: the pose is not three finite numbers.
+        """
+        self.progress = 0.0
+        self._way: ObjectWay | None = None
+        poses = np.empty((0, 3))
+        if isinstance(goal, PosePath):
+            self._way = ObjectWay(self.obj, goal)
+            self.goal = goal.goal
+            poses = goal.poses
+        else:
+            self.goal = check_vector(PlanningError, "goal", goal, 3)
+        self._begin_plan()
+        self._begin_watch()
+        self._near_since = np.inf
+        places = np.vstack([self.goal[None, :2], poses[:, :2]])
+        self._room = make_room(self.obj, self.constraints, self.finger, places)
+        self._refused = self._find_refusal()
+
+    @property
+    def model(self) -> PushedModel:
+        """The estimate, as the compiled search takes it."""
+        return self._models[0]
+
+    def add_pose(self, time: float, pose: ArrayLike) -> None:
+        """Takes in a pose that was seen, at once or as soon as it comes.
+
+        Args:
+            time: when it was seen, s; at most the time of the last decision or `add_tip`.
+            pose: (3,) X_WB, m and rad; with NaN it is passed over.
+        """
+        seen = np.asarray(pose, dtype=np.float64)
+        if seen.shape != (3,) or not np.isfinite(seen).all():
+            return
+        if not self.track.add_pose(self.model, time, seen):
+            return
+        moved = max(self.track.moved, LEAST_MOTION * self.obj.radius_of_gyration)
+        if float(np.linalg.norm(self.track.corrected)) > self.options.unlike * moved:
+            self._unlike_since = min(self._unlike_since, time)
+        else:
+            self._unlike_since = np.inf
+
+    def add_tip(self, time: float, tip: ArrayLike) -> None:
+        """Takes in where the finger's center is, (2,) m, at a time, s; times increase."""
+        self.track.add_tip(time, check_vector(PlanningError, "tip", tip, 2, "m"))
+
+    def decide(self, time: float, tip: ArrayLike) -> FollowDecision:
+        """Decides on the finger's velocity; to be called once each `options.period`.
+
+        Args:
+            time: now, s.
+            tip: (2,) where the finger's center is, W, m.
+
+        Raises:
+            PlanningError: the finger's place is not two finite numbers.
+        """
+        self.add_tip(time, tip)
+        if self._refused is not None:
+            return self._rest(self._refused)
+        if time - self.track.seen_at > self.options.no_pose_after:
+            return self._rest(FollowStatus.NO_POSE)
+        if time - self._unlike_since > self.options.unlike_after:
+            return self._rest(FollowStatus.UNLIKE_MODEL)
+        state = self.track.predict(self.model)
+        pose = state[X : THETA + 1].copy()
+        status = self._look_at_goal(time, pose)
+        if status is not None:
+            return self._rest(status, pose)
+        if np.isfinite(self._near_since):
+            return FollowDecision(np.zeros(2), FollowStatus.PUSHING, "", pose, self.progress)
+        wish = self._make_wish(pose)
+        velocity = self._search(state, wish)
+        return FollowDecision(velocity, FollowStatus.PUSHING, "", pose, self.progress)
+
+    def _find_refusal(self) -> FollowStatus | None:
+        """Why the goal or the path cannot be followed, whatever is seen; None where it can."""
+        on_table, blocked = self.constraints.allow_pose(self.obj, self.goal)
+        if not on_table:
+            return FollowStatus.GOAL_OFF_TABLE
+        if blocked:
+            return FollowStatus.GOAL_BLOCKED
+        if self._way is None:
+            return None
+        if self._way.path.speed > self.finger.speed:
+            return FollowStatus.TOO_FAST
+        if not self.constraints.is_free:
+            poses = self._way.path.poses
+            checker = self.constraints.start_at(self.obj, self.goal, self.finger.radius)
+            if not checker.allows_geometry(poses).all():
+                return FollowStatus.PATH_BLOCKED
+        return None
+
+    def _look_at_goal(self, time: float, pose: Array) -> FollowStatus | None:
+        """Notes how far the object has come; says whether it is there, or does not get on."""
+        center = transform(pose, self._middle[None])[0]
+        if self._way is not None:
+            self.progress = self._way.project(center, float(pose[2]), self.progress)
+            gained = -self.progress
+        else:
+            gained = 0.0
+        aim = transform(self.goal, self._middle[None])[0]
+        distance = float(np.linalg.norm(center - aim))
+        turn = abs(float(wrap_angle(pose[2] - self.goal[2])))
+        if not self._is_on_path:
+            gained += float(np.hypot(distance, self.obj.radius_of_gyration * turn))
+        shoved = self.track.shoves != self._shoves
+        self._shoves = self.track.shoves
+        if shoved or gained < self._best - PROGRESS or self._best_at == -np.inf:
+            self._best = gained
+            self._best_at = time
+        options = self.options
+        if not self._is_on_path:
+            near = distance < options.position_tolerance and turn < options.angle_tolerance
+            self._near_since = min(self._near_since, time) if near else np.inf
+            # it counts once it was seen to lie there, with the finger at rest
+            if self.track.seen_at > self._near_since + SETTLE:
+                self._begin_watch()  # a later shove begins a new way to the goal
+                return FollowStatus.REACHED
+        if time - self._best_at > options.stuck_after:
+            return FollowStatus.STUCK
+        return None
+
+    @property
+    def _is_on_path(self) -> bool:
+        """Whether there is a path, and the object is not yet at its end."""
+        return self._way is not None and self.progress < self._way.length - PROGRESS
+
+    def _make_wish(self, pose: Array) -> Wish:
+        """Says what is wanted of the next decisions, from a pose (3,) on."""
+        options = self.options
+        follows = self._is_on_path
+        count = self._count_decisions(follows)
+        if follows:
+            assert self._way is not None
+            ahead = self._way.path.speed * options.period * np.arange(count + 1)
+            references = self._way.at(self.progress + ahead)
+            along = self._way.along(self.progress + ahead)
+        else:
+            center = transform(self.goal, self._middle[None])[0]
+            references = np.tile(np.append(center, self.goal[2]), (count + 1, 1))
+            along = np.zeros((count + 1, 2))
+        arm = self.obj.radius_of_gyration
+        return Wish(
+            follows=follows,
+            references=references,
+            along=along,
+            weight_along=float(options.weight_along),
+            weight_turn=float(options.weight_turn),
+            middle=self._middle,
+            arm=float(arm),
+            position_tolerance=float(options.position_tolerance),
+            angle_tolerance=float(options.angle_tolerance),
+            per_decision=1.0,
+            base=float(options.base * self._half_round),
+            per_length=float(options.slowness / (self.finger.speed * options.period)),
+            per_root=float(options.per_root / np.sqrt(arm)),
+            hit=HIT,
+        )
+
+    def _count_decisions(self, follows: bool) -> int:
+        """Decisions of a plan, on a path or to a goal."""
+        return self.options.path_horizon if follows else self.options.horizon
+
+    def _begin_watch(self) -> None:
+        """Forgets how near the object came, and when."""
+        self._best = np.inf
+        self._best_at = -np.inf
+        self._shoves = self.track.shoves
+
+    def _begin_plan(self) -> None:
+        """Forgets the plan."""
+        self._length = 0
+        self._per_decision = 1.0
+        self._follows = False
+        self._plan = np.zeros((1, 2))
+
+    def _search(self, state: Array, wish: Wish) -> Array:
+        """Improves the plan from a state (STATE,) on; returns the velocity (2,) of its begin."""
+        count = self._count_decisions(wish.follows)
+        if self._follows != wish.follows or len(self._plan) != count:
+            self._begin_plan()
+            self._plan = np.zeros((count, 2))
+            self._follows = wish.follows
+        tip = state[TIP_X : TIP_Y + 1].copy()
+        states = np.zeros((count + 1, STATE))
+        states[0] = state
+        plan = Plan(targets=self._plan, states=states)
+        self._per_decision = min(1.0, 2.0 * self._per_decision)
+        for attempt in range(self.options.attempts):
+            if attempt:
+                self._per_decision /= 2.0
+            candidates = self._draw_candidates()
+            cost, self._length, to_go = search_push(
+                self.model,
+                wish._replace(per_decision=self._per_decision),
+                self._room,
+                self._ways,
+                plan,
+                self._length,
+                candidates,
+            )
+            # better than to stand still for one decision
+            if wish.follows or cost < self._per_decision + to_go - LEAST_GAIN:
+                break
+        if self._length == 0:
+            return np.zeros(2)
+        if wish.follows:
+            for _ in range(self.options.refinements):
+                targets = self._plan[: self._length]
+                longest = candidates.longest
+                if not refine_plan(self._models, wish, self._room, state, targets, longest):
+                    break
+        velocity = np.asarray((self._plan[0] - tip) / self.options.period)
+        self._plan[:-1] = self._plan[1:]
+        self._length -= 1
+        return velocity
+
+    def _draw_candidates(self) -> Candidates:
+        """Draws what the search tries."""
+        rng = self._rng
+        options = self.options
+        count = options.strokes
+        period = options.period
+        strokes = np.empty((count, STROKE))
+        strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
+        strokes[:, ANGLE] = rng.uniform(*ANGLES, count)
+        strokes[:, LENGTH] = period * self.finger.speed * _draw_log_uniform(rng, LENGTHS, count)
+        strokes[:, BEND] = rng.normal(0.0, BEND_STD, count)
+        strokes[:, WALK] = period * self.finger.walking_speed
+        strokes[:, ROUND] = rng.choice([-1.0, 1.0], count)
+        at_once = rng.random(count) < AT_ONCE
+        strokes[at_once, PLACE] = -1.0
+        strokes[at_once, ANGLE] = rng.uniform(-np.pi, np.pi, int(at_once.sum()))
+        # later cuts are more often useful: a plan's beginning is good already
+        cuts = np.sqrt(rng.random(count))
+        cuts[rng.random(count) < FROM_NOW] = 0.0
+        changes = rng.standard_normal((options.changes, CHANGE))
+        return Candidates(
+            strokes=strokes,
+            cuts=cuts,
+            changes=changes,
+            scales=_draw_log_uniform(rng, CHANGE_SIZES, options.changes),
+            longest=float(period * self.finger.walking_speed),
+        )
+
+    def _rest(self, status: FollowStatus, pose: Array | None = None) -> FollowDecision:
+        """Lets the finger rest."""
+        self._begin_plan()
+        where = np.full(3, np.nan) if pose is None else pose
+        return FollowDecision(np.zeros(2), status, FOLLOW_REASONS[status], where, self.progress)
+
+
+def _draw_log_uniform(rng: np.random.Generator, bounds: tuple[float, float], count: int) -> Array:
+    """Draws numbers (count,) between two bounds, whose logarithms are spread evenly."""
+    return np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]), count))

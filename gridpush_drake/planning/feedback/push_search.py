@@ -1,0 +1,439 @@
+"""Searches for a path of the finger that makes a learned object follow what is wanted, compiled.
+
+A plan is a sequence of places of the finger's center, one a decision, in W. Between two of them the
+finger moves evenly, and the object moves as the learned model of its cells says: each decision is a
+short rollout of `dynamics.kernels.rollout`. A candidate is made from the best plan known by
+replacing its end with a *stroke* (go round the object to a place of its outline, and push there),
+or by shifting some of its places a little. Candidates whose object or finger comes too near to
+something cost infinitely much.
+
+What a plan costs is in `docs/theory/feedback.md`, section 7; `push_follower` chooses the candidates.
+"""
+
+from math import cos, hypot, sin, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.finger_push import (
+    STATE,
+    STILL,
+    THETA,
+    TIP_X,
+    TIP_Y,
+    X,
+    Y,
+    advance_push,
+    make_bench,
+    measure_room,
+)
+from gridpush_drake.dynamics.kernels.walk_round import find_way
+
+STROKE = 6
+"""Numbers that describe a stroke."""
+
+PLACE, ANGLE, LENGTH, BEND, WALK, ROUND = range(STROKE)
+"""Places in a stroke: where round the object it touches, 0 to 1, or below 0 for a push at once; its
+angle from the inward normal there, rad, or from the body's x axis for a push at once; how far the
+finger goes in a decision while it pushes, m; by how much it turns in a decision, rad, seen from the
+object; how far it goes in a decision on its way round, m; and 1 or -1 for the way round,
+counterclockwise or clockwise."""
+
+CHANGE = 6
+"""Numbers that describe a change of a plan: x and y at the window's begin, end and middle."""
+
+WHOLE, SECOND_HALF, END = range(3)
+"""Windows of a plan that are changed in turn."""
+
+LAST = 4
+"""Decisions in the window END."""
+
+PATIENCE = 6
+"""Decisions that a stroke to a goal goes on for without getting better, once it pushes."""
+
+
+class Wish(NamedTuple):
+    """What the object should do, and what a plan costs.
+
+    Attributes:
+        follows: whether a path is followed; otherwise a goal is to be reached.
+        references: (T + 1, 3) where the cells' centroid should be, m, and the heading, rad, after
+            so many decisions; of a goal each is the same.
+        along: (T + 1, 2) unit vectors along the path there.
+        weight_along: how much a distance along the path counts, against 1 of one beside it.
+        weight_turn: how much a turn counts, times the radius of gyration.
+        middle: (2,) the cells' centroid, body frame, m.
+        arm: radius of gyration, m.
+        position_tolerance: distance from the goal within which it is reached, m.
+        angle_tolerance: turn from the goal within which it is reached, rad.
+        per_decision: cost of a decision on the way to a goal.
+        base: cost-to-go of a pose next to the goal, but not at it.
+        per_length: cost-to-go for a distance from the goal, 1/m.
+        per_root: cost-to-go for the square root of the distance from the goal.
+        hit: share of the tolerances within which a plan ends.
+    """
+
+    follows: Any
+    references: Any
+    along: Any
+    weight_along: Any
+    weight_turn: Any
+    middle: Any
+    arm: Any
+    position_tolerance: Any
+    angle_tolerance: Any
+    per_decision: Any
+    base: Any
+    per_length: Any
+    per_root: Any
+    hit: Any
+
+
+class Plan(NamedTuple):
+    """Places of the finger, one a decision, and where they lead.
+
+    Attributes:
+        targets: (T, 2) places, W, m.
+        states: (T + 1, STATE) states before and after them.
+    """
+
+    targets: Any
+    states: Any
+
+
+class Candidates(NamedTuple):
+    """What the search tries.
+
+    Attributes:
+        strokes: (N, STROKE) strokes.
+        cuts: (N,) share of the plan, 0 to 1, that is kept before each of them.
+        changes: (K, CHANGE) shifts of places.
+        scales: (K,) their sizes, m.
+        longest: farthest that the finger may go in a decision, m.
+    """
+
+    strokes: Any
+    cuts: Any
+    changes: Any
+    scales: Any
+    longest: Any
+
+
+@kernel(allocates=False)
+def _calc_off(wish, state, k):
+    """How far the object is from the reference after k decisions: (dx, dy), m, and the turn."""
+    c = cos(state[THETA])
+    s = sin(state[THETA])
+    dx = state[X] + c * wish.middle[0] - s * wish.middle[1] - wish.references[k, 0]
+    dy = state[Y] + s * wish.middle[0] + c * wish.middle[1] - wish.references[k, 1]
+    turn = state[THETA] - wish.references[k, 2]
+    turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
+    return dx, dy, turn
+
+
+@kernel(allocates=False)
+def rate_goal(wish, state):
+    """Cost-to-go of a state on the way to a goal, and whether the goal is reached."""
+    dx, dy, turn = _calc_off(wish, state, 0)
+    position2 = dx * dx + dy * dy
+    # how far off in tolerances, and with it the chance that the goal will not have been reached
+    off2 = position2 / (wish.position_tolerance * wish.position_tolerance)
+    off2 += turn * turn / (wish.angle_tolerance * wish.angle_tolerance)
+    missed = off2 / (1.0 + off2)
+    distance = sqrt(position2 + 2.0 * wish.arm * wish.arm * (1.0 - cos(turn)))
+    to_go = wish.base + wish.per_length * distance + wish.per_root * sqrt(distance)
+    return missed * to_go, off2 < wish.hit * wish.hit
+
+
+@kernel(allocates=False)
+def rate_path(wish, state, k):
+    """Squared distance, m², from the reference after k decisions."""
+    dx, dy, turn = _calc_off(wish, state, k)
+    ahead = dx * wish.along[k, 0] + dy * wish.along[k, 1]
+    beside = dy * wish.along[k, 0] - dx * wish.along[k, 1]
+    turned = wish.arm * turn
+    return beside * beside + wish.weight_along * ahead * ahead + wish.weight_turn * turned * turned
+
+
+@kernel()
+def _step_candidate(model, wish, room, bench, k, least):
+    """Makes the k-th decision of the candidate; `least` (2,) is the room that it must keep.
+
+    Returns:
+        What it costs, or would cost if it ended then; and whether it is over.
+    """
+    for i in range(STATE):
+        bench.states[k + 1, i] = bench.states[k, i]
+    state = bench.states[k + 1]
+    advance_push(model, bench, state, bench.targets[k, 0], bench.targets[k, 1])
+    object_room, finger_room = measure_room(room, state)
+    if object_room < least[0] or finger_room < least[1]:
+        return np.inf, True
+    if wish.follows:
+        return rate_path(wish, state, k + 1), False
+    to_go, over = rate_goal(wish, state)
+    return wish.per_decision * (k + 1) + to_go, over
+
+
+@kernel(allocates=False)
+def _limit(bench, k, longest):
+    """Shortens the way to the k-th place to what the finger may go in a decision."""
+    x = bench.states[k, TIP_X]
+    y = bench.states[k, TIP_Y]
+    dx = bench.targets[k, 0] - x
+    dy = bench.targets[k, 1] - y
+    length = hypot(dx, dy)
+    if length > longest:
+        bench.targets[k, 0] = x + dx * longest / length
+        bench.targets[k, 1] = y + dy * longest / length
+
+
+@kernel()
+def _roll_plan(model, wish, room, bench, first, length, least, longest, before):
+    """Follows the candidate's places from `first` on, where what was before cost `before`.
+
+    Returns its least cost and the number of decisions with which it is reached; of a path the cost
+    and number of all.
+    """
+    best = np.inf
+    end = first
+    total = before
+    for k in range(first, length):
+        _limit(bench, k, longest)
+        cost, over = _step_candidate(model, wish, room, bench, k, least)
+        if wish.follows:
+            total += cost
+            end = k + 1
+            if not total < np.inf:
+                break
+        elif cost < best:
+            best = cost
+            end = k + 1
+        if over:
+            break
+    if wish.follows:
+        best = total
+    return best, end
+
+
+@kernel()
+def _roll_stroke(model, wish, room, ways, bench, first, limit, stroke, least, before):
+    """Makes a stroke from `first` on, and fills its places; returns as `_roll_plan`."""
+    best = np.inf
+    end = first
+    total = before
+    pushing = stroke[PLACE] < 0.0
+    heading = stroke[ANGLE]
+    begin_x = 0.0
+    begin_y = 0.0
+    if not pushing:
+        count = ways.touch.shape[0]
+        touch = min(int(stroke[PLACE] * count), count - 1)
+        heading += ways.inward[touch]
+        begin_x = ways.touch[touch, 0] - ways.standoff * cos(ways.inward[touch])
+        begin_y = ways.touch[touch, 1] - ways.standoff * sin(ways.inward[touch])
+    pushed = 0
+    for k in range(first, limit):
+        state = bench.states[k]
+        if not pushing:
+            c = cos(state[THETA])
+            s = sin(state[THETA])
+            dx = state[TIP_X] - state[X]
+            dy = state[TIP_Y] - state[Y]
+            ax = c * dx + s * dy
+            ay = c * dy - s * dx
+            if (begin_x - ax) ** 2 + (begin_y - ay) ** 2 < ways.arrival**2:
+                pushing = True
+            else:
+                turn = 1 if stroke[ROUND] > 0.0 else -1
+                find_way(ways, ax, ay, begin_x, begin_y, turn, bench.at)
+                wx = state[X] + c * bench.at[0] - s * bench.at[1] - state[TIP_X]
+                wy = state[Y] + s * bench.at[0] + c * bench.at[1] - state[TIP_Y]
+                share = min(1.0, stroke[WALK] / max(hypot(wx, wy), STILL))
+                bench.targets[k, 0] = state[TIP_X] + share * wx
+                bench.targets[k, 1] = state[TIP_Y] + share * wy
+        if pushing:
+            angle = state[THETA] + heading
+            bench.targets[k, 0] = state[TIP_X] + stroke[LENGTH] * cos(angle)
+            bench.targets[k, 1] = state[TIP_Y] + stroke[LENGTH] * sin(angle)
+            heading += stroke[BEND]
+            pushed += 1
+        cost, over = _step_candidate(model, wish, room, bench, k, least)
+        if wish.follows:
+            total += cost
+            end = k + 1
+            if not total < np.inf:
+                break
+        elif cost < best:
+            best = cost
+            end = k + 1
+        if over or (not wish.follows and pushed >= PATIENCE and k + 1 - end > PATIENCE):
+            break
+    if wish.follows:
+        best = total
+    return best, end
+
+
+@kernel(allocates=False)
+def _take(bench, plan, first, end):
+    """Makes the best plan the candidate, from `first` on."""
+    for k in range(first, end):
+        bench.targets[k, 0] = plan.targets[k, 0]
+        bench.targets[k, 1] = plan.targets[k, 1]
+    for i in range(STATE):
+        bench.states[first, i] = plan.states[first, i]
+
+
+@kernel(allocates=False)
+def _keep(bench, plan, first, end):
+    """Makes the candidate the best plan; both are the same before `first`."""
+    for k in range(first, end):
+        plan.targets[k, 0] = bench.targets[k, 0]
+        plan.targets[k, 1] = bench.targets[k, 1]
+        for i in range(STATE):
+            plan.states[k + 1, i] = bench.states[k + 1, i]
+
+
+@kernel(allocates=False)
+def _cost_before(wish, plan, first):
+    """What the first decisions of the plan cost, on a path."""
+    total = 0.0
+    if wish.follows:
+        for k in range(first):
+            total += rate_path(wish, plan.states[k + 1], k + 1)
+    return total
+
+
+@kernel()
+def search_push(model, wish, room, ways, plan, length, candidates):
+    """Improves a plan, first by strokes that replace its end, then by small changes.
+
+    Args:
+        model: the object, as it is learned.
+        wish: what the object should do.
+        room: where object and finger may be.
+        ways: where the object can be touched.
+        plan: the plan, changed in place. Of its states the first is given; the others are filled.
+        length: decisions of the plan given; 0 for none.
+        candidates: what to try.
+
+    Returns:
+        The cost of the plan, its decisions, and the cost-to-go of the first state; on a path 0.
+    """
+    to_go = 0.0
+    if not wish.follows:
+        to_go, _ = rate_goal(wish, plan.states[0])
+    limit = plan.targets.shape[0]
+    bench = make_bench(limit)
+    # What is too near already may not come nearer still.
+    least = np.zeros(2)
+    least[0], least[1] = measure_room(room, plan.states[0])
+    for i in range(2):
+        least[i] = min(least[i] - STILL, 0.0)
+    longest = candidates.longest
+    best = np.inf
+    # The plan of the decision before, from where the object really is.
+    if length > 0:
+        _take(bench, plan, 0, length)
+        if wish.follows:
+            for k in range(length, limit):
+                for j in range(2):
+                    step = bench.targets[length - 1, j] - bench.targets[max(length - 2, 0), j]
+                    bench.targets[k, j] = bench.targets[length - 1, j] + step * (k + 1 - length)
+            length = limit
+        best, end = _roll_plan(model, wish, room, bench, 0, length, least, longest, 0.0)
+        _keep(bench, plan, 0, end)
+        length = end
+    # Strokes, after some of the plan or at once.
+    for n in range(candidates.strokes.shape[0]):
+        first = min(int(candidates.cuts[n] * (length + 1)), length, limit - 1)
+        _take(bench, plan, first, first)
+        stroke = candidates.strokes[n]
+        before = _cost_before(wish, plan, first)
+        cost, end = _roll_stroke(
+            model, wish, room, ways, bench, first, limit, stroke, least, before
+        )
+        if cost < best:
+            best = cost
+            _keep(bench, plan, first, end)
+            length = end
+    # Small changes of the best of them.
+    for n in range(candidates.changes.shape[0]):
+        if length == 0:
+            break
+        cost, end, first = _roll_change(
+            model, wish, room, bench, plan, length, candidates, n, least
+        )
+        if cost < best:
+            best = cost
+            _keep(bench, plan, first, end)
+            length = end
+    return best, length, to_go
+
+
+@kernel()
+def _roll_change(model, wish, room, bench, plan, length, candidates, n, least):
+    """Shifts places within a window of the plan, and follows it from there.
+
+    A window's shift is a parabola in time. Every other candidate for a goal is one decision longer
+    than the plan, and goes on as it ended.
+
+    Returns:
+        As `_roll_plan`, and the first decision that was changed.
+    """
+    change = candidates.changes[n]
+    scale = candidates.scales[n]
+    first = 0
+    window = n % 3
+    if window == SECOND_HALF:
+        first = length // 2
+    elif window == END:
+        first = max(length - LAST, 0)
+    stop = length if wish.follows else min(length + n % 2, plan.targets.shape[0])
+    _take(bench, plan, first, length)
+    for k in range(length, stop):
+        for j in range(2):
+            bench.targets[k, j] = plan.targets[length - 1, j]
+            if length > 1:
+                bench.targets[k, j] += plan.targets[length - 1, j] - plan.targets[length - 2, j]
+    width = max(stop - first - 1, 1)
+    for k in range(first, stop):
+        t = (k - first) / width
+        u = 1.0 - t
+        for j in range(2):
+            shift = u * change[j] + t * change[2 + j] + 2.0 * u * t * change[4 + j]
+            bench.targets[k, j] += scale * shift
+    before = _cost_before(wish, plan, first)
+    cost, end = _roll_plan(model, wish, room, bench, first, stop, least, candidates.longest, before)
+    return cost, end, first
+
+
+@kernel()
+def roll_plans(model, wish, room, start, targets, longest, states, costs):
+    """Follows P plans from one state.
+
+    Args:
+        model, wish, room: as of `search_push`.
+        start: (STATE,) state.
+        targets: (P, T, 2) places of the finger, changed where they are too far apart.
+        longest: farthest that the finger may go in a decision, m.
+        states: (P, T + 1, STATE) filled.
+        costs: (P,) filled: of a path, of all decisions; of a goal, the least.
+    """
+    limit = targets.shape[1]
+    bench = make_bench(limit)
+    least = np.zeros(2)
+    least[0], least[1] = measure_room(room, start)
+    for i in range(2):
+        least[i] = min(least[i] - STILL, 0.0)
+    for p in range(targets.shape[0]):
+        plan = Plan(targets=targets[p], states=states[p])
+        for i in range(STATE):
+            plan.states[0, i] = start[i]
+        _take(bench, plan, 0, limit)
+        costs[p], end = _roll_plan(model, wish, room, bench, 0, limit, least, longest, 0.0)
+        _keep(bench, plan, 0, end)
+        for k in range(end, limit):
+            for i in range(STATE):
+                plan.states[k + 1, i] = plan.states[end, i]

@@ -1,0 +1,156 @@
+"""A learned object and the finger that pushes it, as the compiled search takes them.
+
+Also where both may be: `make_room` turns a table and obstacles into fields of distances, so that
+the search can ask for hundreds of thousands of poses a second how near they come.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from gridpush_drake.dynamics.kernel_call import prepare_rollout
+from gridpush_drake.dynamics.kernels.finger_push import PushedModel, Room
+from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
+from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.push_constraints import PushConstraints, make_body
+
+STEP = 0.0025
+"""Length of the finger's path in a step of a rollout, m."""
+
+FIELD_SPACING = 0.005
+"""Distance of the nodes of a field, m."""
+
+MAX_NODES = 400
+"""Greatest number of nodes along either side of a field; the spacing is made larger for it."""
+
+POINT_SPACING = 0.004
+"""Distance of the points round an object that are looked up in a field, m."""
+
+FIELD_ROOM = 0.3
+"""By how much a field reaches beyond obstacles and start where there is no table, m."""
+
+
+@dataclass(frozen=True)
+class FeedbackFinger:
+    """The finger that pushes with feedback: a disc whose velocity can be commanded.
+
+    Attributes:
+        radius: of the disc, m.
+        speed: greatest speed while it pushes, m/s.
+        walking_speed: greatest speed on its way round the object, m/s.
+
+    Raises:
+        PlanningError: a number is not positive.
+    """
+
+    radius: float
+    speed: float = 0.1
+    walking_speed: float = 0.2
+
+    def __post_init__(self) -> None:
+        require_positive(PlanningError, "finger: ", "m", radius=self.radius)
+        require_positive(
+            PlanningError, "finger: ", "m/s", speed=self.speed, walking_speed=self.walking_speed
+        )
+
+
+def make_model(
+    obj: GridObject, params: CellParameters, radius: float, physics: Physics | None = None
+) -> PushedModel:
+    """Makes a model as the compiled search takes it.
+
+    Args:
+        obj: the object.
+        params: its masses and frictions.
+        radius: of the finger, m.
+        physics: physics of the model; its regime does not matter, for the search is quasi-static.
+
+    Raises:
+        PlanningError: the parameters are those of another object, or the friction law knows no
+            slow pushes.
+    """
+    if params.n != obj.n:
+        raise PlanningError(f"model: has {params.n} cells; expected {obj.n}, as {obj.name} has")
+    used = QUASI_STATIC if physics is None else physics
+    if "quasi_static" not in used.law.regimes:
+        raise PlanningError(
+            f"physics: friction_law {used.friction_law!r} knows no slow pushes; expected one that "
+            "knows the regime 'quasi_static'"
+        )
+    used = used.with_regime("quasi_static")
+    if not float(params.friction @ params.mass) * used.gravity > 0:
+        raise PlanningError("model: expected some friction with the support")
+    law, body, support, edges, scheme = prepare_rollout(obj, params, used, None)
+    corners = shapely.get_coordinates(obj.outline)
+    return PushedModel(
+        law=law,
+        body=body,
+        support=support,
+        edges=edges,
+        scheme=scheme,
+        reach=float(np.linalg.norm(corners, axis=1).max()),
+        radius=float(radius),
+        step=STEP,
+    )
+
+
+def make_room(
+    obj: GridObject, constraints: PushConstraints, finger: FeedbackFinger, places: Array
+) -> Room:
+    """Makes the fields of where object and finger may be.
+
+    Args:
+        obj: the object.
+        constraints: table, obstacles, margins and the finger's region.
+        finger: the finger.
+        places: (K, 2) in W that the fields must reach, where there is no table, m.
+    """
+    rim = make_body(obj).exterior
+    count = int(np.ceil(rim.length / POINT_SPACING))
+    points = shapely.get_coordinates(
+        shapely.line_interpolate_point(rim, np.arange(count) / count, normalized=True)
+    )
+    areas = [] if constraints.surface is None else [constraints.surface.polygon]
+    if constraints.finger_region is not None:
+        areas.append(constraints.finger_region)
+    shapes = [*areas, *constraints.obstacles]
+    if not shapes:
+        nothing = np.zeros((2, 2))
+        return Room(False, np.zeros(2), 1.0, nothing, nothing, points)
+
+    # the nodes reach as far as the table, or as the object may be met
+    boxes = np.array([shape.bounds for shape in shapes]).reshape(-1, 2)
+    corners = np.concatenate([boxes, places])
+    low = corners.min(axis=0) - FIELD_ROOM
+    high = corners.max(axis=0) + FIELD_ROOM
+    spacing = max(FIELD_SPACING, float((high - low).max()) / MAX_NODES)
+    counts = np.ceil((high - low) / spacing).astype(int) + 1
+    x, y = np.meshgrid(*(low[i] + spacing * np.arange(counts[i]) for i in range(2)), indexing="ij")
+    nodes = shapely.points(x, y)
+
+    object_field = np.full(counts, np.inf)
+    finger_field = np.full(counts, np.inf)
+    if constraints.surface is not None:
+        depth = _measure_depth(constraints.surface.polygon, nodes)
+        object_field = np.minimum(object_field, depth - constraints.edge_margin)
+        finger_field = np.minimum(finger_field, depth - constraints.finger_inset)
+    if constraints.finger_region is not None:
+        depth = _measure_depth(constraints.finger_region, nodes)
+        finger_field = np.minimum(finger_field, depth)
+    if constraints.obstacles:
+        away = -_measure_depth(shapely.union_all(list(constraints.obstacles)), nodes)
+        away -= constraints.obstacle_margin
+        object_field = np.minimum(object_field, away)
+        finger_field = np.minimum(finger_field, away - finger.radius)
+    return Room(True, low, spacing, object_field, finger_field, points)
+
+
+def _measure_depth(shape: shapely.Geometry, nodes: Array) -> Array:
+    """How deep inside a shape nodes are, m; negative outside."""
+    depth = shapely.distance(shapely.boundary(shape), nodes)
+    shapely.prepare(shape)
+    return np.where(shapely.covers(shape, nodes), depth, -depth)

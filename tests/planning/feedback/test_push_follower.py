@@ -1,0 +1,262 @@
+"""A learned object is pushed with feedback: along paths, to goals, and where it cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shapely import Point, box, get_coordinates, unary_union
+
+from gridpush_drake.dynamics.kernels.finger_push import STATE, THETA, TIP_X, X, follow_tip
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import transform, transform_shape, wrap_angle
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.feedback import (
+    FeedbackFinger,
+    FollowOptions,
+    FollowStatus,
+    LcpFingerWorld,
+    PosePath,
+    PushFollower,
+    Sight,
+    follow,
+)
+from gridpush_drake.planning.feedback.pose_path import ObjectWay
+from gridpush_drake.planning.feedback.pushed_object import make_model, make_room
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.support_surface import SupportSurface
+from tests.helpers.made_identifications import make_block
+
+OBJ = make_block(12)
+TRUTH = CellParameters.by_part(OBJ, {1: 0.05, 2: 0.2}, 0.4, 0.4)
+FINGER = FeedbackFinger(radius=0.01)
+FEW = FollowOptions(strokes=40, changes=60, refinements=2, draws=0)
+BLIND = Sight(delay=0.15, missing=0.2)
+GOAL = np.array([0.12, 0.08, 0.6])
+BESIDE = np.array([-0.15, 0.0])
+
+
+def make_world(pose=(0.0, 0.0, 0.0), tip=BESIDE, sight=BLIND, seed=0):
+    return LcpFingerWorld(OBJ, TRUTH, pose, tip, FINGER.radius, sight, seed)
+
+
+def make_follower(goal, params=TRUTH, options=FEW, **more):
+    return PushFollower(OBJ, params, goal, FINGER, options=options, **more)
+
+
+def make_arc(speed=0.05):
+    """An S along which the block is pushed by its short side, from where it lies."""
+    s = np.linspace(0.0, 0.3, 40)
+    center = OBJ.p_BC.mean(axis=0)
+    points = center + np.column_stack([s, 0.02 * (1 - np.cos(2 * np.pi * s / 0.3))])
+    return PosePath.through(OBJ, points, speed)
+
+
+def measure(pose, goal):
+    """Distance of the centroids, mm, and the turn, degrees."""
+    middle = OBJ.p_BC.mean(axis=0)[None]
+    off = transform(np.asarray(pose), middle) - transform(np.asarray(goal), middle)
+    return 1e3 * np.linalg.norm(off), abs(np.degrees(wrap_angle(pose[2] - goal[2])))
+
+
+def test_the_search_moves_the_object_as_simulate_does():
+    tips = np.array([[-0.08, 0.004], [-0.055, 0.004], [-0.04, 0.006], [-0.03, 0.014]])
+    push = Push.along(np.arange(4.0), tips, FINGER.radius)
+    expected = simulate(OBJ, TRUTH, push, physics=Physics(regime="quasi_static")).final_pose
+    state = np.zeros(STATE)
+    state[TIP_X : TIP_X + 2] = tips[0]
+    follow_tip(make_model(OBJ, TRUTH, FINGER.radius), state, tips[1:])
+    assert np.abs(expected).max() > 0.01
+    assert state[X : THETA + 1] == pytest.approx(expected, abs=2e-4)
+
+
+def test_a_finger_that_passes_by_moves_nothing():
+    world = make_world()
+    start = world.pose
+    for _ in range(20):
+        world.move((0.0, 0.2))
+    assert (world.pose == start).all()
+
+
+def test_a_late_pose_is_carried_on_to_now():
+    sight = Sight(delay=0.15, missing=0.3, position_std=0.0, angle_std=0.0)
+    world = make_world(sight=sight, tip=(-0.07, 0.0))
+    follower = make_follower(GOAL)
+    follower.add_tip(world.time, world.tip)
+    late = world.pose
+    for _ in range(40):
+        for seen in world.move((0.08, 0.0)):
+            follower.add_pose(seen.time, seen.pose)
+            late = seen.pose
+        follower.add_tip(world.time, world.tip)
+    now = follower.track.predict(follower.model)[X : THETA + 1]
+    assert abs(late - world.pose).max() > 0.008
+    assert now == pytest.approx(world.pose, abs=3e-4)
+
+
+def test_follows_a_path_though_poses_are_late_and_missing():
+    path = make_arc()
+    world = make_world(tip=(-0.07, 0.0))
+    run = follow(make_follower(path), world)
+    way = ObjectWay(OBJ, path)
+    off = way.measure_distance(transform(run.poses, OBJ.p_BC.mean(axis=0)[None])[:, 0])
+    assert run.status == FollowStatus.REACHED
+    assert np.sqrt((off**2).mean()) < 2e-3
+    assert max(measure(world.pose, path.goal)) < 2.0
+    # not faster than it should go, and not much slower
+    assert run.time > way.length / path.speed
+
+
+def test_goes_round_to_the_goal_and_back_to_it_after_a_shove():
+    world = make_world(tip=(0.15, 0.05))
+    follower = make_follower(GOAL)
+    run = follow(follower, world)
+    assert run.status == FollowStatus.REACHED
+    distance, turn = measure(world.pose, GOAL)
+    assert distance < 2.0
+    assert turn < 1.0
+    world.shove(world.pose + [0.02, -0.022, np.radians(20)])
+    # it is seen, and no longer counts as reached
+    for _ in range(20):
+        for seen in world.move((0.0, 0.0)):
+            follower.add_pose(seen.time, seen.pose)
+        follower.add_tip(world.time, world.tip)
+    run = follow(follower, world)
+    assert run.status == FollowStatus.REACHED
+    assert run.time > 0.5
+    distance, turn = measure(world.pose, GOAL)
+    assert distance < 2.0
+    assert turn < 1.0
+
+
+def test_object_and_finger_keep_clear_of_an_obstacle():
+    free = follow(make_follower(GOAL), make_world())
+    swept = unary_union([transform_shape(pose, OBJ.outline) for pose in free.poses])
+    for end in (np.zeros(3), GOAL):
+        swept = swept.difference(transform_shape(end, OBJ.outline).buffer(0.015))
+    # something that the object would run into on its way
+    x, y = max(get_coordinates(swept), key=lambda at: at[0] - at[1])
+    obstacle = box(x - 0.004, y - 0.03, x + 0.03, y + 0.004)
+    rules = PushConstraints(obstacles=(obstacle,))
+    run = follow(make_follower(GOAL, constraints=rules), make_world())
+    assert run.status == FollowStatus.REACHED
+    for pose in run.poses:
+        assert transform_shape(pose, OBJ.outline).distance(obstacle) > 0.0
+    assert min(obstacle.distance(Point(tip)) for tip in run.tips) > FINGER.radius
+
+
+def test_a_copy_goes_on_alike_and_leaves_the_first_alone():
+    world = make_world()
+    follower = make_follower(GOAL)
+    follower.add_tip(0.0, world.tip)
+    follower.add_pose(0.0, world.pose)
+    follower.decide(0.0, world.tip)
+    other = follower.copy()
+    ahead = [other.decide(0.1 * k, world.tip).velocity for k in range(1, 4)]
+    again = [follower.decide(0.1 * k, world.tip).velocity for k in range(1, 4)]
+    assert np.array_equal(ahead, again)
+    assert np.abs(ahead).max() > 0
+
+
+def test_rests_while_no_pose_comes_and_goes_on_with_the_next():
+    world = make_world()
+    follower = make_follower(GOAL)
+    decision = follower.decide(0.0, world.tip)
+    assert (decision.status, *decision.velocity) == (FollowStatus.NO_POSE, 0.0, 0.0)
+    assert "No pose" in decision.reason
+    follower.add_pose(0.0, (np.nan, 0.0, 0.0))
+    assert follower.decide(0.1, world.tip).status == FollowStatus.NO_POSE
+    follower.add_pose(0.1, world.pose)
+    assert follower.decide(0.2, world.tip).status == FollowStatus.PUSHING
+    assert follower.decide(0.9, world.tip).status == FollowStatus.NO_POSE
+
+
+def test_rests_where_the_object_moves_unlike_the_model():
+    world = make_world()
+    follower = make_follower(GOAL)
+    status = FollowStatus.PUSHING
+    for k in range(60):
+        time = 0.1 * k
+        follower.add_tip(time, world.tip)
+        # somebody carries it away, which no finger does
+        follower.add_pose(time, world.pose + [0.01 * k, 0.0, 0.05 * k])
+        status = follower.decide(time, world.tip).status
+        if status != FollowStatus.PUSHING:
+            break
+    assert status == FollowStatus.UNLIKE_MODEL
+    assert follower.decide(time + 0.1, world.tip).velocity.tolist() == [0.0, 0.0]
+
+
+TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("goal", "rules", "status"),
+    [
+        (np.array([0.6, 0.0, 0.0]), PushConstraints(TABLE), FollowStatus.GOAL_OFF_TABLE),
+        (GOAL, PushConstraints(obstacles=(box(0.1, 0.1, 0.2, 0.2),)), FollowStatus.GOAL_BLOCKED),
+        (
+            make_arc(),
+            PushConstraints(obstacles=(box(0.12, -0.1, 0.16, 0.1),)),
+            FollowStatus.PATH_BLOCKED,
+        ),
+        (make_arc(speed=0.3), PushConstraints(), FollowStatus.TOO_FAST),
+    ],
+)
+def test_says_why_a_goal_or_path_cannot_be_followed(goal, rules, status):
+    follower = make_follower(goal, constraints=rules)
+    follower.add_tip(0.0, BESIDE)
+    follower.add_pose(0.0, np.zeros(3))
+    decision = follower.decide(0.0, BESIDE)
+    assert decision.status == status
+    assert decision.reason.endswith(".")
+    assert decision.velocity.tolist() == [0.0, 0.0]
+
+
+def test_the_fields_tell_how_far_points_may_move():
+    obstacle = box(0.2, 0.2, 0.3, 0.3)
+    rules = PushConstraints(TABLE, (obstacle,), obstacle_margin=0.01, edge_margin=0.02)
+    room = make_room(OBJ, rules, FINGER, np.zeros((1, 2)))
+    for x, y in ((0.0, 0.0), (0.25, 0.1), (0.45, -0.2)):
+        i, j = np.rint((np.array([x, y]) - room.low) / room.spacing).astype(int)
+        node = room.low + room.spacing * np.array([i, j])
+        edge = 0.5 - np.abs(node).max()
+        away = obstacle.distance(box(*node, *node))
+        assert room.object_field[i, j] == pytest.approx(min(edge - 0.02, away - 0.01))
+        assert room.finger_field[i, j] == pytest.approx(min(edge, away - 0.01 - FINGER.radius))
+
+
+def test_refuses_what_makes_no_sense():
+    with pytest.raises(PlanningError, match="model: has 3 cells; expected"):
+        make_follower(GOAL, params=CellParameters(np.ones(3), np.ones(3)))
+    with pytest.raises(PlanningError, match="goal"):
+        make_follower((0.0, np.nan, 0.0))
+    with pytest.raises(PlanningError, match="horizon is 0"):
+        replace(FEW, horizon=0)
+    with pytest.raises(PlanningError, match="finger: radius"):
+        FeedbackFinger(radius=0.0)
+    with pytest.raises(PlanningError, match="missing is 2"):
+        Sight(missing=2)
+    for poses in ([[0.0, 0.0, 0.0]], np.zeros((3, 3)), [[0.0, np.inf, 0.0], [1.0, 0.0, 0.0]]):
+        with pytest.raises(PlanningError, match="path: "):
+            PosePath(poses, 0.05)
+    with pytest.raises(PlanningError, match="speed"):
+        PosePath([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], 0.0)
+    with pytest.raises(PlanningError, match="no two in a row"):
+        PosePath.through(OBJ, [[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]], 0.05)
+
+
+def test_a_way_is_measured_by_the_centroid_and_found_again():
+    path = make_arc()
+    way = ObjectWay(OBJ, path)
+    place = way.at(0.1)
+    assert way.project(place[:2], float(place[2]), 0.09) == pytest.approx(0.1, abs=2e-3)
+    assert np.linalg.norm(way.along(0.1)) == pytest.approx(1.0)
+    assert way.measure_distance(place[None, :2]) == pytest.approx(0.0, abs=1e-4)
+    # a turn on the spot is as long as the way of the radius of gyration
+    middle = OBJ.p_BC.mean(axis=0)
+    turned = transform(np.array([0.0, 0.0, 1.0]), middle[None])[0]
+    turn = PosePath([[0.0, 0.0, 0.0], [*(middle - turned), 1.0]], 0.05)
+    assert ObjectWay(OBJ, turn).length == pytest.approx(OBJ.radius_of_gyration)
