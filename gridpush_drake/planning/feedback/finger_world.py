@@ -268,6 +268,7 @@ def follow(follower: PushFollower, world: FingerWorld, most: float = 60.0) -> Fo
         goes_on = decision.status == FollowStatus.PUSHING or waits
         if not goes_on or world.time - begin > most:
             break
+        # the velocity holds until the next decision, while poses come
         for _ in range(per_decision):
             came = world.move(decision.velocity)
             tips.append(world.tip)

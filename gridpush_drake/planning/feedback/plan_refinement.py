@@ -91,12 +91,22 @@ def _roll(
     """Follows plans (P, T, 2) by one model; returns states (P, T + 1, STATE) and costs (P,)."""
     states = np.empty((len(plans), plans.shape[1] + 1, STATE))
     costs = np.empty(len(plans))
-    roll_plans(model, wish, room, state, plans, longest, states, costs)
+    roll_plans(
+        model,
+        wish,
+        room,
+        start=state,
+        targets=plans,
+        longest=longest,
+        states=states,
+        costs=costs,
+    )
     return states, costs
 
 
 def _calc_residuals(wish: Wish, states: Array) -> Array:
     """(P, 3T) numbers, m, whose squares add up to the costs of plans on a path."""
+    # where the centroid is, seen along and across the path
     after = states[:, 1:]
     count = after.shape[1] + 1
     center = transform(after[..., X : THETA + 1], wish.middle[None])[..., 0, :]

@@ -136,6 +136,7 @@ class PoseTrack:
         if not np.isfinite(self.seen_at) or time < self._times[0]:
             self._begin(time, seen)
             return True
+        # The model's pose at the time of this one, and how sure it is.
         before = self._state[X : THETA + 1].copy()
         lasted = time - self.seen_at
         self._follow(model, self._state, self.seen_at, time)
@@ -144,11 +145,13 @@ class PoseTrack:
         unit = np.array([1.0, 1.0, self._arm])
         std = np.sqrt(self._variance) + options.doubt * moved / unit
         self._variance = std**2 + options.drift**2 * lasted / unit**2
+        # How far this one is off, and how much of that is believed.
         off = seen - self._state[X : THETA + 1]
         off[2] = wrap_angle(off[2])
         total = self._variance + self._noise
         self.seen_at = time
         if (off**2 > options.shove**2 * total).any():
+            # nothing that was known of the motion holds any more
             self.shoves += 1
             correction = off
             self._variance = self._noise.copy()

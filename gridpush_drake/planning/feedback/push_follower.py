@@ -273,6 +273,7 @@ class PushFollower:
 
     def _look_at_goal(self, time: float, pose: Array) -> FollowStatus | None:
         """Notes how far the object has come; says whether it is there, or does not get on."""
+        # How far it has come: along the path, then towards the goal.
         center = transform(pose, self._middle[None])[0]
         if self._way is not None:
             self.progress = self._way.project(center, float(pose[2]), self.progress)
@@ -284,6 +285,7 @@ class PushFollower:
         turn = abs(float(wrap_angle(pose[2] - self.goal[2])))
         if not self._is_on_path:
             gained += float(np.hypot(distance, self.obj.radius_of_gyration * turn))
+        # Whether it got on lately; a shove is not its fault.
         shoved = self.track.shoves != self._shoves
         self._shoves = self.track.shoves
         if shoved or gained < self._best - PROGRESS or self._best_at == -np.inf:

@@ -109,6 +109,7 @@ def make_room(
         finger: the finger.
         places: (K, 2) in W that the fields must reach, where there is no table, m.
     """
+    # points round the object, which stand for all of it
     rim = make_body(obj).exterior
     count = int(np.ceil(rim.length / POINT_SPACING))
     points = shapely.get_coordinates(
@@ -120,7 +121,14 @@ def make_room(
     shapes = [*areas, *constraints.obstacles]
     if not shapes:
         nothing = np.zeros((2, 2))
-        return Room(False, np.zeros(2), 1.0, nothing, nothing, points)
+        return Room(
+            bounded=False,
+            low=np.zeros(2),
+            spacing=1.0,
+            object_field=nothing,
+            finger_field=nothing,
+            points=points,
+        )
 
     # the nodes reach as far as the table, or as the object may be met
     boxes = np.array([shape.bounds for shape in shapes]).reshape(-1, 2)
@@ -132,6 +140,7 @@ def make_room(
     x, y = np.meshgrid(*(low[i] + spacing * np.arange(counts[i]) for i in range(2)), indexing="ij")
     nodes = shapely.points(x, y)
 
+    # how far each node is from what is forbidden, less the margins
     object_field = np.full(counts, np.inf)
     finger_field = np.full(counts, np.inf)
     if constraints.surface is not None:
@@ -146,7 +155,14 @@ def make_room(
         away -= constraints.obstacle_margin
         object_field = np.minimum(object_field, away)
         finger_field = np.minimum(finger_field, away - finger.radius)
-    return Room(True, low, spacing, object_field, finger_field, points)
+    return Room(
+        bounded=True,
+        low=low,
+        spacing=spacing,
+        object_field=object_field,
+        finger_field=finger_field,
+        points=points,
+    )
 
 
 def _measure_depth(shape: shapely.Geometry, nodes: Array) -> Array:
