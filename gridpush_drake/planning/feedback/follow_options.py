@@ -67,8 +67,8 @@ class FollowOptions:
         weight_along: how much a distance along the path counts, against 1 of one beside it.
         weight_turn: how much a turn from the path's heading counts, times the radius of gyration;
             0 leaves the heading free.
-        base: cost-to-go of a pose next to the goal, in decisions that it takes the finger to go half
-            round the object. With less than 1 it would not go round for the last millimeter.
+        base: cost-to-go of a pose next to the goal, in decisions that it takes the finger to go
+            half round the object. With less than 1 it would not go round for the last millimeter.
         slowness: cost-to-go for a distance from the goal, in decisions that a push straight there
             would take.
         per_root: cost-to-go for the square root of the distance from the goal, in radii of

@@ -34,8 +34,8 @@ class PosePath:
         speed: of the object's centroid, m/s.
 
     Raises:
-        PlanningError: there are fewer than two poses, they do not differ, a number is not finite, or
-            the speed is not positive.
+        PlanningError: there are fewer than two poses, they do not differ, a number is not finite,
+            or the speed is not positive.
     """
 
     poses: Array

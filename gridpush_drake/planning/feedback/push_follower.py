@@ -7,8 +7,9 @@ and Newton's method for several models at once, and gives the velocity with whic
 Poses may come at any rate, late and with gaps. What the controller does is told by a status.
 Everything random comes from the seed, and no decision depends on a clock.
 
-The theory is in `docs/theory/feedback.md`, sections 6 to 8. For PushT, where the finger is a disc on
-a spring and the block's three numbers are learned within the episode, see `feedback_controller`.
+The theory is in `docs/theory/feedback.md`, sections 6 to 8. For PushT, where the finger is a disc
+on a spring and the block's three numbers are learned within the episode, see
+`feedback_controller`.
 """
 
 from collections.abc import Sequence

@@ -7,7 +7,8 @@ replacing its end with a *stroke* (go round the object to a place of its outline
 or by shifting some of its places a little. Candidates whose object or finger comes too near to
 something cost infinitely much.
 
-What a plan costs is in `docs/theory/feedback.md`, section 7; `push_follower` chooses the candidates.
+What a plan costs is in `docs/theory/feedback.md`, section 7; `push_follower` chooses the
+candidates.
 """
 
 from math import cos, hypot, sin, sqrt
