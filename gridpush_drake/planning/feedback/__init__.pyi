@@ -13,6 +13,8 @@ from .finger_world import follow as follow
 from .follow_options import FollowDecision as FollowDecision
 from .follow_options import FollowOptions as FollowOptions
 from .follow_options import FollowStatus as FollowStatus
+from .path_planner import PathPlan as PathPlan
+from .path_planner import plan_pose_path as plan_pose_path
 from .pose_path import PosePath as PosePath
 from .pose_track import PoseTrack as PoseTrack
 from .pose_track import TrackOptions as TrackOptions

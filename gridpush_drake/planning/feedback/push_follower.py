@@ -268,7 +268,10 @@ class PushFollower:
         if not self.constraints.is_free:
             poses = self._way.path.poses
             checker = self.constraints.start_at(self.obj, self.goal, self.finger.radius)
-            if not checker.allows_geometry(poses).all():
+            allowed = checker.allows_geometry(poses)
+            # the object may begin too near to something, and then comes out
+            begin = int(allowed.argmax())
+            if not (allowed.any() and allowed[begin:].all()):
                 return FollowStatus.PATH_BLOCKED
         return None
 

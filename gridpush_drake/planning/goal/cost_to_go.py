@@ -83,6 +83,26 @@ class CostToGo:
             return float(calc_goal_error(self.obj, pose, self.goal))
         return self._enter(pose)[1]
 
+    def estimate_costs(self, poses: Array) -> Array:
+        """Estimates the cost-to-go of many poses at once, by the nearest poses of the lattice.
+
+        Args:
+            poses: (K, 3), m and rad.
+
+        Returns:
+            (K,) m; infinite where no path leads from the nearest pose of the lattice to the goal,
+            or the lattice does not reach so far.
+        """
+        if self.direct:
+            return calc_goal_error(self.obj, poses, self.goal)
+        center = transform(poses, self._centroid[None])[:, 0]
+        place = np.rint((center - self._low) / self._step).astype(int)
+        turn = np.rint(poses[:, 2] * TURNS / (2 * np.pi)).astype(int) % TURNS
+        inside = ((place >= 0) & (place < self._counts[:2])).all(axis=1)
+        place = np.clip(place, 0, self._counts[:2] - 1)
+        nodes = np.ravel_multi_index((place[:, 0], place[:, 1], turn), tuple(self._counts))
+        return np.where(inside, self._cost[nodes], np.inf)
+
     def find_subgoals(self, pose: Array) -> list[Array]:
         """Finds poses (3,) to aim for from a pose (3,).
 
