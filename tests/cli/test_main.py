@@ -17,7 +17,7 @@ COMMANDS = [
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
     ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("bench", "truth"),
     ("export",), ("view",), ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",), ("twin",),
-    ("tracker",), ("robot",), ("campaign",), ("bench", "perception"), ("bench", "gym"), ("bench", "pusht"),
+    ("tracker",), ("robot",), ("campaign",), ("bench", "perception"), ("bench", "gym"), ("bench", "pusht"), ("bench", "feedback"),
     ("import", "bag"),
 ]  # fmt: skip
 

@@ -297,6 +297,25 @@ class MujocoWorld(TrackedWorld):
             times=times, poses=poses, fell=bool((tilt >= FALLEN_TILT).any()), tilt=tilt
         )
 
+    def steer(self, begin: Array, end: Array, duration: float) -> None:
+        """Moves the pusher evenly between two places (2,), m, within a time, s.
+
+        The body keeps the velocity that it has: this is for a pusher that is steered while it
+        touches.
+        """
+        dt = self.body.time_step
+        count = max(1, round(duration / dt))
+        speed = (end - begin) / (count * dt)
+        for i in range(count):
+            self._data.qpos[7:9] = begin + i / count * (end - begin)
+            self._data.qvel[6:8] = speed
+            self._step()
+        self._pose = self._read_pose(self._pose[2])
+
+    def read_pose(self) -> Array:
+        """Reads where the body truly is now: (3,) q_WB, m and rad, for judges only."""
+        return self._read_pose(self._pose[2])
+
     @property
     def truth(self) -> WorldTruth:
         """What is true of the body now, for judges only.

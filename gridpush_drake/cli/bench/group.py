@@ -48,6 +48,11 @@ BENCHES: dict[str, LazyCommand] = {
         "Learn bodies that do not obey the model: MuJoCo pushes them, on feet, foundations "
         "and uneven bottoms.",
     ),
+    "feedback": LazyCommand(
+        "gridpush_drake.bench.feedback:STUDY",
+        "Push learned objects with feedback, along paths, to goals and back after shoves: in the "
+        "LCP world, and bodies in MuJoCo.",
+    ),
     "drake": LazyCommand(
         "gridpush_drake.bench.drake:STUDY",
         "Set Drake's plant beside the grid LCP, time the LCP system, and let the whole "

@@ -94,8 +94,8 @@ class FollowOptions:
     weight_along: float = 0.3
     weight_turn: float = 0.3
     base: float = 1.2
-    slowness: float = 1.3
-    per_root: float = 12.0
+    slowness: float = 1.5
+    per_root: float = 20.0
     attempts: int = 2
     no_pose_after: float = 0.5
     unlike: float = 0.7

@@ -79,6 +79,10 @@ LEAST_MOTION = 0.3
 """Motion by the model that is taken to have happened at least, in radii of gyration, before it is
 asked how much of it was explained."""
 
+LEAST_PER_DECISION = 1 / 64
+"""Least cost of a decision: it is halved until some plan to the goal costs less than standing still,
+and is 1 again for the plan after that."""
+
 LEAST_GAIN = 1e-3
 """By how much a plan to a goal must cost less than standing still, in decisions."""
 
@@ -358,6 +362,7 @@ class PushFollower:
         """Forgets the plan."""
         self._length = 0
         self._per_decision = 1.0
+        self._found = True
         self._follows = False
         self._plan = np.zeros((1, 2))
 
@@ -372,10 +377,11 @@ class PushFollower:
         states = np.zeros((count + 1, STATE))
         states[0] = state
         plan = Plan(targets=self._plan, states=states)
-        self._per_decision = min(1.0, 2.0 * self._per_decision)
+        if self._length == 0:
+            self._per_decision = 1.0 if self._found else self._per_decision
         for attempt in range(self.options.attempts):
-            if attempt:
-                self._per_decision /= 2.0
+            if attempt or not self._found:
+                self._per_decision = max(0.5 * self._per_decision, LEAST_PER_DECISION)
             candidates = self._draw_candidates()
             cost, self._length, to_go = search_push(
                 self.model,
@@ -387,8 +393,10 @@ class PushFollower:
                 candidates,
             )
             # better than to stand still for one decision
-            if wish.follows or cost < self._per_decision + to_go - LEAST_GAIN:
+            self._found = wish.follows or cost < self._per_decision + to_go - LEAST_GAIN
+            if self._found:
                 break
+            self._length = 0
         if self._length == 0:
             return np.zeros(2)
         if wish.follows:

@@ -1,0 +1,511 @@
+"""`gridpush bench feedback`: pushing with feedback, in the LCP world and with bodies in MuJoCo.
+
+A body's loads are hidden. Three random pokes are seen, and its grid is learned from them. Then a
+finger is steered by `planning.feedback.PushFollower`, which plans with the learned grid, an even
+one, or (in the LCP world) the true one:
+
+    path    along an S of half a meter, at 5 cm/s
+    goal    to a goal pose 20 cm away and turned by up to 86°; in the LCP world with the learned
+            grid, the same is also done stroke by stroke (`planning.goal.push_to_goal`)
+    shove   the object lies at its goal; somebody shoves it by 3 cm and turns it by 20°
+
+Poses are seen 50 times a second, 0.1 s late, with noise; one in ten never comes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import thread_time
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+from shapely.geometry.polygon import orient
+
+from gridpush_drake.bench.feedback_worlds import FINGER, LCP, SIGHT, WORLDS, Case, make_case
+from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
+from gridpush_drake.bench.table import CONFIDENCE, DEGREES, MM, MS, Share, Table
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.extras import import_extra
+from gridpush_drake.geometry.se2 import Array, make_direction, transform, wrap_angle
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.feedback.finger_world import (
+    FingerWorld,
+    FollowRun,
+    follow,
+)
+from gridpush_drake.planning.feedback.follow_options import FollowOptions, FollowStatus
+from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
+from gridpush_drake.planning.feedback.push_follower import PushFollower
+from gridpush_drake.planning.goal.next_push import GoalRules
+from gridpush_drake.planning.goal.push_to_goal import PushRun, push_to_goal
+from gridpush_drake.planning.world import SimulatedWorld
+
+LEARNED = "learned"
+EVEN = "even"
+TRUE = "true"
+STROKES = "learned, stroke by stroke"
+"""Names of what is planned with."""
+
+PATH = "path"
+GOAL = "goal"
+SHOVE = "shove"
+KINDS = (PATH, GOAL, SHOVE)
+"""Names of what is done."""
+
+NAMES = ("claw_hammer", "combination_wrench", "toolbox", "spray_bottle")
+"""Shipped objects that are pushed."""
+
+PATH_SPEED = 0.05
+"""Speed on the path, m/s."""
+
+PATH_LENGTH = 0.5
+"""Length of the path along its axis, m."""
+
+PATH_WIDTH = 0.06
+"""How far the path swings to the side, m."""
+
+WANTED_RMS = 0.003
+"""Root mean square distance from the path that is wanted, m."""
+
+GOAL_DISTANCE = 0.2
+"""Distance of the goal, m."""
+
+GOAL_TURN = 1.5
+"""Greatest turn to the goal, rad."""
+
+SHOVE_DISTANCE = 0.03
+"""Length of a shove, m."""
+
+SHOVE_TURN = np.radians(20)
+"""Turn of a shove, rad."""
+
+MOST_TIME = 60.0
+"""Time after which a run is given up, s."""
+
+BEHIND = 0.012
+"""Distance of the finger from the object when a run begins, m."""
+
+STROKE_TOLERANCE = 0.002
+"""Mean cell error at which the goal counts as reached stroke by stroke, m."""
+
+RUNS = 10
+QUICK_RUNS = 1
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        kinds: what is done.
+        worlds: names of worlds.
+        objects: names of shipped objects; NAMES where None.
+        runs: runs of each kind, world, object and model; the first has the seed `seed`.
+    """
+
+    kinds: tuple[str, ...] | None = option(
+        None,
+        "path, goal or shove; may be repeated.",
+        name="--kind",
+        metavar="KIND",
+        shown="all",
+    )
+    worlds: tuple[str, ...] | None = option(
+        None,
+        "lcp, foundation or three_feet; may be repeated.",
+        name="--world",
+        metavar="WORLD",
+        shown="all",
+    )
+    objects: tuple[str, ...] | None = option(None, **OBJECTS)
+    runs: int = option(RUNS, "Runs of each kind, world, object and model.", least=1)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run.
+
+    Attributes:
+        kind: what is done.
+        world: name of the world.
+        name: name of the object.
+        model: what is planned with.
+        seed: of everything.
+    """
+
+    kind: str
+    world: str
+    name: str
+    model: str
+    seed: int
+
+    def describe(self) -> str:
+        """The run in a few words."""
+        return f"{self.kind}, {self.world}, {self.name} {self.seed}, {self.model}"
+
+
+@dataclass(frozen=True)
+class Followed:
+    """How a run went.
+
+    Attributes:
+        kind: what was done.
+        world: name of the world.
+        name: name of the object.
+        model: what was planned with.
+        seed: of everything.
+        status: how it ended.
+        reached: whether it ended where it should: on a path, at its end.
+        time: how long it took, s.
+        rms: root mean square distance of the cells' centroid from the path, m; NaN elsewhere.
+        distance: of the cells' centroid from the goal at the end, m.
+        turn: from the goal at the end, rad.
+        decision: mean time of the core for a decision, s; NaN stroke by stroke.
+    """
+
+    kind: str
+    world: str
+    name: str
+    model: str
+    seed: int
+    status: str
+    reached: bool
+    time: float
+    rms: float
+    distance: float
+    turn: float
+    decision: float
+
+
+def find_side(obj: GridObject) -> float:
+    """Finds the direction of the inward normal of the longest side of the hull, body frame, rad."""
+    hull = shapely.get_coordinates(orient(obj.outline.convex_hull).exterior)
+    sides = np.diff(hull, axis=0)
+    x, y = sides[np.linalg.norm(sides, axis=1).argmax()]
+    return float(np.arctan2(x, -y))
+
+
+def make_path(obj: GridObject) -> tuple[PosePath, Array]:
+    """Makes the S, and the pose (3,) in which the object lies at its begin."""
+    side = find_side(obj)
+    pose = np.array([0.0, 0.0, -side])
+    center = transform(pose, obj.p_BC.mean(axis=0)[None])[0]
+    x = np.linspace(0.0, PATH_LENGTH, 200)
+    y = PATH_WIDTH * np.sin(2 * np.pi * x / PATH_LENGTH) * x / PATH_LENGTH
+    points = center + np.column_stack([x, y])
+    return PosePath.through(obj, points, PATH_SPEED, -side), pose
+
+
+def place_finger(obj: GridObject, pose: Array, direction: float) -> Array:
+    """Finds a place (2,) of the finger beside the object, W, m, seen from it in a direction, rad."""
+    way = make_direction(np.array(direction))
+    corners = transform(pose, shapely.get_coordinates(obj.outline))
+    center = transform(pose, obj.p_BC.mean(axis=0)[None])[0]
+    reach = float(((corners - center) @ way).max()) + FINGER.radius + BEHIND
+    return np.asarray(center + reach * way)
+
+
+def run_job(job: Job) -> Followed:
+    """Does one run."""
+    case = make_case(job.world, job.name, job.seed, learns=job.model in (LEARNED, STROKES))
+    rng = np.random.default_rng((job.seed, 52))
+    obj = case.obj
+    if job.kind == PATH:
+        path, pose = make_path(obj)
+        world = case.make_world(pose, place_finger(obj, pose, np.pi))
+        follower = make_follower(job, case, path)
+        run, decision = time_run(follower, world)
+        way = ObjectWay(obj, path)
+        centers = transform(run.poses, obj.p_BC.mean(axis=0)[None])[:, 0]
+        # what it does at the end is no part of following the path
+        left = np.linalg.norm(centers - way.at(way.length)[:2], axis=1)
+        if (left < WANTED_RMS).any():
+            centers = centers[: int((left < WANTED_RMS).argmax()) + 1]
+        rms = float(np.sqrt((way.measure_distance(centers) ** 2).mean()))
+        ended = follower.progress > way.length - WANTED_RMS
+        return make_result(job, obj, world.pose, path.goal, run, ended, decision, rms)
+    pose = np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+    heading = rng.uniform(-np.pi, np.pi)
+    shift = GOAL_DISTANCE * make_direction(np.array(heading))
+    goal = pose + [*shift, rng.uniform(-GOAL_TURN, GOAL_TURN)]
+    tip = place_finger(obj, pose, heading + rng.uniform(-np.pi, np.pi))
+    if job.model == STROKES:
+        return run_strokes(job, case, pose, goal, tip)
+    if job.kind == SHOVE:
+        # it lies at the goal, from where it is shoved
+        pose = goal.copy()
+        way = SHOVE_DISTANCE * make_direction(rng.uniform(-np.pi, np.pi))
+        pose += [*way, SHOVE_TURN * rng.choice([-1.0, 1.0])]
+        tip = place_finger(obj, pose, heading)
+    world = case.make_world(pose, tip)
+    run, decision = time_run(make_follower(job, case, goal), world)
+    reached = run.status == FollowStatus.REACHED
+    return make_result(job, obj, world.pose, goal, run, reached, decision)
+
+
+def make_follower(job: Job, case: Case, goal: ArrayLike | PosePath) -> PushFollower:
+    """Makes the controller of a run."""
+    options = FollowOptions()
+    draws: Sequence[CellParameters] = ()
+    params = CellParameters.uniform(case.obj)
+    if job.model == TRUE:
+        params = case.truth
+    elif case.learned is not None:
+        params = case.learned.params
+        draws = case.learned.samples(options.draws, job.seed)
+    return PushFollower(case.obj, params, goal, FINGER, draws=draws, options=options, seed=job.seed)
+
+
+def time_run(follower: PushFollower, world: FingerWorld) -> tuple[FollowRun, float]:
+    """Steers in a world, and measures the mean time of a decision, s."""
+    decide = follower.decide
+    times: list[float] = []
+
+    def timed(*arguments: Any) -> Any:
+        begin = thread_time()
+        decision = decide(*arguments)
+        times.append(thread_time() - begin)
+        return decision
+
+    follower.decide = timed  # type: ignore[method-assign]
+    run = follow(follower, world, MOST_TIME)
+    # the first one may compile, and the last ones rest
+    return run, float(np.median(times))
+
+
+def run_strokes(job: Job, case: Case, pose: Array, goal: Array, tip: Array) -> Followed:
+    """Pushes to a goal stroke by stroke; the time is that of the finger's way alone."""
+    obj = case.obj
+    learned = case.learned
+    assert learned is not None
+    world = SimulatedWorld(
+        obj,
+        case.truth,
+        pose,
+        position_std=SIGHT.position_std,
+        angle_std=SIGHT.angle_std,
+        seed=job.seed,
+    )
+    contact = ContactOptions(radius=FINGER.radius, speed=FINGER.speed, physics=learned.physics)
+    rules = GoalRules(contact=contact, robustness=None, tolerance=STROKE_TOLERANCE)
+    run = push_to_goal(world, obj, goal, rules, params=learned.params, learner=None)
+    end = world.truth.pose
+    distance, turn = measure_off(obj, end, goal)
+    return Followed(
+        kind=job.kind,
+        world=job.world,
+        name=job.name,
+        model=job.model,
+        seed=job.seed,
+        status=run.status,
+        reached=run.status == FollowStatus.REACHED,
+        time=measure_strokes(run, tip),
+        rms=np.nan,
+        distance=distance,
+        turn=turn,
+        decision=np.nan,
+    )
+
+
+def measure_strokes(run: PushRun, tip: Array) -> float:
+    """Time that the strokes take, and the straight ways between them through the air, s.
+
+    Nothing is counted for looking, lifting and lowering.
+    """
+    time = 0.0
+    place = tip
+    for step in run.steps:
+        push = step.planned.push
+        time += float(np.linalg.norm(push.start - place)) / FINGER.walking_speed + push.duration
+        place = np.asarray(push.xy[-1])
+    return time
+
+
+def measure_off(obj: GridObject, pose: Array, goal: Array) -> tuple[float, float]:
+    """Distance of the cells' centroids, m, and the turn, rad, between two poses (3,)."""
+    middle = obj.p_BC.mean(axis=0)[None]
+    distance = np.linalg.norm(transform(pose, middle) - transform(goal, middle))
+    return float(distance), abs(float(wrap_angle(pose[2] - goal[2])))
+
+
+def make_result(
+    job: Job,
+    obj: GridObject,
+    pose: Array,
+    goal: Array,
+    run: FollowRun,
+    reached: bool,
+    decision: float,
+    rms: float = np.nan,
+) -> Followed:
+    """Makes the result of a run that ended with the object at a pose (3,)."""
+    distance, turn = measure_off(obj, pose, goal)
+    return Followed(
+        kind=job.kind,
+        world=job.world,
+        name=job.name,
+        model=job.model,
+        seed=job.seed,
+        status=run.status.value,
+        reached=reached,
+        time=run.time,
+        rms=rms,
+        distance=distance,
+        turn=turn,
+        decision=decision,
+    )
+
+
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant."""
+    return replace(
+        options,
+        runs=min(options.runs, QUICK_RUNS),
+        worlds=options.worlds or (LCP,),
+        objects=options.objects or NAMES[:1],
+    )
+
+
+def make_jobs(options: Options) -> list[Job]:
+    """Makes the runs.
+
+    Raises:
+        GridPushError: a kind or world is not known, or there is no run.
+        ObjectError: an object is not shipped.
+        MissingExtraError: MuJoCo is asked for, and not installed.
+    """
+    kinds = options.kinds or KINDS
+    worlds = options.worlds or WORLDS
+    for what, names, known in (("kind", kinds, KINDS), ("world", worlds, WORLDS)):
+        for name in names:
+            if name not in known:
+                raise GridPushError(f"{what}: {name!r}; expected one of {', '.join(known)}")
+    if options.runs < 1:
+        raise GridPushError("runs: none; expected at least one")
+    if set(worlds) != {LCP}:
+        import_extra("mujoco", "bench")
+    names = options.objects or NAMES
+    for name in names:
+        find_shipped_object(name)
+    return [
+        Job(kind, world, name, model, options.seed + i)
+        for kind in kinds
+        for world in worlds
+        for model in list_models(kind, world)
+        for name in names
+        for i in range(options.runs)
+    ]
+
+
+def list_models(kind: str, world: str) -> tuple[str, ...]:
+    """Lists what is planned with: the truth of a body in MuJoCo is no grid."""
+    if world != LCP:
+        return (LEARNED, EVEN)
+    return (LEARNED, EVEN, TRUE, STROKES) if kind == GOAL else (LEARNED, EVEN, TRUE)
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Makes a table of each kind of runs."""
+    results = done.of(TASK)
+    makers = {PATH: tabulate_paths, GOAL: tabulate_goals, SHOVE: tabulate_goals}
+    tables = []
+    for kind, tabulate_kind in makers.items():
+        found = [each for each in results if each.kind == kind]
+        if found:
+            tables.append(tabulate_kind(kind, found))
+    return tables
+
+
+def _group(results: Sequence[Followed]) -> list[tuple[tuple[str, str], list[Followed]]]:
+    """Makes groups of a table: the runs of each world and model."""
+    keys = dict.fromkeys((each.world, each.model) for each in results)
+    return [(key, [r for r in results if (r.world, r.model) == key]) for key in keys]
+
+
+def _quantile(field: str, share: float, scale: float) -> Any:
+    """Makes a column of a table: a quantile of a field of the runs that reached the end."""
+
+    def calc(results: Sequence[Followed]) -> float:
+        values = [getattr(each, field) for each in results if each.reached]
+        return scale * float(np.quantile(values, share)) if values else np.nan
+
+    return calc
+
+
+def _count_reached(results: Sequence[Followed]) -> str:
+    """How many runs reached the end, with the interval."""
+    return Share.of(sum(each.reached for each in results), len(results)).describe()
+
+
+def _count_near(results: Sequence[Followed]) -> str:
+    """How many runs reached the end, and kept as near to the path as is wanted."""
+    near = [each.reached and each.rms <= WANTED_RMS for each in results]
+    return Share.of(sum(near), len(results)).describe()
+
+
+CORE_TIME = _quantile("decision", 0.5, MS)
+"""Column of the median time of a decision."""
+
+
+def tabulate_paths(kind: str, results: Sequence[Followed]) -> Table:
+    """Tabulates runs along a path."""
+    columns = {
+        "runs": len,
+        "to the end": _count_reached,
+        f"RMS within {WANTED_RMS * MM:g} mm": _count_near,
+        "RMS, median, mm": _quantile("rms", 0.5, MM),
+        "RMS, 9 in 10, mm": _quantile("rms", 0.9, MM),
+        "time, s": _quantile("time", 0.5, 1.0),
+        "decision, ms": CORE_TIME,
+    }
+    notes = (
+        f"An S of {PATH_LENGTH * 100:g} cm at {PATH_SPEED * 100:g} cm/s, after three pokes; poses "
+        f"{SIGHT.delay:g} s late, one in ten missing. The learned grid is that of the pokes.",
+        f"With {CONFIDENCE:.0%} Wilson intervals. Figures are of the runs that came to the end.",
+    )
+    return Table.of("Along a path", ("world", "model"), _group(results), columns, notes)
+
+
+def tabulate_goals(kind: str, results: Sequence[Followed]) -> Table:
+    """Tabulates runs to a goal, or back to it after a shove."""
+    columns = {
+        "runs": len,
+        "reached": _count_reached,
+        "time, median, s": _quantile("time", 0.5, 1.0),
+        "time, 9 in 10, s": _quantile("time", 0.9, 1.0),
+        "off, median, mm": _quantile("distance", 0.5, MM),
+        "off, median, °": _quantile("turn", 0.5, DEGREES),
+        "decision, ms": CORE_TIME,
+    }
+    what = {
+        GOAL: f"A goal {GOAL_DISTANCE * 100:g} cm away, to 2 mm and 1°.",
+        SHOVE: "Back to the goal after a shove of 3 cm and 20°, to 2 mm and 1°.",
+    }
+    notes = (
+        f"{what[kind]} Times are of the runs that reached it, given up after {MOST_TIME:g} s.",
+        "Stroke by stroke: until the mean cell error is 2 mm; nothing is counted for lifting, "
+        "lowering and looking.",
+        f"With {CONFIDENCE:.0%} Wilson intervals.",
+    )
+    title = {GOAL: "To a goal", SHOVE: "After a shove"}[kind]
+    return Table.of(title, ("world", "model"), _group(results), columns, notes)
+
+
+TASK = Task(job=Job, run=run_job, describe=Job.describe)
+"""What is done with a run."""
+
+STUDY = Study(
+    name="feedback",
+    help="Push learned objects with feedback, along paths, to goals and back after shoves: in the "
+    "LCP world, and bodies in MuJoCo.",
+    options=Options,
+    tabulate=tabulate,
+    tasks=(TASK,),
+    make_jobs=make_jobs,
+    shorten=shorten,
+)
+"""The command."""
