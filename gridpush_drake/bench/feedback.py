@@ -201,7 +201,7 @@ def make_path(obj: GridObject) -> tuple[PosePath, Array]:
 
 
 def place_finger(obj: GridObject, pose: Array, direction: float) -> Array:
-    """Finds a place (2,) of the finger beside the object, W, m, seen from it in a direction, rad."""
+    """Finds a place (2,) of the finger beside the object, W, m, in a direction from it, rad."""
     way = make_direction(np.array(direction))
     corners = transform(pose, shapely.get_coordinates(obj.outline))
     center = transform(pose, obj.p_BC.mean(axis=0)[None])[0]
@@ -227,7 +227,9 @@ def run_job(job: Job) -> Followed:
             centers = centers[: int((left < WANTED_RMS).argmax()) + 1]
         rms = float(np.sqrt((way.measure_distance(centers) ** 2).mean()))
         ended = follower.progress > way.length - WANTED_RMS
-        return make_result(job, obj, world.pose, path.goal, run, ended, decision, rms)
+        return make_result(
+            job, obj, world.pose, path.goal, run=run, reached=ended, decision=decision, rms=rms
+        )
     pose = np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
     heading = rng.uniform(-np.pi, np.pi)
     shift = GOAL_DISTANCE * make_direction(np.array(heading))
@@ -244,7 +246,7 @@ def run_job(job: Job) -> Followed:
     world = case.make_world(pose, tip)
     run, decision = time_run(make_follower(job, case, goal), world)
     reached = run.status == FollowStatus.REACHED
-    return make_result(job, obj, world.pose, goal, run, reached, decision)
+    return make_result(job, obj, world.pose, goal, run=run, reached=reached, decision=decision)
 
 
 def make_follower(job: Job, case: Case, goal: ArrayLike | PosePath) -> PushFollower:
@@ -337,6 +339,7 @@ def make_result(
     obj: GridObject,
     pose: Array,
     goal: Array,
+    *,
     run: FollowRun,
     reached: bool,
     decision: float,

@@ -132,7 +132,7 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> Case:
         )
 
         def make_world(pose: ArrayLike, tip: ArrayLike) -> FingerWorld:
-            return LcpFingerWorld(obj, truth, pose, tip, FINGER.radius, SIGHT, seed)
+            return LcpFingerWorld(obj, truth, pose, tip, FINGER.radius, sight=SIGHT, seed=seed)
 
     else:
         body = make_body(world, obj, truth, rng)
@@ -145,7 +145,7 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> Case:
         )
 
         def make_world(pose: ArrayLike, tip: ArrayLike) -> FingerWorld:
-            return MujocoFingerWorld(body, pose, tip, FINGER.radius, SIGHT, seed)
+            return MujocoFingerWorld(body, pose, tip, FINGER.radius, sight=SIGHT, seed=seed)
 
     learned = None
     if learns:

@@ -17,8 +17,8 @@ COMMANDS = [
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
     ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("bench", "truth"),
     ("export",), ("view",), ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",), ("twin",),
-    ("tracker",), ("robot",), ("campaign",), ("bench", "perception"), ("bench", "gym"), ("bench", "pusht"), ("bench", "feedback"),
-    ("import", "bag"),
+    ("tracker",), ("robot",), ("campaign",), ("bench", "perception"), ("bench", "gym"), ("bench", "pusht"),
+    ("bench", "feedback"), ("import", "bag"),
 ]  # fmt: skip
 
 

@@ -7,9 +7,10 @@ from .feedback_controller import FeedbackOptions as FeedbackOptions
 from .finger_world import FingerWorld as FingerWorld
 from .finger_world import FollowRun as FollowRun
 from .finger_world import LcpFingerWorld as LcpFingerWorld
-from .finger_world import SeenPose as SeenPose
 from .finger_world import Sight as Sight
 from .finger_world import follow as follow
+from .follow_log import FollowLog as FollowLog
+from .follow_log import SeenPose as SeenPose
 from .follow_options import FollowDecision as FollowDecision
 from .follow_options import FollowOptions as FollowOptions
 from .follow_options import FollowStatus as FollowStatus

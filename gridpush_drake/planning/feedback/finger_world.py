@@ -25,11 +25,15 @@ from gridpush_drake.dynamics.kernels.finger_push import (
 )
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.feedback.follow_log import FollowLog, SeenPose
 from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.feedback.push_follower import PushFollower
 from gridpush_drake.planning.feedback.pushed_object import make_model
+from gridpush_drake.planning.loop_run import Learner
+from gridpush_drake.pushes.push_log import PushLog
 
 WORLD_STEP = 0.0005
 """Length of the finger's path in a step of the world, m: a fifth of what the search takes."""
@@ -69,19 +73,6 @@ class Sight:
                 raise PlanningError(f"sight: {name} is {getattr(self, name)!r}; expected >= 0")
         if not 0 <= self.missing <= 1:
             raise PlanningError(f"sight: missing is {self.missing!r}; expected from 0 to 1")
-
-
-@dataclass(frozen=True, eq=False)
-class SeenPose:
-    """A pose that has come.
-
-    Attributes:
-        time: when it was seen, s.
-        pose: (3,) X_WB, with noise, m and rad.
-    """
-
-    time: float
-    pose: Array
 
 
 class FingerWorld(ABC):
@@ -230,6 +221,8 @@ class FollowRun:
         poses: (K, 3) true poses of the object, one for each pose that could be seen.
         tips: (K, 2) places of the finger, m.
         decisions: number of decisions.
+        learned: number of times that the model was learned anew.
+        identification: what was learned last; None where nothing was.
     """
 
     status: FollowStatus
@@ -237,15 +230,29 @@ class FollowRun:
     poses: Array
     tips: Array
     decisions: int
+    learned: int = 0
+    identification: Identification | None = None
 
 
-def follow(follower: PushFollower, world: FingerWorld, most: float = 60.0) -> FollowRun:
+def follow(
+    follower: PushFollower,
+    world: FingerWorld,
+    most: float = 60.0,
+    *,
+    log: FollowLog | None = None,
+    learner: Learner | None = None,
+    identification: Identification | None = None,
+) -> FollowRun:
     """Lets a controller steer in a world until it no longer pushes.
 
     Args:
         follower: the controller.
         world: the world.
         most: longest time, s.
+        log: takes in what is seen; None where nobody wants it.
+        learner: learns from the log while the finger is steered, whenever it has another push;
+            None never.
+        identification: what was learned before, which the learner begins with.
 
     Raises:
         PlanningError: a decision's time is shorter than that between two poses.
@@ -256,11 +263,18 @@ def follow(follower: PushFollower, world: FingerWorld, most: float = 60.0) -> Fo
             f"sight: period is {world.sight.period:g} s; expected at most that of a decision, "
             f"{follower.options.period:g} s"
         )
+    if learner is not None and log is None:
+        log = FollowLog(follower.obj, follower.finger.radius)
+    found = identification
+    known = 0
+    learned = 0
     begin = world.time
     first = len(world.poses)
     tips = []
     decisions = 0
     follower.add_tip(world.time, world.tip)
+    if log is not None:
+        log.add_tip(world.time, world.tip)
     while True:
         decision = follower.decide(world.time, world.tip)
         decisions += 1
@@ -275,10 +289,27 @@ def follow(follower: PushFollower, world: FingerWorld, most: float = 60.0) -> Fo
             follower.add_tip(world.time, world.tip)
             for seen in came:
                 follower.add_pose(seen.time, seen.pose)
+            if log is not None:
+                log.add_tip(world.time, world.tip)
+                for seen in came:
+                    log.add_pose(seen)
+        if learner is None or log is None:
+            continue
+        # the last piece still grows
+        pushes = log.cut()[:-1]
+        if len(pushes) > known:
+            known = len(pushes)
+            found = learner(follower.obj, PushLog(tuple(pushes)), found)
+            if found is not None:
+                draws = found.samples(follower.options.draws)
+                follower.set_model(found.params, draws)
+                learned += 1
     return FollowRun(
         status=decision.status,
         time=world.time - begin,
         poses=np.array(world.poses[first:]).reshape(-1, 3),
         tips=np.array(tips).reshape(-1, 2),
         decisions=decisions,
+        learned=learned,
+        identification=found,
     )

@@ -80,8 +80,8 @@ LEAST_MOTION = 0.3
 asked how much of it was explained."""
 
 LEAST_PER_DECISION = 1 / 64
-"""Least cost of a decision: it is halved until some plan to the goal costs less than standing still,
-and is 1 again for the plan after that."""
+"""Least cost of a decision: it is halved until some plan to the goal costs less than standing
+still, and is 1 again for the plan after that."""
 
 LEAST_GAIN = 1e-3
 """By how much a plan to a goal must cost less than standing still, in decisions."""
