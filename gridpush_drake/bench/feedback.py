@@ -37,7 +37,11 @@ from gridpush_drake.planning.feedback.finger_world import (
     FollowRun,
     follow,
 )
-from gridpush_drake.planning.feedback.follow_options import FollowOptions, FollowStatus
+from gridpush_drake.planning.feedback.follow_options import (
+    FollowDecision,
+    FollowOptions,
+    FollowStatus,
+)
 from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
 from gridpush_drake.planning.feedback.push_follower import PushFollower
 from gridpush_drake.planning.goal.next_push import GoalRules
@@ -164,7 +168,7 @@ class Followed:
         rms: root mean square distance of the cells' centroid from the path, m; NaN elsewhere.
         distance: of the cells' centroid from the goal at the end, m.
         turn: from the goal at the end, rad.
-        decision: mean time of the core for a decision, s; NaN stroke by stroke.
+        decision: median time of the core for a decision, s; NaN stroke by stroke.
     """
 
     kind: str
@@ -240,8 +244,8 @@ def run_job(job: Job) -> Followed:
     if job.kind == SHOVE:
         # it lies at the goal, from where it is shoved
         pose = goal.copy()
-        way = SHOVE_DISTANCE * make_direction(rng.uniform(-np.pi, np.pi))
-        pose += [*way, SHOVE_TURN * rng.choice([-1.0, 1.0])]
+        shove = SHOVE_DISTANCE * make_direction(rng.uniform(-np.pi, np.pi))
+        pose += [*shove, SHOVE_TURN * rng.choice([-1.0, 1.0])]
         tip = place_finger(obj, pose, heading)
     world = case.make_world(pose, tip)
     run, decision = time_run(make_follower(job, case, goal), world)
@@ -249,7 +253,27 @@ def run_job(job: Job) -> Followed:
     return make_result(job, obj, world.pose, goal, run=run, reached=reached, decision=decision)
 
 
-def make_follower(job: Job, case: Case, goal: ArrayLike | PosePath) -> PushFollower:
+class TimedFollower(PushFollower):
+    """A controller that times its decisions.
+
+    Attributes:
+        times: the core's time for each decision so far, s.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        """Takes the arguments of `PushFollower`."""
+        super().__init__(*arguments, **options)
+        self.times: list[float] = []
+
+    def decide(self, time: float, tip: ArrayLike) -> FollowDecision:
+        """Decides, and takes the time."""
+        begin = thread_time()
+        decision = super().decide(time, tip)
+        self.times.append(thread_time() - begin)
+        return decision
+
+
+def make_follower(job: Job, case: Case, goal: ArrayLike | PosePath) -> TimedFollower:
     """Makes the controller of a run."""
     options = FollowOptions()
     draws: Sequence[CellParameters] = ()
@@ -259,24 +283,15 @@ def make_follower(job: Job, case: Case, goal: ArrayLike | PosePath) -> PushFollo
     elif case.learned is not None:
         params = case.learned.params
         draws = case.learned.samples(options.draws, job.seed)
-    return PushFollower(case.obj, params, goal, FINGER, draws=draws, options=options, seed=job.seed)
+    return TimedFollower(
+        case.obj, params, goal, FINGER, draws=draws, options=options, seed=job.seed
+    )
 
 
-def time_run(follower: PushFollower, world: FingerWorld) -> tuple[FollowRun, float]:
-    """Steers in a world, and measures the mean time of a decision, s."""
-    decide = follower.decide
-    times: list[float] = []
-
-    def timed(*arguments: Any) -> Any:
-        begin = thread_time()
-        decision = decide(*arguments)
-        times.append(thread_time() - begin)
-        return decision
-
-    follower.decide = timed  # type: ignore[method-assign]
+def time_run(follower: TimedFollower, world: FingerWorld) -> tuple[FollowRun, float]:
+    """Steers in a world, and measures the median time of a decision, s."""
     run = follow(follower, world, MOST_TIME)
-    # the first one may compile, and the last ones rest
-    return run, float(np.median(times))
+    return run, float(np.median(follower.times))
 
 
 def run_strokes(job: Job, case: Case, pose: Array, goal: Array, tip: Array) -> Followed:

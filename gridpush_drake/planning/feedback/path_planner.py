@@ -17,7 +17,6 @@ from heapq import heappop, heappush
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.finger_push import (
     STATE,
     THETA,
@@ -27,7 +26,6 @@ from gridpush_drake.dynamics.kernels.finger_push import (
     Room,
     X,
     follow_tip,
-    measure_room,
 )
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import PlanningError, require_positive
@@ -37,6 +35,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.feedback.follow_options import FOLLOW_REASONS, FollowStatus
 from gridpush_drake.planning.feedback.pose_path import PosePath
+from gridpush_drake.planning.feedback.push_search import check_moves
 from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger, make_model, make_room
 from gridpush_drake.planning.feedback.ways import make_ways
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
@@ -114,29 +113,6 @@ class _Moves:
     tips: Array
     places: Array
     perimeter: float
-
-
-@kernel()
-def check_moves(room, pose, moves, tips, allowed):
-    """Finds the moves (M, PARTS, 3) that are allowed from a pose (3,), and fills `allowed` (M,).
-
-    A move is allowed if the object may be at all of its poses, and the finger at its begin (M, 2).
-    """
-    state = np.zeros(STATE)
-    c = np.cos(pose[2])
-    s = np.sin(pose[2])
-    for m in range(moves.shape[0]):
-        allowed[m] = True
-        state[TIP_X] = pose[0] + c * tips[m, 0] - s * tips[m, 1]
-        state[TIP_Y] = pose[1] + s * tips[m, 0] + c * tips[m, 1]
-        for k in range(moves.shape[1]):
-            state[X] = pose[0] + c * moves[m, k, 0] - s * moves[m, k, 1]
-            state[X + 1] = pose[1] + s * moves[m, k, 0] + c * moves[m, k, 1]
-            state[THETA] = pose[2] + moves[m, k, 2]
-            object_room, finger_room = measure_room(room, state)
-            if object_room < MARGIN or finger_room < 0.0:
-                allowed[m] = False
-                break
 
 
 def plan_pose_path(
@@ -242,7 +218,7 @@ def _search(
         expanded += 1
         if calc_goal_error(obj, pose, goal) < NEAR and cost_to_go.is_clear(pose, goal):
             return _trace(node, met, before, by_move, moves, goal), expanded
-        check_moves(room, pose, moves.poses, moves.tips, allowed)
+        check_moves(room, pose, moves.poses, moves.tips, MARGIN, allowed)
         ways = np.flatnonzero(allowed)
         if not len(ways):
             continue

@@ -438,3 +438,27 @@ def roll_plans(model, wish, room, start, targets, longest, states, costs):
         for k in range(end, limit):
             for i in range(STATE):
                 plan.states[k + 1, i] = plan.states[end, i]
+
+
+@kernel()
+def check_moves(room, pose, moves, tips, margin, allowed):
+    """Finds the moves (M, PARTS, 3) that are allowed from a pose (3,), and fills `allowed` (M,).
+
+    A move is allowed if the object may be at all of its poses, with a margin, m, and the finger at
+    its begin (M, 2).
+    """
+    state = np.zeros(STATE)
+    c = cos(pose[2])
+    s = sin(pose[2])
+    for m in range(moves.shape[0]):
+        allowed[m] = True
+        state[TIP_X] = pose[0] + c * tips[m, 0] - s * tips[m, 1]
+        state[TIP_Y] = pose[1] + s * tips[m, 0] + c * tips[m, 1]
+        for k in range(moves.shape[1]):
+            state[X] = pose[0] + c * moves[m, k, 0] - s * moves[m, k, 1]
+            state[Y] = pose[1] + s * moves[m, k, 0] + c * moves[m, k, 1]
+            state[THETA] = pose[2] + moves[m, k, 2]
+            object_room, finger_room = measure_room(room, state)
+            if object_room < margin or finger_room < 0.0:
+                allowed[m] = False
+                break
