@@ -89,6 +89,7 @@ class FollowLog:
         found: list[ObservedPush] = []
         begin = 0
         while begin < len(self._seen) - 1:
+            # as many poses as there are within the duration of a piece
             until = self._seen[begin].time + self.piece
             end = begin + 1
             while end < len(self._seen) - 1 and self._seen[end + 1].time <= until:

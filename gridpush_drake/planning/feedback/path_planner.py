@@ -153,6 +153,7 @@ def plan_pose_path(
         return _refuse(FollowStatus.GOAL_OFF_TABLE)
     if blocked:
         return _refuse(FollowStatus.GOAL_BLOCKED)
+    # what can be done from anywhere, where that may be done, and how far it is to the goal
     model = make_model(obj, params, finger.radius, physics)
     moves = _try_moves(obj, model, finger)
     room = make_room(obj, rules, finger, np.array([begin[:2], aim[:2]]))
@@ -211,6 +212,7 @@ def _search(
     while queue and expanded < MOST:
         _, node = heappop(queue)
         pose = met[node]
+        # of several ways to one cell the cheapest comes first; the others are passed over
         key = _name_cell(pose)
         if key in closed:
             continue
@@ -230,6 +232,7 @@ def _search(
             along = np.minimum(along, moves.perimeter - along)
             costs += np.where(along > 0, CHANGE_SHARE * along + CHANGE_COST, 0.0)
         to_go = cost_to_go.estimate_costs(ends)
+        # what cannot lead to the goal, or leads where it was before, is not kept
         for move, end, step, left in zip(ways, ends, costs, to_go, strict=True):
             if not np.isfinite(left) or _name_cell(end) in closed:
                 continue

@@ -102,11 +102,13 @@ class ObjectWay:
         self.path = path
         middle = obj.p_BC.mean(axis=0)
         self._arm = obj.radius_of_gyration
+        # the path at even lengths, so that a place on it is found by its index
         corners, arc = self._measure(path.poses, middle)
         self.length = float(arc[-1])
         count = max(2, int(np.ceil(self.length / SPACING)) + 1)
         self._arc = np.linspace(0.0, self.length, count)
         self._table = np.column_stack([np.interp(self._arc, arc, row) for row in corners.T])
+        # on the spot, where there is no way to go along, the heading stands for it
         steps = np.gradient(self._table[:, :2], axis=0)
         size = np.linalg.norm(steps, axis=1, keepdims=True)
         heading = self._table[:, 2]
@@ -145,6 +147,7 @@ class ObjectWay:
         low = np.searchsorted(self._arc, last - LOOK_BACK)
         high = max(np.searchsorted(self._arc, last + LOOK_AHEAD, side="right"), low + 1)
         near = self._table[low:high]
+        # of places where the path crosses itself the heading tells which it is
         turn = np.mod(heading - near[:, 2] + np.pi, 2 * np.pi) - np.pi
         off = ((near[:, :2] - center) ** 2).sum(axis=1) + (self._arm * turn) ** 2
         return float(self._arc[low + int(off.argmin())])

@@ -260,6 +260,7 @@ class PushFollower:
 
     def _find_refusal(self) -> FollowStatus | None:
         """Why the goal or the path cannot be followed, whatever is seen; None where it can."""
+        # the goal, which is the path's last pose
         on_table, blocked = self.constraints.allow_pose(self.obj, self.goal)
         if not on_table:
             return FollowStatus.GOAL_OFF_TABLE
@@ -267,6 +268,7 @@ class PushFollower:
             return FollowStatus.GOAL_BLOCKED
         if self._way is None:
             return None
+        # the path before it
         if self._way.path.speed > self.finger.speed:
             return FollowStatus.TOO_FAST
         if not self.constraints.is_free:
@@ -319,6 +321,7 @@ class PushFollower:
     def _make_wish(self, pose: Array) -> Wish:
         """Says what is wanted of the next decisions, from a pose (3,) on."""
         options = self.options
+        # where the object should be after each decision
         follows = self._is_on_path
         count = self._count_decisions(follows)
         if follows:
@@ -414,6 +417,7 @@ class PushFollower:
         """Draws what the search tries."""
         rng = self._rng
         options = self.options
+        # strokes from all around, most of them after going there
         count = options.strokes
         period = options.period
         strokes = np.empty((count, STROKE))
@@ -429,6 +433,7 @@ class PushFollower:
         # later cuts are more often useful: a plan's beginning is good already
         cuts = np.sqrt(rng.random(count))
         cuts[rng.random(count) < FROM_NOW] = 0.0
+        # changes of all sizes: the largest find something new, the smallest make it exact
         changes = rng.standard_normal((options.changes, CHANGE))
         return Candidates(
             strokes=strokes,

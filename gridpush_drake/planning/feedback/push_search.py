@@ -247,6 +247,7 @@ def _roll_stroke(model, wish, room, ways, bench, first, limit, stroke, least, be
             if (begin_x - ax) ** 2 + (begin_y - ay) ** 2 < ways.arrival**2:
                 pushing = True
             else:
+                # on the way round: towards the farthest point in sight
                 turn = 1 if stroke[ROUND] > 0.0 else -1
                 find_way(ways, ax, ay, begin_x, begin_y, turn, bench.at)
                 wx = state[X] + c * bench.at[0] - s * bench.at[1] - state[TIP_X]
@@ -255,6 +256,7 @@ def _roll_stroke(model, wish, room, ways, bench, first, limit, stroke, least, be
                 bench.targets[k, 0] = state[TIP_X] + share * wx
                 bench.targets[k, 1] = state[TIP_Y] + share * wy
         if pushing:
+            # the direction is held in the body frame, which turns
             angle = state[THETA] + heading
             bench.targets[k, 0] = state[TIP_X] + stroke[LENGTH] * cos(angle)
             bench.targets[k, 1] = state[TIP_Y] + stroke[LENGTH] * sin(angle)
