@@ -134,7 +134,7 @@ def tell_story(
         assert state.press is not None
         seen = world.observe()
         assert seen is not None
-        press, tilt = _press(scale, state.press, world.truth.pose, seen)
+        press, tilt = make_press(scale, state.press, world.truth.pose, seen)
         presses += 1
         max_tilt = max(max_tilt, tilt)
         if tilt >= FALLEN_TILT:
@@ -175,7 +175,7 @@ def _is_due(state: PreGraspState) -> bool:
     return is_over(state) or state.status.mode == PreGraspMode.WEIGHING
 
 
-def _press(
+def make_press(
     scale: WeighingWorld, target: PressTarget, pose: Array, seen: Array
 ) -> tuple[EdgePress | None, float]:
     """Presses in Drake, whose edge is elsewhere.

@@ -13,6 +13,7 @@ from gridpush_drake.bench.weighing import (
     run_edge_job,
     run_job,
 )
+from gridpush_drake.bench.weighing_story import make_press
 from gridpush_drake.bench.weighing_world import EDGE, EXACT, WeighingWorld
 from gridpush_drake.cli.options import load_object
 from gridpush_drake.dynamics.physics import GRAVITY
@@ -20,7 +21,7 @@ from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.weighing.plan import PressRules, list_rests
+from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_rests
 from gridpush_drake.planning.weighing.press import PressOptions, PressOutcome
 
 
@@ -84,6 +85,28 @@ def test_an_object_that_is_too_heavy_lies_still():
     made = world.press(planned.target)
     assert made.state.outcome == PressOutcome.TOO_HEAVY
     assert made.max_tilt < np.radians(0.1)
+
+
+def test_a_press_at_any_edge_tells_the_same_as_at_drakes():
+    """The story's table has four edges; what is pressed at any of them comes back in its frame."""
+    obj = load_object("snack_bag")
+    params = sample_ground_truth(obj, 3, friction_by_part=True)
+    center = params.center_of_mass(obj)
+    edge = Edge(point=(0.31, -0.12), angle=2.0)
+    centers = center + 0.01 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    rests = list_rests(obj, centers, 2.3, edge, 0.03, along=0.2)
+    planned = min(rests, key=lambda one: one.relative_std)
+    scale = WeighingWorld(obj, params, noise=EXACT)
+    press, tilt = make_press(scale, planned.target, planned.pose, planned.pose)
+    assert 0.0 < tilt < np.radians(1.0)
+    assert press.edge_angle == edge.angle
+    np.testing.assert_array_equal(press.pose, planned.pose)
+    assert press.arm == pytest.approx(
+        planned.target.calc_arm(np.array(planned.target.place)), abs=1e-3
+    )
+    np.testing.assert_allclose(press.place, planned.target.place, atol=1e-3)
+    b = -edge.calc_beyond(transform(planned.pose, center[None])[0])
+    assert press.force * press.arm == pytest.approx(params.total_mass * GRAVITY * b, rel=0.006)
 
 
 @pytest.mark.slow

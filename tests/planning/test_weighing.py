@@ -11,7 +11,9 @@ from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.weighed_model import believe_before, weigh_model
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.loop_run import LoopRun, run_loop
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -244,3 +246,14 @@ def test_a_weighed_model_leaves_the_center_of_mass_where_it_was_weighed():
     np.testing.assert_allclose(corners.max(axis=0), [0.0235, 0.007], atol=2e-4)
     assert np.ptp(wide.masses.center_of_mass_polygon, axis=0)[0] > 0.1
     assert weighed.masses.max_total_mass == pytest.approx(0.7 * np.exp(0.035))
+
+
+def test_a_run_goes_on_where_another_one_ended():
+    surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+    planner = WeighingPlanner(BAR, surface, PreGraspOptions())
+    loop = PreGraspLoop(planner, lambda *_: None)
+    state = loop.begin().turn_to("weighing", "It is weighed.")
+    before = LoopRun(state=state, identification=describe_prior(BAR))
+    after = run_loop(loop, BAR, None, lambda _: True, start=before)
+    assert after is before
+    assert after.state.shown_push is None
