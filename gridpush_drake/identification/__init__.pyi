@@ -1,3 +1,4 @@
+from .absolute import AbsoluteEstimate as AbsoluteEstimate
 from .hypotheses import DEFAULT_HYPOTHESES as DEFAULT_HYPOTHESES
 from .hypotheses import LoadHypothesis as LoadHypothesis
 from .hypotheses import LoadPrior as LoadPrior
@@ -21,3 +22,4 @@ from .result import Identification as Identification
 from .result import IdentificationStatus as IdentificationStatus
 from .scene_learning import SceneIdentification as SceneIdentification
 from .scene_learning import identify_scene as identify_scene
+from .weighed_model import weigh_model as weigh_model

@@ -4,3 +4,6 @@ from .push_log import PushLog as PushLog
 from .scene_log import ObservedScenePush as ObservedScenePush
 from .scene_log import SceneLog as SceneLog
 from .segmentation import make_observed_push as make_observed_push
+from .weighings import EdgePress as EdgePress
+from .weighings import Lift as Lift
+from .weighings import WeighingLog as WeighingLog

@@ -26,3 +26,4 @@ from .stability import calc_stability_margin as calc_stability_margin
 from .stability import calc_stability_margins as calc_stability_margins
 from .uncertainty import PlausibleMassSet as PlausibleMassSet
 from .uncertainty import UncertainModel as UncertainModel
+from .weighing_planner import WeighingPlanner as WeighingPlanner

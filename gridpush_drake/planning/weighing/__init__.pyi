@@ -1,0 +1,13 @@
+from .plan import Edge as Edge
+from .plan import PlannedPress as PlannedPress
+from .plan import PressRules as PressRules
+from .plan import list_rests as list_rests
+from .plan import plan_press as plan_press
+from .press import PressOptions as PressOptions
+from .press import PressOutcome as PressOutcome
+from .press import PressSample as PressSample
+from .press import PressState as PressState
+from .press import PressTarget as PressTarget
+from .press import advance_press as advance_press
+from .sequence import SequenceOptions as SequenceOptions
+from .sequence import plan_next_press as plan_next_press
