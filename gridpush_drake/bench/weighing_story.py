@@ -81,7 +81,12 @@ class WeighedLearner:
     def __call__(
         self, obj: GridObject, log: PushLog, before: Identification | None
     ) -> Identification | None:
-        """Learns from the latest pushes."""
+        """Learns from the latest pushes.
+
+        Weighings of before an object was changed, when it is learned anew, do not count any more.
+        """
+        if before is None:
+            self.log = WeighingLog()
         found = LEARNER(obj, log, before)
         return found if found is before else self.weigh(found)
 
@@ -127,7 +132,7 @@ def tell_story(
     presses = 0
     max_tilt = 0.0
     while True:
-        run = run_loop(loop, obj, world, _is_due, learn=learner, surface=planner.surface, start=run)
+        run = run_loop(loop, obj, world, _is_due, learn=learner, surface=planner.surface, begun=run)
         state = run.state
         if state.status.mode != PreGraspMode.WEIGHING or presses >= MAX_PRESSES:
             break

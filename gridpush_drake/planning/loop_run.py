@@ -92,7 +92,7 @@ def run_loop(
     goal: Array | None = None,
     surface: SupportSurface | None = None,
     progress: Callable[[L, ObservedPush, bool], None] | None = None,
-    start: LoopRun[L] | None = None,
+    begun: LoopRun[L] | None = None,
 ) -> LoopRun[L]:
     """Steps a loop in a world until it is over.
 
@@ -106,13 +106,13 @@ def run_loop(
         surface: the table, as whoever learns knows it; None where pushes keep clear of its edge.
         progress: called after every push with the state that asked for it, what was seen, and
             whether something was learned from it.
-        start: what came of the run that this one goes on with; None where it is the first.
+        begun: what came of the run that this one goes on with; None where it is the first.
 
     Returns:
         The last state, the pushes, what was learned, and how long it took.
     """
     table = None if surface is None else surface.corners
-    run = start or LoopRun(state=loop.begin(), log=PushLog((), table=table))
+    run = begun or LoopRun(state=loop.begin(), log=PushLog((), table=table))
     target = UNSEEN if goal is None else goal
     time = 0.0
     refusal = ""
