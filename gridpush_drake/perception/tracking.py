@@ -119,6 +119,10 @@ than this: it is a thousand times less likely."""
 SAME_ANSWER = 0.2
 """Two answers whose angles differ by less than this are the same, rad."""
 
+STILL_SEEN = 1.25
+"""Factor on the largest dilution of an object that was seen in the frame before: one that is seen
+just well enough must not come and go with the noise of each picture."""
+
 NEW_EVIDENCE = 0.1
 """Part of a picture's evidence that the pictures before it did not give."""
 
@@ -428,8 +432,15 @@ class PoseTracker:
             expected = self._expect(state, frame.t)
         answers = self._follow(state, picture, starts, expected)
         searched = state.searched
-        if not answers and self._may_search(searched, frame.t):
-            answers = self._find_anywhere(state.appearance, picture, expected)
+
+        # After it was hidden, edges that are missing in plain view tell of an outline that came to
+        # rest on the wrong ones.
+        doubtful = state.hidden and any(
+            each.fit.share < self.options.found_share for each in answers
+        )
+        if (doubtful or not answers) and self._may_search(searched, frame.t):
+            found = self._find_anywhere(state.appearance, picture, expected)
+            answers = found or answers
             searched = frame.t
         state = replace(state, lost=not answers, t=frame.t, searched=searched)
         if not answers:
@@ -445,7 +456,10 @@ class PoseTracker:
 
         # A pose that too little of the object determines is good enough to look there again, but
         # not to tell others.
-        if fit.dilution > self.options.max_dilution:
+        limit = self.options.max_dilution
+        if not state.hidden:
+            limit *= STILL_SEEN
+        if fit.dilution > limit:
             return replace(state, hidden=True), NOT_SEEN
         state = replace(state, told=pose, told_t=frame.t, hidden=False)
         covariance = _mix_covariances(answers)
