@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.pregrasp.world import LEARNER, is_over
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.identification import surprise
 from gridpush_drake.identification.learning import describe_prior, identify
@@ -38,7 +39,7 @@ from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.robot_status import PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
-from tests.helpers.changing_world import ChangingWorld
+from tests.helpers.changing_world import ChangingEdgeWorld, ChangingWorld
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
 
@@ -305,3 +306,19 @@ def test_the_loop_to_the_edge_stops_there_and_begins_anew_elsewhere(learned) -> 
     assert "learned anew" in decided.status.reason
     given_up = loop.decide(replace(after, fallbacks=MAX_FALLBACKS + 1), seen)
     assert given_up.status.mode == PreGraspMode.FAILED
+
+
+def test_a_changed_object_at_the_edge_is_neither_slid_on_nor_grasped(hammer) -> None:
+    prior = replace(hammer.prior, friction=0.35, friction_min=0.3, friction_max=0.4)
+    obj = replace(hammer, prior=prior)
+    table = SupportSurface.rectangle((0.0, 0.0), (1.2, 0.9))
+    world = ChangingEdgeWorld(obj, load_end(obj, 1, 4.0), (-0.1, 0.05, 0.3), table, seed=1, **NOISE)
+    world.changes = {4: load_end(obj, -1, 4.0)}
+    planner = PreGraspPlanner(obj, table)
+    loop = PreGraspLoop(planner, lambda *_: None, options=PreGraspLoopOptions(observations=1))
+    run = run_loop(loop, obj, world, is_over, learn=LEARNER, surface=table)
+    # Three pokes, a slide with the load that was learned, and one with the other load.
+    status = run.state.status
+    assert (status.pokes, status.slides, len(run.log)) == (3, 2, 5)
+    assert status.mode == PreGraspMode.FAILED and "hangs over" in status.reason
+    assert status.surprises == 1 and not world.truth.fallen
