@@ -57,8 +57,8 @@ class FeedbackPushStatus:
         decisions: number of decisions so far.
     """
 
-    mode: FollowStatus = FollowStatus.NO_POSE
-    reason: str = FOLLOW_REASONS[FollowStatus.NO_POSE]
+    mode: FollowStatus = FollowStatus.NO_GOAL
+    reason: str = FOLLOW_REASONS[FollowStatus.NO_GOAL]
     pose: tuple[float, float, float] = UNKNOWN
     progress: float = 0.0
     decisions: int = 0
@@ -218,10 +218,13 @@ class FeedbackPushController(AbstractStateSystem[FeedbackPushState]):
         follower = None if now.follower is None else now.follower.copy()
         # Another goal, or the first one.
         if self.path is None and not np.array_equal(goal, now.goal, equal_nan=True):
-            follower = None
-            if np.isfinite(goal).all():
+            if not np.isfinite(goal).all():
+                follower = None
+            elif follower is None:
                 follower = self._make_follower(np.array(goal), learned)
-        elif follower is not None and learned is not None and _is_new(learned, now.learned):
+            else:
+                follower.set_goal(goal)
+        if follower is not None and learned is not None and _is_new(learned, now.learned):
             follower.set_model(learned.params, self._draw(learned))
         now = replace(now, follower=follower, goal=goal, learned=learned)
         if follower is None:

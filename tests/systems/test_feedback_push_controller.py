@@ -117,7 +117,9 @@ class Run:
             status = self.read(self.controller, "status")
             if note is not None:
                 note(self.read(self.world, "pose"))
-            waits = status.mode == FollowStatus.NO_POSE and status.decisions < 5
+            waits = status.mode == FollowStatus.NO_GOAL or (
+                status.mode == FollowStatus.NO_POSE and status.decisions < 5
+            )
             if status.mode != FollowStatus.PUSHING and not waits:
                 break
         return status
@@ -178,7 +180,9 @@ def test_rests_without_poses_and_without_a_goal():
     idle = Run(goal=(np.nan, np.nan, np.nan))
     idle.simulator.AdvanceTo(0.5)
     assert not idle.read(idle.controller, "tip_velocity").any()
-    assert idle.read(idle.controller, "status").decisions == 0
+    status = idle.read(idle.controller, "status")
+    assert (status.mode, status.decisions) == (FollowStatus.NO_GOAL, 0)
+    assert status.reason == "No goal is given."
 
 
 def test_takes_the_learned_model_from_the_port():

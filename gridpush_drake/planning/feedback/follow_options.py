@@ -14,6 +14,7 @@ class FollowStatus(StrEnum):
 
     PUSHING = "pushing"
     REACHED = "reached"
+    NO_GOAL = "no_goal"
     NO_POSE = "no_pose"
     UNLIKE_MODEL = "unlike_model"
     STUCK = "stuck"
@@ -26,6 +27,7 @@ class FollowStatus(StrEnum):
 FOLLOW_REASONS = {
     FollowStatus.PUSHING: "",
     FollowStatus.REACHED: "The object is where it is wanted, within the tolerance.",
+    FollowStatus.NO_GOAL: "No goal is given.",
     FollowStatus.NO_POSE: "No pose of the object came for too long.",
     FollowStatus.UNLIKE_MODEL: (
         "The object moves unlike anything that its model can do: the model is of another object, "

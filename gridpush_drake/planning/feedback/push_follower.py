@@ -47,7 +47,12 @@ from gridpush_drake.planning.feedback.push_search import (
     Wish,
     search_push,
 )
-from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger, make_model, make_room
+from gridpush_drake.planning.feedback.pushed_object import (
+    FeedbackFinger,
+    covers_places,
+    make_model,
+    make_room,
+)
 from gridpush_drake.planning.feedback.ways import make_ways
 from gridpush_drake.planning.push_constraints import PushConstraints
 
@@ -151,6 +156,9 @@ class PushFollower:
         self._half_round = way / 2 / (finger.walking_speed * self.options.period)
         self._rng = np.random.default_rng(seed)
         self._physics = physics
+        self._way: ObjectWay | None = None
+        self._room: Room | None = None
+        self._begin_plan()
         self.set_model(params, draws)
         self.set_goal(goal)
 
@@ -179,7 +187,7 @@ class PushFollower:
         self._unlike_since = np.inf
 
     def set_goal(self, goal: ArrayLike | PosePath) -> None:
-        """Begins with another goal, or path.
+        """Goes on with another goal, or path; the goal may move on from decision to decision.
 
         Args:
             goal: (3,) pose X_WB, m and rad; or a path.
@@ -188,19 +196,23 @@ class PushFollower:
             PlanningError: the pose is not three finite numbers.
         """
         self.progress = 0.0
-        self._way: ObjectWay | None = None
         poses = np.empty((0, 3))
         if isinstance(goal, PosePath):
             self._way = ObjectWay(self.obj, goal)
             self.goal = goal.goal
             poses = goal.poses
+            self._begin_plan()
         else:
             self.goal = check_vector(PlanningError, "goal", goal, 3)
-        self._begin_plan()
+            # a plan to another goal may do for this one, too: the search will see
+            if self._way is not None:
+                self._begin_plan()
+            self._way = None
         self._begin_watch()
         self._near_since = np.inf
         places = np.vstack([self.goal[None, :2], poses[:, :2]])
-        self._room = make_room(self.obj, self.constraints, self.finger, places)
+        if self._room is None or not covers_places(self._room, places):
+            self._room = make_room(self.obj, self.constraints, self.finger, places)
         self._refused = self._find_refusal()
 
     @property
@@ -376,6 +388,7 @@ class PushFollower:
             self._begin_plan()
             self._plan = np.zeros((count, 2))
             self._follows = wish.follows
+        assert self._room is not None
         tip = state[TIP_X : TIP_Y + 1].copy()
         states = np.zeros((count + 1, STATE))
         states[0] = state

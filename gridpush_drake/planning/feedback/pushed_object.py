@@ -165,6 +165,15 @@ def make_room(
     )
 
 
+def covers_places(room: Room, places: Array) -> bool:
+    """Whether the fields reach as far about places (K, 2), m, as they should."""
+    if not room.bounded:
+        return True
+    high = room.low + room.spacing * (np.array(room.object_field.shape) - 1)
+    inside = (places >= room.low + FIELD_ROOM) & (places <= high - FIELD_ROOM)
+    return bool(inside.all())
+
+
 def _measure_depth(shape: shapely.Geometry, nodes: Array) -> Array:
     """How deep inside a shape nodes are, m; negative outside."""
     depth = shapely.distance(shapely.boundary(shape), nodes)

@@ -34,6 +34,7 @@ TRUTH = CellParameters.by_part(OBJ, {1: 0.05, 2: 0.2}, 0.4, 0.4)
 FINGER = FeedbackFinger(radius=0.01)
 FEW = FollowOptions(strokes=40, changes=60, refinements=2, draws=0)
 BLIND = Sight(delay=0.15, missing=0.2)
+TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
 GOAL = np.array([0.12, 0.08, 0.6])
 BESIDE = np.array([-0.15, 0.0])
 
@@ -131,6 +132,29 @@ def test_goes_round_to_the_goal_and_back_to_it_after_a_shove():
     assert turn < 1.0
 
 
+def test_follows_a_goal_that_moves():
+    world = make_world(sight=Sight(delay=0.1))
+    follower = make_follower(GOAL, constraints=PushConstraints(TABLE))
+    room = follower._room
+    follower.add_tip(world.time, world.tip)
+    end = GOAL + [0.06, 0.02, 0.3]
+    for k in range(300):
+        goal = GOAL + min(k / 60, 1.0) * (end - GOAL)
+        follower.set_goal(goal)
+        decision = follower.decide(world.time, world.tip)
+        for _ in range(5):
+            for seen in world.move(decision.velocity):
+                follower.add_pose(seen.time, seen.pose)
+            follower.add_tip(world.time, world.tip)
+        distance, turn = measure(world.pose, end)
+        if k > 60 and distance < 2.0 and turn < 1.0:
+            break
+    assert distance < 2.0
+    assert turn < 1.0
+    # where the object may be was worked out once
+    assert follower._room is room
+
+
 def test_object_and_finger_keep_clear_of_an_obstacle():
     free = follow(make_follower(GOAL), make_world())
     swept = unary_union([transform_shape(pose, OBJ.outline) for pose in free.poses])
@@ -187,9 +211,6 @@ def test_rests_where_the_object_moves_unlike_the_model():
             break
     assert status == FollowStatus.UNLIKE_MODEL
     assert follower.decide(time + 0.1, world.tip).velocity.tolist() == [0.0, 0.0]
-
-
-TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
 
 
 @pytest.mark.parametrize(
