@@ -18,7 +18,15 @@ from copy import copy, deepcopy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.dynamics.kernels.finger_push import STATE, THETA, TIP_X, TIP_Y, PushedModel, X
+from gridpush_drake.dynamics.kernels.finger_push import (
+    STATE,
+    THETA,
+    TIP_X,
+    TIP_Y,
+    PushedModel,
+    Room,
+    X,
+)
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform, wrap_angle
