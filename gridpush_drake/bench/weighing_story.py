@@ -12,7 +12,7 @@ import numpy as np
 
 from gridpush_drake.bench.pregrasp.world import LEARNER, ONE_OBSERVATION, EdgeWorld, is_over
 from gridpush_drake.bench.table import MM
-from gridpush_drake.bench.weighing_world import EDGE, WeighingNoise, WeighingWorld
+from gridpush_drake.bench.weighing_world import EDGE, MadePress, WeighingNoise, WeighingWorld
 from gridpush_drake.geometry.se2 import Array, compose, invert
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.weighed_model import weigh_model
@@ -26,8 +26,9 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     PreGraspMode,
     PreGraspState,
 )
+from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.planning.weighing.press import PressTarget
+from gridpush_drake.planning.weighing.press import PressOutcome, PressTarget
 from gridpush_drake.planning.world import FALLEN_TILT
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
@@ -139,13 +140,17 @@ def tell_story(
         assert state.press is not None
         seen = world.observe()
         assert seen is not None
-        press, tilt = make_press(scale, state.press, world.truth.pose, seen)
+        press, made = make_press(scale, state.press, world.truth.pose, seen)
+        tilt = made.max_tilt
         presses += 1
         max_tilt = max(max_tilt, tilt)
         if tilt >= FALLEN_TILT:
             break
         if press is not None:
             learner.log = replace(learner.log, presses=(*learner.log.presses, press))
+        if made.state.outcome == PressOutcome.TOO_HEAVY and isinstance(planner, WeighingPlanner):
+            planner = planner.suppose_heavier()
+            loop = PreGraspLoop(planner, lambda *_: None, options=ONE_OBSERVATION)
         run = replace(
             run,
             identification=learner.weigh(run.identification),
@@ -182,7 +187,7 @@ def _is_due(state: PreGraspState) -> bool:
 
 def make_press(
     scale: WeighingWorld, target: PressTarget, pose: Array, seen: Array
-) -> tuple[EdgePress | None, float]:
+) -> tuple[EdgePress | None, MadePress]:
     """Presses in Drake, whose edge is elsewhere.
 
     Args:
@@ -192,8 +197,8 @@ def make_press(
         seen: (3,) where it is seen.
 
     Returns:
-        The weighing, on the table of the story, None where the object did not tilt; and the
-        greatest true tilt, rad.
+        The weighing, on the table of the story, None where the object did not tilt; and how the
+        press went.
     """
     # The edge's frame: its origin at the edge's point, x along its outward normal.
     X_WE = np.array([*target.edge_point, target.edge_angle])
@@ -213,12 +218,12 @@ def make_press(
     X_ES = compose(X_EW, seen) + shift
     press = made.state.make_weighing(made.target, scale.options, X_ES)
     if press is None:
-        return None, made.max_tilt
+        return None, made
     # Back to the story's table: only places and directions change.
     back = compose(X_WE, np.array([*(press.place - shift[:2]), 0.0]))[:2]
     edge = compose(X_WE, np.array([*(press.edge_point - shift[:2]), 0.0]))[:2]
     told = replace(press, pose=seen, place=back, edge_point=edge, edge_angle=target.edge_angle)
-    return told, made.max_tilt
+    return told, made
 
 
 def describe_error(found: Identification, truth: CellParameters) -> str:

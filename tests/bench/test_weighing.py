@@ -97,8 +97,8 @@ def test_a_press_at_any_edge_tells_the_same_as_at_drakes():
     rests = list_rests(obj, centers, 2.3, edge, 0.03, along=0.2)
     planned = min(rests, key=lambda one: one.relative_std)
     scale = WeighingWorld(obj, params, noise=EXACT)
-    press, tilt = make_press(scale, planned.target, planned.pose, planned.pose)
-    assert 0.0 < tilt < np.radians(1.0)
+    press, made = make_press(scale, planned.target, planned.pose, planned.pose)
+    assert 0.0 < made.max_tilt < np.radians(1.0)
     assert press.edge_angle == edge.angle
     np.testing.assert_array_equal(press.pose, planned.pose)
     assert press.arm == pytest.approx(

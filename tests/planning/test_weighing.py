@@ -224,6 +224,12 @@ def test_a_planner_weighs_where_the_other_gives_up():
     assert press.action == "weigh"
     place = np.array(press.press.place)
     assert 0.02 <= press.press.calc_arm(place) <= 0.05
+    # An object that does not tilt is pressed where less force would do, or not at all.
+    heavier = weighing
+    for _ in range(8):
+        heavier = heavier.suppose_heavier()
+    assert heavier.decide(at_edge, model).action != "weigh"
+    assert weighing.decide(at_edge, model).action == "weigh"
     # After enough presses, it gives up as the other one does.
     tired = replace(model, belief=replace(belief, presses=8))
     assert weighing.decide(at_edge, tired).action == "fail"

@@ -9,6 +9,7 @@ How presses are planned is in `planning.weighing`; the theory is in `docs/theory
 section 8.
 """
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,6 +32,7 @@ from gridpush_drake.planning.weighing.plan import (
     plan_press,
 )
 from gridpush_drake.planning.weighing.sequence import (
+    HEAVIER,
     SequenceOptions,
     calc_headings,
     calc_left_open,
@@ -96,6 +98,18 @@ class WeighingPlanner(PreGraspPlanner):
             return PreGraspDecision("weigh", reason, press=here.target)
         return self._slide_to_weigh(q, model, belief) or decision
 
+    def suppose_heavier(self) -> "WeighingPlanner":
+        """Makes a planner that presses where less force would do.
+
+        It is for an object that did not tilt with the greatest force, so that it is heavier, or its
+        center of mass farther inside, than was supposed.
+        """
+        heavier = copy(self)
+        sequence = self.weighing.sequence
+        rules = replace(sequence.rules, mass=HEAVIER * sequence.rules.mass)
+        heavier.weighing = replace(self.weighing, sequence=replace(sequence, rules=rules))
+        return heavier
+
     @property
     def _top(self) -> float:
         """Height of the object's top, m."""
@@ -104,7 +118,7 @@ class WeighingPlanner(PreGraspPlanner):
     def _make_rules(self, belief: AbsoluteEstimate) -> PressRules:
         """Makes the rules of a press, which suppose the mass that is known by now."""
         rules = self.weighing.sequence.rules
-        return replace(rules, mass=belief.total_mass) if belief.presses else rules
+        return replace(rules, mass=max(belief.total_mass, rules.mass)) if belief.presses else rules
 
     def _calc_gain(self, belief: AbsoluteEstimate, planned: PlannedPress) -> float:
         """Calculates the share of what is open that a press is expected to take away."""
