@@ -25,6 +25,11 @@ BENCHES: dict[str, LazyCommand] = {
         "Learn from real robots' pushes (--data), or simulated ones in their place, and "
         "predict others of them.",
     ),
+    "reality": LazyCommand(
+        "gridpush_drake.bench.reality:STUDY",
+        "Predict every set of real pushes at hand (--data), by our model and by Drake's and "
+        "MuJoCo's plants with the same masses, in one table.",
+    ),
     "planning": LazyCommand(
         "gridpush_drake.bench.planning:STUDY",
         "Choose contact points, and push objects to goal poses on the paper's round table.",

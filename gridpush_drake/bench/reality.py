@@ -1,0 +1,348 @@
+"""`gridpush bench reality`: every set of real pushes at hand, in one table.
+
+The rows are the sets, each with what is believed of the object:
+
+    does not move     it stays where it is: how much there is to predict
+    even object       all cells alike: what is believed before the first push
+    learned           masses and frictions learned from a few pushes of the set
+    the set's own     predictions of another model that come with the set, where there are any
+
+The columns are the simulators that then predict held-out pushes: ours, and Drake's and MuJoCo's
+plants with the very same masses and frictions. What repeated pushes differ by is the least error
+that is possible.
+
+The plants push faster than slow robots do, as that changes next to nothing: see `PLANT_SPEED`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from gridpush_drake.bench.mujoco_plant import MujocoPlant
+from gridpush_drake.bench.plant import PlantWorld
+from gridpush_drake.bench.real import (
+    CMU,
+    CMU_RHO,
+    calc_splits_mean,
+    find_push_logs,
+    name_logs,
+)
+from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
+from gridpush_drake.bench.table import MM, Mean, Table, Value
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.prediction import predict
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.importers import find_importer
+from gridpush_drake.pushes.importers.mit import read_model_errors
+from gridpush_drake.pushes.push_log import PushLog
+
+STILL = "does not move"
+EVEN = "even object"
+LEARNED = "learned"
+OWN = "the set's own model"
+"""Names of what is believed of an object."""
+
+OURS = "ours"
+DRAKE = "Drake"
+MUJOCO = "MuJoCo"
+ENGINES = (OURS, DRAKE, MUJOCO)
+"""Names of the simulators."""
+
+COUNTS = (5, 25)
+"""Numbers of pushes to learn from."""
+
+TEST = 20
+"""Number of held-out pushes of each division, by default."""
+
+SPLITS = 5
+"""Number of divisions of a set into pushes to learn from and others, by default."""
+
+QUICK_SPLITS = 1
+QUICK_TEST = 3
+"""Numbers of divisions and of held-out pushes in the quick variant."""
+
+REPEATED = {CMU: 1.4}
+"""What repeated pushes differ by, mm, by the kind of set, where it is known."""
+
+PLANT_SPEED = 0.02
+"""Least speed of the pusher in the plants, m/s. Slower pushes are made at this speed, from which an
+object that slides with a friction of 0.3 stops within 0.07 mm."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        data: folder of real pushes.
+        splits: number of divisions of a set into pushes to learn from and others.
+        test: number of held-out pushes of each division.
+        plants: whether Drake's and MuJoCo's plants predict, too.
+    """
+
+    data: Path | None = option(
+        None,
+        "Real pushes: a clone of GitHub robinzhoucmu/MLab_EXP or "
+        "robinzhoucmu/PlanarManipulationToolBox, or a folder that holds such logs. It has to be "
+        "given.",
+        name="--data",
+        metavar="DIR",
+    )
+    splits: int = option(
+        SPLITS, "Divisions of a set into pushes to learn from and others.", least=1
+    )
+    test: int = option(TEST, "Held-out pushes of each division.", least=1)
+    plants: bool = option(True, "Let Drake's and MuJoCo's plants predict, too.")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One division of one set.
+
+    Attributes:
+        name: name of the set.
+        kind: kind of the set, CMU or MIT of `bench.real`.
+        path: its file.
+        split: number of the division.
+        test: number of held-out pushes.
+        engines: names of the simulators.
+        seed: seed of everything random.
+    """
+
+    name: str
+    kind: str
+    path: Path
+    split: int
+    test: int
+    engines: tuple[str, ...]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Score:
+    """How far predictions of held-out pushes are off.
+
+    Attributes:
+        name: name of the set.
+        kind: its kind.
+        split: number of the division.
+        model: what is believed of the object.
+        training: number of pushes that were learned from.
+        engine: name of the simulator.
+        errors: |dxy| + rho |dtheta| of each push, m.
+    """
+
+    name: str
+    kind: str
+    split: int
+    model: str
+    training: int
+    engine: str
+    errors: tuple[float, ...]
+
+
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant."""
+    return replace(
+        options,
+        splits=min(options.splits, QUICK_SPLITS),
+        test=min(options.test, QUICK_TEST),
+    )
+
+
+def make_jobs(options: Options) -> list[Job]:
+    """Makes a job for each set and division.
+
+    Raises:
+        GridPushError: no data are given, or they are not there.
+        PushLogError: a set cannot be read.
+    """
+    if options.data is None:
+        raise GridPushError(
+            "--data: missing; expected the folder of real pushes, such as a clone of GitHub "
+            "robinzhoucmu/MLab_EXP"
+        )
+    found = find_push_logs(Path(options.data).resolve(), max(COUNTS) + options.test)
+    engines = [OURS]
+    if options.plants:
+        engines.append(DRAKE)
+    # MuJoCo is in an extra, so that its column is left out where it is not installed
+    if options.plants and find_spec("mujoco"):
+        engines.append(MUJOCO)
+    jobs = []
+    for name, kind, path in name_logs(found):
+        _read(path, kind)
+        for split in range(options.splits):
+            job = Job(
+                name=name,
+                kind=kind,
+                path=path,
+                split=split,
+                test=options.test,
+                engines=tuple(engines),
+                seed=options.seed,
+            )
+            jobs.append(job)
+    return jobs
+
+
+@lru_cache(maxsize=1)
+def _read(path: Path, kind: str) -> tuple[PushLog, GridObject]:
+    """Reads a set. The center of mass of a CMU plate is known, for the plate is even."""
+    log, obj = find_importer(kind)().read(path)
+    if kind == CMU:
+        obj = replace(obj, prior=replace(obj.prior, center_of_mass=(0.0, 0.0)))
+    return log, obj
+
+
+def run_job(job: Job) -> list[Score]:
+    """Learns from one division of one set, and predicts the held-out pushes in every simulator."""
+    log, obj = _read(job.path, job.kind)
+    order = np.random.default_rng([job.seed, job.split]).permutation(len(log))
+    test = log.subset(order[: job.test])
+    rest = order[job.test :]
+
+    # What is believed of the object
+    believed = [(EVEN, 0, CellParameters.uniform(obj))]
+    for count in COUNTS:
+        found = identify(obj, log.subset(rest[:count]), seed=job.seed)
+        believed.append((LEARNED, count, found.params))
+
+    # What each simulator makes of it
+    still = [seen.pose for seen in test]
+    scores = [_score(job, STILL, 0, OURS, still, test)]
+    for model, training, params in believed:
+        for engine in job.engines:
+            ends = find_ends(engine, obj, params, test)
+            scores.append(_score(job, model, training, engine, ends, test))
+    return scores
+
+
+def find_ends(engine: str, obj: GridObject, params: CellParameters, log: PushLog) -> list[Array]:
+    """Predicts where pushes end.
+
+    Args:
+        engine: name of the simulator.
+        obj: the object.
+        params: its masses and frictions.
+        log: the pushes, all with one pusher.
+
+    Returns:
+        Of each push the object's last pose (3,), m and rad.
+    """
+    if engine == OURS:
+        return [motion.poses[-1] for motion in predict(obj, params, log, "quasi_static")]
+    radius = log[0].push.radius
+    if engine == MUJOCO:
+        plant = MujocoPlant(obj, params, radius)
+        return [plant.push(hasten(seen.push), seen.pose) for seen in log]
+    world = PlantWorld(obj, params, radius=radius)
+    ends = []
+    for seen in log:
+        world.put(seen.pose)
+        world.execute(hasten(seen.push))
+        motion = world.truth.motion
+        assert motion is not None
+        ends.append(motion.poses[-1])
+    return ends
+
+
+def hasten(push: Push) -> Push:
+    """Makes a push as fast as `PLANT_SPEED`, if it is slower."""
+    factor = PLANT_SPEED * push.duration / push.length
+    return push if factor <= 1.0 else Push.along(push.t / factor, push.xy, push.radius)
+
+
+def _score(
+    job: Job, model: str, training: int, engine: str, ends: Sequence[Array], test: PushLog
+) -> Score:
+    """Compares predicted ends with observed ones."""
+    errors = [calc_error(end, seen.final_pose) for end, seen in zip(ends, test, strict=True)]
+    return Score(
+        name=job.name,
+        kind=job.kind,
+        split=job.split,
+        model=model,
+        training=training,
+        engine=engine,
+        errors=tuple(errors),
+    )
+
+
+def calc_error(one: Array, other: Array) -> float:
+    """Calculates |dxy| + rho |dtheta| of two poses (3,), m."""
+    dx, dy, turn = one - other
+    return float(np.hypot(dx, dy) + CMU_RHO * abs(wrap_angle(turn)))
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Makes the one table."""
+    scores = [score for scores in done.of(TASK) for score in scores]
+    jobs = [job for job, _ in done.list_pairs(TASK)]
+    engines = jobs[0].engines
+    rows: list[list[Value]] = []
+    for name, kind, path in dict.fromkeys((job.name, job.kind, job.path) for job in jobs):
+        for model, training in ((STILL, 0), (EVEN, 0), *((LEARNED, count) for count in COUNTS)):
+            means = [_calc_mean(scores, name, model, training, engine) for engine in engines]
+            rows.append([name, model, training, *means, REPEATED.get(kind)])
+        if kind != CMU:
+            own = _read_own(path)
+            rows.append([name, OWN, None, own, *[None] * (len(engines) - 1), None])
+    notes = (
+        f"Error |dxy| + rho |dtheta| of held-out pushes, rho = {MM * CMU_RHO:.1f} mm; mean over "
+        f"{options.splits} divisions of {options.test} held-out pushes each, ± 95 % confidence "
+        "(Student's t).",
+        "Drake and MuJoCo have the same masses and frictions as ours, on planar and free feet; "
+        f"they push at {MM * PLANT_SPEED:g} mm/s at least.",
+        "The center of mass of the CMU's plates is told: they are even.",
+        f"{OWN}: what the file says of the mean error over all its pushes, by a model that was "
+        "made by other people and learned from the set.",
+        "Repeated: what the same push differs by when it is made again, where that is known.",
+    )
+    columns = ("set", "model", "training", *engines, "repeated")
+    return [Table("Real pushes: held-out error, mm", columns, rows, notes, keys=3)]
+
+
+def _calc_mean(
+    scores: Sequence[Score], name: str, model: str, training: int, engine: str
+) -> Mean | None:
+    """Calculates the mean over divisions, mm; None if a simulator did not predict with a model."""
+    chosen = [
+        score
+        for score in scores
+        if (score.name, score.model, score.training, score.engine)
+        == (name, model, training, engine)
+    ]
+    if not chosen:
+        return None
+    return calc_splits_mean(MM * np.array([np.mean(score.errors) for score in chosen]))
+
+
+def _read_own(path: Path) -> Mean:
+    """Reads the mean error of a set's own model, mm."""
+    position, angle = read_model_errors(path)
+    return Mean(MM * (position + CMU_RHO * angle))
+
+
+TASK = Task(job=Job, run=run_job, describe=lambda job: f"{job.name}, split {job.split}")
+"""What is done with a job."""
+
+STUDY = Study(
+    name="reality",
+    help="Predict the pushes of every set of real pushes at hand, by our model and by Drake's and "
+    "MuJoCo's plants with the same masses, in one table.",
+    options=Options,
+    shorten=shorten,
+    make_jobs=make_jobs,
+    tasks=(TASK,),
+    tabulate=tabulate,
+)
+"""`gridpush bench reality`."""

@@ -1,0 +1,121 @@
+"""`gridpush bench reality`: every set of real pushes by every model and simulator, in one table."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake.bench.mujoco_plant import MujocoPlant
+from gridpush_drake.bench.reality import (
+    COUNTS,
+    DRAKE,
+    EVEN,
+    LEARNED,
+    MUJOCO,
+    OURS,
+    OWN,
+    PLANT_SPEED,
+    STILL,
+    STUDY,
+    Job,
+    Options,
+    Score,
+    calc_error,
+    hasten,
+    make_jobs,
+    run_job,
+    tabulate,
+)
+from gridpush_drake.bench.study import Done
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.shared_data import shared_data
+
+CLEARANCE = 0.002
+"""Distance of a pusher from the object before it is moved, m."""
+
+
+def test_asks_for_data(tmp_path):
+    with pytest.raises(GridPushError, match="--data: missing"):
+        STUDY.run()
+    with pytest.raises(GridPushError, match="expected push logs as of GitHub"):
+        STUDY.run(data=tmp_path)
+
+
+def test_slow_pushes_are_hastened_and_fast_ones_are_not():
+    slow = Push((0.0, 0.0), (0.0, 0.0025), 6.4, 0.0005)
+    made = hasten(slow)
+    np.testing.assert_allclose(made.duration, slow.length / PLANT_SPEED)
+    np.testing.assert_array_equal(made.xy, slow.xy)
+    fast = Push((0.0, 0.0), (0.1, 0.0), 0.5, 0.0005)
+    assert hasten(fast) is fast
+
+
+def test_an_error_counts_turns_by_the_shorter_way():
+    one = np.array([0.003, 0.0, np.pi - 0.01])
+    other = np.array([0.0, 0.004, -np.pi + 0.01])
+    assert calc_error(one, other) == pytest.approx(0.005 + 0.02 * 0.05 * 2**0.5)
+
+
+def test_mujoco_pushes_as_the_model_says():
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+    obj = GridObject.from_yaml(find_shipped_object("open_book"))
+    params = CellParameters.random(obj, 1, (0.003, 0.03), (0.3, 0.5))
+    pose = np.array([0.1, -0.2, 0.7])
+    push = Push.on_outline(
+        obj, 0.1, 0.2, 0.04, radius=0.008, speed=0.05, clearance=CLEARANCE, pose=pose
+    )
+    expected = simulate(obj, params, push, pose, regime="inertial").final_pose
+    assert calc_error(expected, pose) > 0.02
+    plant = MujocoPlant(obj, params, push.radius)
+    assert calc_error(plant.push(push, pose), expected) < 1e-3
+    # A second push begins from rest, and is the same
+    np.testing.assert_array_equal(plant.push(push, pose), plant.push(push, pose))
+
+
+def test_a_set_of_real_pushes_is_predicted_in_every_simulator():
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+    path = shared_data("cmu_pushes", "hardboard_wide.txt")
+    job = Job("hardboard_wide", "cmu", path, 0, 4, (OURS, DRAKE, MUJOCO), 0)
+    scores = run_job(job)
+    means = {(s.model, s.training, s.engine): 1e3 * np.mean(s.errors) for s in scores}
+    print(means)
+    believed = [(EVEN, 0), *((LEARNED, count) for count in COUNTS)]
+    assert means.keys() == {(STILL, 0, OURS)} | {
+        (model, training, engine) for model, training in believed for engine in job.engines
+    }
+    assert all(len(score.errors) == 4 for score in scores)
+    for engine in job.engines:
+        # What was learned serves Drake and MuJoCo, too
+        assert means[LEARNED, 25, engine] < means[EVEN, 0, engine] < means[STILL, 0, OURS]
+        assert abs(means[LEARNED, 25, engine] - means[LEARNED, 25, OURS]) < 1.0
+
+
+def test_the_table_has_every_set_with_its_own_model():
+    path = shared_data("mit_pushes", "abs_rect1.mat")
+    options = Options(data=path.parent, splits=2, test=3, plants=False)
+    jobs = [job for job in make_jobs(options) if job.name == "abs_rect1"]
+    assert [job.split for job in jobs] == [0, 1]
+
+    def make(job):
+        base = Score(job.name, job.kind, job.split, STILL, 0, OURS, (0.02, 0.02))
+        even = replace(base, model=EVEN, errors=(0.006, 0.008))
+        learned = [
+            replace(base, model=LEARNED, training=count, errors=(0.001 * job.split, 0.004))
+            for count in COUNTS
+        ]
+        return [base, even, *learned]
+
+    (table,) = tabulate(options, Done((job, make(job)) for job in jobs))
+    assert list(table.columns) == ["set", "model", "training", OURS, "repeated"]
+    rows = {(row[1], row[2]): row[3] for row in table.rows}
+    assert list(rows) == [(STILL, 0), (EVEN, 0), (LEARNED, 5), (LEARNED, 25), (OWN, None)]
+    assert rows[EVEN, 0].mean == pytest.approx(7.0)
+    assert rows[LEARNED, 5].mean == pytest.approx((2.0 + 2.5) / 2)
+    assert rows[LEARNED, 5].high > rows[LEARNED, 5].mean
+    assert 1.0 < rows[OWN, None].mean < 10.0
+    assert table.rows[0][4] is None
