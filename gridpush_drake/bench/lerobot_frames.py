@@ -18,12 +18,10 @@ from typing import Any
 import numpy as np
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.station.run_recorder import (
+from gridpush_drake.station.run_recording import (
     GRIPPER_COMMAND_TOPIC,
     GRIPPER_TOPIC,
     PICTURE_TOPIC,
-)
-from gridpush_drake.station.run_recording import (
     RecordingError,
     RunRecording,
     read_planar_pose,

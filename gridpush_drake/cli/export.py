@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from gridpush_drake.bench.lerobot_dataset import export_dataset
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found, print_notice
 from gridpush_drake.identification.absolute import describe_weighed
@@ -157,6 +156,9 @@ def export(
 
 def _export_episodes(campaign: Path, out: Path, force: bool, json: bool) -> None:
     """Writes the episodes of a campaign as a LeRobot dataset, and says what was written."""
+    # Imported here, as it brings all of the station, for which the other formats need not wait
+    from gridpush_drake.bench.lerobot_dataset import export_dataset
+
     exported = export_dataset(campaign, out, force)
     found = {
         "episodes": exported.episodes,

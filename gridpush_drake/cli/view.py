@@ -26,7 +26,7 @@ from gridpush_drake.files import exists, is_file
 from gridpush_drake.identification.model_file import looks_like_model
 from gridpush_drake.identification.prediction import Prediction, predict, summarize_errors
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.rerun_view import show_run
+from gridpush_drake.station.rerun_replay import show_run
 from gridpush_drake.station.run_recording import SUFFIX, read_run
 
 Shows = Literal["mass", "friction", "relative_friction"]

@@ -1,6 +1,6 @@
 """What `gridpush view --rerun` shows of a learned model and of replayed pushes.
 
-A recorded run is shown by `station.rerun_view`.
+A recorded run is shown by `station.rerun_replay`.
 """
 
 from collections.abc import Sequence

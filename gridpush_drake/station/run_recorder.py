@@ -40,11 +40,16 @@ from gridpush_drake.station.lcm.picture_messages import JPEG_QUALITY
 from gridpush_drake.station.links.ros2 import WORLD, list_joints
 from gridpush_drake.station.links.tip_load import TipLoad
 from gridpush_drake.station.robot import GetRobotInPlant
+from gridpush_drake.station.run_recording import (
+    GRIPPER_COMMAND_TOPIC,
+    GRIPPER_TOPIC,
+    NANOSECONDS,
+    PICTURE_TOPIC,
+    SEEN_SIZE,
+    TOPICS,
+)
 from gridpush_drake.station.task import StationTask
 from gridpush_drake.systems.messages import PushCommand
-
-NANOSECONDS = 10**9
-"""Nanoseconds in a second."""
 
 VERSION = 9
 """Version of the bag's format."""
@@ -52,39 +57,11 @@ VERSION = 9
 CAMERA = "rgbd_noise"
 """Name of the system whose pictures are recorded."""
 
-PICTURE_TOPIC = "/camera/color/compressed"
-"""Topic of the pictures, which only a run with a simulated color and depth camera has."""
-
-GRIPPER_TOPIC = "/gripper_states"
-GRIPPER_COMMAND_TOPIC = "/gripper_command"
-"""Topics that only a run of a robot with a gripper has."""
-
-TOPICS = {
-    "/object_pose": "geometry_msgs/msg/PoseStamped",
-    "/tip_pose": "geometry_msgs/msg/PoseStamped",
-    "/tip_command": "geometry_msgs/msg/PoseStamped",
-    "/joint_states": "sensor_msgs/msg/JointState",
-    "/joint_commands": "sensor_msgs/msg/JointState",
-    GRIPPER_TOPIC: "sensor_msgs/msg/JointState",
-    GRIPPER_COMMAND_TOPIC: "std_msgs/msg/Float64",
-    "/wrench": "geometry_msgs/msg/WrenchStamped",
-    "/tf": "tf2_msgs/msg/TFMessage",
-    "/center_of_mass": "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "/cells": "visualization_msgs/msg/MarkerArray",
-    "/push": "nav_msgs/msg/Path",
-    "/phase": "std_msgs/msg/String",
-    PICTURE_TOPIC: "sensor_msgs/msg/CompressedImage",
-}
-"""Types of the messages, by topic."""
-
 OBJECT = "object"
 """Frame of the object, in which the cells are."""
 
 CELL_HEIGHT = 0.005
 """Height of the cells that are shown, m."""
-
-SEEN_SIZE = 0.95
-"""Side of a cell that is shown, as a share of its true side: so that cells can be told apart."""
 
 POSE_COVARIANCE = 36
 """Numbers of a pose's covariance."""

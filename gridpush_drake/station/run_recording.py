@@ -1,4 +1,4 @@
-"""`RunRecording`: what `RunRecorder` wrote, read again.
+"""`RunRecording`: what `RunRecorder` wrote, read again; and the topics that both know.
 
 Only files with the topics of a `RunRecorder` are read here. Poses of any bag are read by the
 importer `pushes.importers.bag`.
@@ -14,7 +14,37 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.files import is_file
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.station.run_recorder import NANOSECONDS, TOPICS
+
+NANOSECONDS = 10**9
+"""Nanoseconds in a second."""
+
+PICTURE_TOPIC = "/camera/color/compressed"
+"""Topic of the pictures, which only a run with a simulated color and depth camera has."""
+
+GRIPPER_TOPIC = "/gripper_states"
+GRIPPER_COMMAND_TOPIC = "/gripper_command"
+"""Topics that only a run of a robot with a gripper has."""
+
+TOPICS = {
+    "/object_pose": "geometry_msgs/msg/PoseStamped",
+    "/tip_pose": "geometry_msgs/msg/PoseStamped",
+    "/tip_command": "geometry_msgs/msg/PoseStamped",
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/joint_commands": "sensor_msgs/msg/JointState",
+    GRIPPER_TOPIC: "sensor_msgs/msg/JointState",
+    GRIPPER_COMMAND_TOPIC: "std_msgs/msg/Float64",
+    "/wrench": "geometry_msgs/msg/WrenchStamped",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/center_of_mass": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/cells": "visualization_msgs/msg/MarkerArray",
+    "/push": "nav_msgs/msg/Path",
+    "/phase": "std_msgs/msg/String",
+    PICTURE_TOPIC: "sensor_msgs/msg/CompressedImage",
+}
+"""Types of the messages, by topic."""
+
+SEEN_SIZE = 0.95
+"""Side of a cell that is shown, as a share of its true side: so that cells can be told apart."""
 
 SUFFIX = ".mcap"
 """Ending of a recording's name."""

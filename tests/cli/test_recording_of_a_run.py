@@ -10,10 +10,10 @@ from gridpush_drake.cli.options import load_object
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.rerun_view import show_run
+from gridpush_drake.station.rerun_replay import show_run
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.run_recorder import TOPICS, RunRecorder
-from gridpush_drake.station.run_recording import read_run
+from gridpush_drake.station.run_recorder import RunRecorder
+from gridpush_drake.station.run_recording import TOPICS, read_run
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.tasks import TASKS
 from tests.helpers.command_line import run_gridpush

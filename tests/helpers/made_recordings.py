@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 from gridpush_drake.pushes.segmentation import Sample
-from gridpush_drake.station.run_recorder import (
+from gridpush_drake.station.run_recorder import RunRecorder
+from gridpush_drake.station.run_recording import (
     GRIPPER_COMMAND_TOPIC,
     GRIPPER_TOPIC,
     PICTURE_TOPIC,
-    RunRecorder,
 )
 
 JOINTS = ["joint_1", "joint_2"]
