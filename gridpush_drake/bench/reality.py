@@ -11,7 +11,8 @@ The columns are the simulators that then predict held-out pushes: ours, and Drak
 plants with the very same masses and frictions. What repeated pushes differ by is the least error
 that is possible.
 
-The plants push faster than slow robots do, as that changes next to nothing: see `PLANT_SPEED`.
+Without real pushes, simulated ones stand in, and the table says so. The plants push faster than
+slow robots do, as that changes next to nothing: see `PLANT_SPEED`.
 """
 
 from collections.abc import Sequence
@@ -27,9 +28,13 @@ from gridpush_drake.bench.plant import PlantWorld
 from gridpush_drake.bench.real import (
     CMU,
     CMU_RHO,
+    MIT,
+    PUSHES,
+    SIMULATED,
     calc_splits_mean,
     find_push_logs,
     name_logs,
+    simulate_log,
 )
 from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, Mean, Table, Value
@@ -39,6 +44,7 @@ from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers import find_importer
 from gridpush_drake.pushes.importers.mit import read_model_errors
@@ -65,6 +71,9 @@ TEST = 20
 SPLITS = 5
 """Number of divisions of a set into pushes to learn from and others, by default."""
 
+STAND_INS = ("claw_hammer", "toolbox")
+"""Shipped objects whose simulated pushes stand in for real ones."""
+
 QUICK_SPLITS = 1
 QUICK_TEST = 3
 """Numbers of divisions and of held-out pushes in the quick variant."""
@@ -82,7 +91,7 @@ class Options(StudyOptions):
     """What is measured.
 
     Attributes:
-        data: folder of real pushes.
+        data: folder of real pushes; None for simulated ones.
         splits: number of divisions of a set into pushes to learn from and others.
         test: number of held-out pushes of each division.
         plants: whether Drake's and MuJoCo's plants predict, too.
@@ -91,8 +100,8 @@ class Options(StudyOptions):
     data: Path | None = option(
         None,
         "Real pushes: a clone of GitHub robinzhoucmu/MLab_EXP or "
-        "robinzhoucmu/PlanarManipulationToolBox, or a folder that holds such logs. It has to be "
-        "given.",
+        "robinzhoucmu/PlanarManipulationToolBox, or a folder that holds such logs. Without, "
+        "simulated pushes stand in.",
         name="--data",
         metavar="DIR",
     )
@@ -109,9 +118,9 @@ class Job:
 
     Attributes:
         name: name of the set.
-        kind: kind of the set, CMU or MIT of `bench.real`.
-        path: its file.
-        split: number of the division.
+        kind: kind of the set: CMU, MIT or SIMULATED of `bench.real`.
+        path: its file, or that of the object whose pushes are simulated.
+        split: number of the division, and of the simulated truth.
         test: number of held-out pushes.
         engines: names of the simulators.
         seed: seed of everything random.
@@ -162,15 +171,20 @@ def make_jobs(options: Options) -> list[Job]:
     """Makes a job for each set and division.
 
     Raises:
-        GridPushError: no data are given, or they are not there.
+        GridPushError: the data are not there, or there are too few simulated pushes.
         PushLogError: a set cannot be read.
     """
-    if options.data is None:
+    needed = max(COUNTS) + options.test
+    if options.data is not None:
+        sets = name_logs(find_push_logs(Path(options.data).resolve(), needed))
+        for _, kind, path in sets:
+            _read_file(path, kind)
+    elif needed > PUSHES:
         raise GridPushError(
-            "--data: missing; expected the folder of real pushes, such as a clone of GitHub "
-            "robinzhoucmu/MLab_EXP"
+            f"--test: {options.test}; expected at most {PUSHES - max(COUNTS)} with simulated pushes"
         )
-    found = find_push_logs(Path(options.data).resolve(), max(COUNTS) + options.test)
+    else:
+        sets = [(name, SIMULATED, find_shipped_object(name)) for name in STAND_INS]
     engines = [OURS]
     if options.plants:
         engines.append(DRAKE)
@@ -178,8 +192,7 @@ def make_jobs(options: Options) -> list[Job]:
     if options.plants and find_spec("mujoco"):
         engines.append(MUJOCO)
     jobs = []
-    for name, kind, path in name_logs(found):
-        _read(path, kind)
+    for name, kind, path in sets:
         for split in range(options.splits):
             job = Job(
                 name=name,
@@ -194,9 +207,16 @@ def make_jobs(options: Options) -> list[Job]:
     return jobs
 
 
+def _read(job: Job) -> tuple[PushLog, GridObject]:
+    """Reads the set of a job, or simulates the pushes that stand in for one."""
+    if job.kind == SIMULATED:
+        return simulate_log(job.path, job.seed, job.split)
+    return _read_file(job.path, job.kind)
+
+
 @lru_cache(maxsize=1)
-def _read(path: Path, kind: str) -> tuple[PushLog, GridObject]:
-    """Reads a set. The center of mass of a CMU plate is known, for the plate is even."""
+def _read_file(path: Path, kind: str) -> tuple[PushLog, GridObject]:
+    """Reads a set of real pushes. The center of mass of a CMU plate is told: it is even."""
     log, obj = find_importer(kind)().read(path)
     if kind == CMU:
         obj = replace(obj, prior=replace(obj.prior, center_of_mass=(0.0, 0.0)))
@@ -205,7 +225,7 @@ def _read(path: Path, kind: str) -> tuple[PushLog, GridObject]:
 
 def run_job(job: Job) -> list[Score]:
     """Learns from one division of one set, and predicts the held-out pushes in every simulator."""
-    log, obj = _read(job.path, job.kind)
+    log, obj = _read(job)
     order = np.random.default_rng([job.seed, job.split]).permutation(len(log))
     test = log.subset(order[: job.test])
     rest = order[job.test :]
@@ -293,22 +313,26 @@ def tabulate(options: Options, done: Done) -> list[Table]:
         for model, training in ((STILL, 0), (EVEN, 0), *((LEARNED, count) for count in COUNTS)):
             means = [_calc_mean(scores, name, model, training, engine) for engine in engines]
             rows.append([name, model, training, *means, REPEATED.get(kind)])
-        if kind != CMU:
+        if kind == MIT:
             own = _read_own(path)
             rows.append([name, OWN, None, own, *[None] * (len(engines) - 1), None])
-    notes = (
+    notes = [
         f"Error |dxy| + rho |dtheta| of held-out pushes, rho = {MM * CMU_RHO:.1f} mm; mean over "
         f"{options.splits} divisions of {options.test} held-out pushes each, ± 95 % confidence "
         "(Student's t).",
-        "Drake and MuJoCo have the same masses and frictions as ours, on planar and free feet; "
-        f"they push at {MM * PLANT_SPEED:g} mm/s at least.",
+        "Drake and MuJoCo have the same masses and frictions as ours. Drake's object is held to "
+        "the table's plane, MuJoCo's is free on its feet; both are pushed at "
+        f"{MM * PLANT_SPEED:g} mm/s at least.",
         "The center of mass of the CMU's plates is told: they are even.",
-        f"{OWN}: what the file says of the mean error over all its pushes, by a model that was "
-        "made by other people and learned from the set.",
+        f"{OWN}: the mean error over all pushes of the file by another model, as the file says.",
         "Repeated: what the same push differs by when it is made again, where that is known.",
-    )
+    ]
+    title = "Real pushes: held-out error, mm"
+    if options.data is None:
+        title = "Simulated stand-in for real pushes: held-out error, mm"
+        notes.insert(0, "Nothing here is real: pass real robots' pushes with --data.")
     columns = ("set", "model", "training", *engines, "repeated")
-    return [Table("Real pushes: held-out error, mm", columns, rows, notes, keys=3)]
+    return [Table(title, columns, rows, notes, keys=3)]
 
 
 def _calc_mean(
@@ -337,8 +361,8 @@ TASK = Task(job=Job, run=run_job, describe=lambda job: f"{job.name}, split {job.
 
 STUDY = Study(
     name="reality",
-    help="Predict the pushes of every set of real pushes at hand, by our model and by Drake's and "
-    "MuJoCo's plants with the same masses, in one table.",
+    help="Predict every set of real pushes (--data), or simulated ones in their place, by our "
+    "model and by Drake's and MuJoCo's plants with the same masses.",
     options=Options,
     shorten=shorten,
     make_jobs=make_jobs,

@@ -39,9 +39,19 @@ CLEARANCE = 0.002
 """Distance of a pusher from the object before it is moved, m."""
 
 
-def test_asks_for_data(tmp_path):
-    with pytest.raises(GridPushError, match="--data: missing"):
-        STUDY.run()
+def test_without_data_simulated_pushes_stand_in():
+    jobs = make_jobs(Options(plants=False, splits=1, test=2))
+    assert [job.name for job in jobs] == ["claw_hammer", "toolbox"]
+    options = Options(plants=False, splits=1, test=2)
+    (table,) = tabulate(options, Done([(jobs[0], run_job(jobs[0]))]))
+    assert "Nothing here is real" in table.notes[0]
+    rows = {(row[1], row[2]): row[3].mean for row in table.rows}
+    assert rows[LEARNED, 25] < rows[EVEN, 0] < rows[STILL, 0]
+    with pytest.raises(GridPushError, match="--test: 26; expected at most 25"):
+        make_jobs(Options(test=26))
+
+
+def test_refuses_a_folder_without_pushes(tmp_path):
     with pytest.raises(GridPushError, match="expected push logs as of GitHub"):
         STUDY.run(data=tmp_path)
 

@@ -27,8 +27,8 @@ BENCHES: dict[str, LazyCommand] = {
     ),
     "reality": LazyCommand(
         "gridpush_drake.bench.reality:STUDY",
-        "Predict every set of real pushes at hand (--data), by our model and by Drake's and "
-        "MuJoCo's plants with the same masses, in one table.",
+        "Predict every set of real pushes (--data), or simulated ones in their place, by our "
+        "model and by Drake's and MuJoCo's plants with the same masses.",
     ),
     "planning": LazyCommand(
         "gridpush_drake.bench.planning:STUDY",
