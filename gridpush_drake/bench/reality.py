@@ -146,7 +146,8 @@ class Score:
         model: what is believed of the object.
         training: number of pushes that were learned from.
         engine: name of the simulator.
-        errors: |dxy| + rho |dtheta| of each push, m.
+        pushes: number of each held-out push in the set.
+        errors: |dxy| + rho |dtheta| of each of them, m.
     """
 
     name: str
@@ -155,6 +156,7 @@ class Score:
     model: str
     training: int
     engine: str
+    pushes: tuple[int, ...]
     errors: tuple[float, ...]
 
 
@@ -227,7 +229,8 @@ def run_job(job: Job) -> list[Score]:
     """Learns from one division of one set, and predicts the held-out pushes in every simulator."""
     log, obj = _read(job)
     order = np.random.default_rng([job.seed, job.split]).permutation(len(log))
-    test = log.subset(order[: job.test])
+    held_out = [int(number) for number in order[: job.test]]
+    test = log.subset(held_out)
     rest = order[job.test :]
 
     # What is believed of the object
@@ -237,12 +240,24 @@ def run_job(job: Job) -> list[Score]:
         believed.append((LEARNED, count, found.params))
 
     # What each simulator makes of it
-    still = [seen.pose for seen in test]
-    scores = [_score(job, STILL, 0, OURS, still, test)]
+    def score(model: str, training: int, engine: str, ends: Sequence[Array]) -> Score:
+        errors = [calc_error(end, seen.final_pose) for end, seen in zip(ends, test, strict=True)]
+        return Score(
+            name=job.name,
+            kind=job.kind,
+            split=job.split,
+            model=model,
+            training=training,
+            engine=engine,
+            pushes=tuple(held_out),
+            errors=tuple(errors),
+        )
+
+    scores = [score(STILL, 0, OURS, [seen.pose for seen in test])]
     for model, training, params in believed:
         for engine in job.engines:
             ends = find_ends(engine, obj, params, test)
-            scores.append(_score(job, model, training, engine, ends, test))
+            scores.append(score(model, training, engine, ends))
     return scores
 
 
@@ -281,22 +296,6 @@ def hasten(push: Push) -> Push:
     return push if factor <= 1.0 else Push.along(push.t / factor, push.xy, push.radius)
 
 
-def _score(
-    job: Job, model: str, training: int, engine: str, ends: Sequence[Array], test: PushLog
-) -> Score:
-    """Compares predicted ends with observed ones."""
-    errors = [calc_error(end, seen.final_pose) for end, seen in zip(ends, test, strict=True)]
-    return Score(
-        name=job.name,
-        kind=job.kind,
-        split=job.split,
-        model=model,
-        training=training,
-        engine=engine,
-        errors=tuple(errors),
-    )
-
-
 def calc_error(one: Array, other: Array) -> float:
     """Calculates |dxy| + rho |dtheta| of two poses (3,), m."""
     dx, dy, turn = one - other
@@ -318,8 +317,8 @@ def tabulate(options: Options, done: Done) -> list[Table]:
             rows.append([name, OWN, None, own, *[None] * (len(engines) - 1), None])
     notes = [
         f"Error |dxy| + rho |dtheta| of held-out pushes, rho = {MM * CMU_RHO:.1f} mm; mean over "
-        f"{options.splits} divisions of {options.test} held-out pushes each, ± 95 % confidence "
-        "(Student's t).",
+        f"all that {options.splits} divisions held out, {options.test} each, ± 95 % confidence "
+        "(Student's t over pushes; what other pushes to learn from would change is not in it).",
         "Drake and MuJoCo have the same masses and frictions as ours. Drake's object is held to "
         "the table's plane, MuJoCo's is free on its feet; both are pushed at "
         f"{MM * PLANT_SPEED:g} mm/s at least.",
@@ -338,7 +337,7 @@ def tabulate(options: Options, done: Done) -> list[Table]:
 def _calc_mean(
     scores: Sequence[Score], name: str, model: str, training: int, engine: str
 ) -> Mean | None:
-    """Calculates the mean over divisions, mm; None if a simulator did not predict with a model."""
+    """Calculates the mean over pushes, mm; None if a simulator did not predict with a model."""
     chosen = [
         score
         for score in scores
@@ -347,7 +346,14 @@ def _calc_mean(
     ]
     if not chosen:
         return None
-    return calc_splits_mean(MM * np.array([np.mean(score.errors) for score in chosen]))
+    # A push that several divisions held out counts once, with its mean error
+    by_push: dict[tuple[str, int], list[float]] = {}
+    for score in chosen:
+        # Each division of simulated pushes has pushes of its own
+        of = str(score.split) if score.kind == SIMULATED else ""
+        for number, error in zip(score.pushes, score.errors, strict=True):
+            by_push.setdefault((of, number), []).append(MM * error)
+    return calc_splits_mean(np.array([np.mean(errors) for errors in by_push.values()]))
 
 
 def _read_own(path: Path) -> Mean:
