@@ -14,6 +14,7 @@ from gridpush_drake.bench.perception import (
     OutlineJob,
     OutlineScore,
     PhotoScore,
+    RenderedPhotoScore,
     TagJob,
     TrackJob,
     TrackScore,
@@ -23,9 +24,12 @@ from gridpush_drake.bench.perception import (
     run_track,
     tabulate_outlines,
     tabulate_photos,
+    tabulate_rendered_photos,
     tabulate_tags,
     tabulate_tracks,
 )
+from gridpush_drake.bench.rendered_photographs import KINDS as OUTLINE_KINDS
+from gridpush_drake.bench.rendered_photographs import make_outline, take_photograph
 from gridpush_drake.errors import GridPushError
 
 
@@ -63,7 +67,37 @@ def test_no_hidden_push_flips_what_looks_alike(kind):
     assert (score.pushes, score.flipped, score.doubted, score.unseen) == (6, 0, 0, 0)
 
 
+@pytest.mark.slow
+def test_a_rendered_photograph_is_drawn_from_its_number_alone():
+    photo, again = take_photograph("reporting", 8), take_photograph("reporting", 8)
+    np.testing.assert_array_equal(photo.frame.color, again.frame.color)
+    np.testing.assert_array_equal(photo.frame.depth, again.frame.depth)
+    other = take_photograph("tuning", 3)
+    assert (photo.frame.color != other.frame.color).any()
+    assert photo.camera.X_WC is None
+    # the object is in view, nearer than the table, and not measured everywhere
+    assert 1000 < photo.mask.sum() < 60000
+    rim = np.concatenate([photo.mask[[0, -1]].ravel(), photo.mask[:, [0, -1]].ravel()])
+    assert not rim.any()
+    depth = photo.frame.depth
+    assert (depth[photo.mask] == 0).mean() > 0.2, "it is of chrome"
+    assert np.median(depth[photo.mask & (depth > 0)]) < np.median(depth[~photo.mask & (depth > 0)])
+
+
+@pytest.mark.parametrize("kind", [kind for kinds in OUTLINE_KINDS.values() for kind in kinds])
+def test_a_generated_outline_is_one_piece(kind):
+    for seed in range(5):
+        outline = make_outline(kind, np.random.default_rng(seed))
+        assert outline.is_valid
+        assert 1e-3 < outline.area < 0.03
+        assert np.hypot(*outline.centroid.coords[0]) < 0.05
+
+
 def test_tables():
+    rendered = tabulate_rendered_photos(
+        [RenderedPhotoScore("reporting", [0.95, 0.5]), RenderedPhotoScore("reporting", [np.nan])]
+    )
+    assert rendered.rows[0] == pytest.approx(("reporting", 3, 1, 0.725, 100 / 3, 100 / 3))
     hidden = tabulate_hidden(
         [HiddenScore("plate", True, 5, 1, 2, 0), HiddenScore("square", True, 3, 0, 0, 1)]
     )
