@@ -226,6 +226,13 @@ def make_object(
             ObjectWarning,
             stacklevel=2,
         )
+    if found.doubtful:
+        warn(
+            f"{photo}: parts of the object hardly stand out from the table, and its outline may be "
+            f"wrong; --picture shows what was found{HINTS}",
+            ObjectWarning,
+            stacklevel=2,
+        )
     obj = found.make_grid_object(cell_size, name or photo.stem)
     tag_on_it = None if tag is None else _find_tag(photo, color, found, tag, tag_size)
     x, y, theta = map(float, found.X_WB)

@@ -51,6 +51,7 @@ from gridpush_drake.perception.hints import (
     choose_in_box,
     join_pieces,
 )
+from gridpush_drake.perception.joint_foreground import find_jointly
 from gridpush_drake.perception.table_plane import Heights, TablePlane, fit_table
 
 Mask = NDArray[np.bool_]
@@ -181,6 +182,8 @@ class DetectedObject:
         picture: (height, width, 3) uint8, the undistorted photograph with the outline drawn.
         contradiction: share of the object about which color and depth contradict each other, see
             `calc_contradiction`.
+        doubtful: whether parts of the object hardly stand out from the table, so that its outline
+            may be wrong; see `joint_foreground`.
     """
 
     outline: Polygon
@@ -192,6 +195,7 @@ class DetectedObject:
     camera: Camera
     picture: Color
     contradiction: float = 0.0
+    doubtful: bool = False
 
     @property
     def close_up(self) -> Color:
@@ -280,7 +284,7 @@ def detect_object(
         raise NoTableError("no even color takes the picture's rim; expected a table in view", color)
 
     # The object's pixels, with the boundary drawn anew by color.
-    mask, coverage = _find_pixels(found, color, camera, options)
+    mask, coverage, doubtful = _find_pixels(found, color, plane, camera, options)
     if not mask.any():
         raise NoObjectError("no object is in view; expected one on the table", color)
 
@@ -312,6 +316,7 @@ def detect_object(
         camera=camera,
         picture=draw_outline(picture, camera, outline, 0.0, X_WB),
         contradiction=contradiction,
+        doubtful=doubtful,
     )
 
 
@@ -449,23 +454,30 @@ def draw_outline(
 
 
 def _find_pixels(
-    found: Foreground, color: Color, camera: Camera, options: DetectorOptions
-) -> tuple[Mask, NDArray[np.float32]]:
+    found: Foreground,
+    color: Color,
+    plane: TablePlane | None,
+    camera: Camera,
+    options: DetectorOptions,
+) -> tuple[Mask, NDArray[np.float32], bool]:
     """Finds the pixels that show the object, by itself or where a hint says.
 
     Returns:
-        (height, width) bool, the mask; and how much of each pixel is object, 0 to 1.
+        (height, width) bool, the mask; how much of each pixel is object, 0 to 1; and whether that
+        is doubtful.
     """
     hint = options.hint
     if hint is None:
-        return refine_boundary(_choose_object(found, color, camera, options), found)
+        if plane is None or options.cues != "both":
+            return (*refine_boundary(_choose_object(found, color, camera, options), found), False)
+        return _find_whole(found, color, plane, camera, options)
     try:
         drawn = hint.place(camera)
         if hint.mask is not None:
             # Whoever made the mask has drawn the boundary; only its steps of a pixel are smoothed.
             mask = choose_by_mask(drawn)
             _check_in_view(mask, color)
-            return mask, mask.astype(np.float32)
+            return mask, mask.astype(np.float32), False
         boxed = hint.box is not None
         rough = choose_in_box(color, found, drawn) if boxed else choose_by_click(found, drawn)
     except PerceptionError as error:
@@ -482,7 +494,39 @@ def _find_pixels(
     else:
         mask, coverage = refine_boundary(rough, found)
     _check_in_view(mask, color)
-    return mask, coverage
+    return mask, coverage, False
+
+
+def _find_whole(
+    found: Foreground,
+    color: Color,
+    plane: TablePlane,
+    camera: Camera,
+    options: DetectorOptions,
+) -> tuple[Mask, NDArray[np.float32], bool]:
+    """Finds the pixels that show the object, also where parts of it hardly stand out.
+
+    Returns:
+        As `_find_pixels`.
+
+    Raises:
+        PerceptionError: there is no object, or there are several, or one is cut by the border.
+    """
+    refused: SeveralObjectsError | None = None
+    try:
+        mask, coverage = refine_boundary(_choose_object(found, color, camera, options), found)
+    except SeveralObjectsError as error:
+        refused = error
+    joint = find_jointly(color, plane, found)
+    if refused is None and (joint is None or not joint.disputes(mask)):
+        return mask, coverage, False
+
+    # Several pieces are one object only if all that stands out is in what joins them.
+    if joint is None or (refused is not None and joint.disputes(joint.mask)):
+        assert refused is not None
+        raise refused
+    _check_in_view(joint.mask, color)
+    return joint.mask, joint.mask.astype(np.float32), True
 
 
 def _check_in_view(mask: Mask, color: Color) -> None:

@@ -21,7 +21,7 @@ from gridpush_drake.perception.foreground import (
     find_foreground,
     refine_boundary,
 )
-from tests.helpers.pictures import calc_outline_error, make_camera, paint
+from tests.helpers.pictures import calc_outline_error, cover, make_camera, paint
 from tests.helpers.shared_data import shared_data
 
 L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [
@@ -57,6 +57,32 @@ def test_parallax_would_spoil_it():
     assert calc_outline_error(seen.outline, true) > 4e-3
     corrected = detect([(L_SHAPE, (0.14, 0.08, 2.0), 0.06, BROWN)])
     assert calc_outline_error(corrected.outline, true) < 1e-3
+
+
+TABLE = (170, 168, 160)
+HEAD = np.array([[-0.10, -0.02], [0.0, -0.02], [0.0, 0.02], [-0.10, 0.02]])
+GRIP = np.array([[0.0, -0.02], [0.10, -0.02], [0.10, 0.02], [0.0, 0.02]])
+LOW = 0.0035
+
+
+def test_a_part_of_the_table_s_color_that_is_hardly_higher_is_found_and_doubted():
+    """Each pixel of the head is as high as three standard deviations of its noise; all together are plain."""
+    camera = make_camera()
+    found = detect([(HEAD, POSE, LOW, TABLE), (GRIP, POSE, LOW, BROWN)], shade=0.0)
+    whole = np.array([HEAD[0], GRIP[1], GRIP[2], HEAD[3]])
+    true = cover(camera, whole, POSE, LOW) > 0.5
+    iou = (found.mask & true).sum() / (found.mask | true).sum()
+    assert iou > 0.9
+    assert found.doubtful
+    # nobody need doubt an object that stands out
+    assert not detect([(whole, POSE, LOW, BROWN)], shade=0.0).doubtful
+
+
+def test_what_joins_two_objects_must_be_seen():
+    """Two objects with table between them are two, however alike they are."""
+    apart = HEAD - [0.06, 0.0]
+    with pytest.raises(SeveralObjectsError):
+        detect([(apart, POSE, HEIGHT, BROWN), (GRIP, POSE, HEIGHT, BROWN)])
 
 
 def test_an_object_that_fills_half_of_the_picture():
