@@ -357,6 +357,10 @@ class ClosedLoop(Generic[L]):
         """
         raise NotImplementedError
 
+    def _judge(self, now: L, seen: Observation) -> L:
+        """The state after a push was made, judged by what the model said of it beforehand."""
+        return now.judge_push(seen.log)
+
     def _wait(self, now: L, seen: Observation) -> L:
         """The state while the robot is at work, or about to be.
 
@@ -375,10 +379,10 @@ class ClosedLoop(Generic[L]):
         why = seen.robot.reason
         if not why:
             changes = {"reason": "A push was made.", **self._count_made(now, seen)}
-            now = replace(now, refused=()).judge_push(seen.log)
-            if now.surprises.last is not None:
-                changes["reason"] += f" {now.status.surprise}"
-            return now.turn_to(WAITING, **changes)
+            judged = self._judge(replace(now, refused=()), seen)
+            if judged.surprises is not now.surprises and judged.surprises.last is not None:
+                changes["reason"] += f" {judged.status.surprise}"
+            return judged.turn_to(WAITING, **changes)
         assert now.push is not None
         now = replace(now, refused=(*now.refused, now.push))
         changes = self._count_refused(now)

@@ -301,6 +301,11 @@ def test_the_loop_to_the_edge_stops_there_and_begins_anew_elsewhere(learned) -> 
     after, due = loop.observe(sliding, seen)
     assert due and after.status.surprises == 2 and "where it was predicted" in after.status.reason
     assert (after.pokes_before, after.slides_before, after.fallbacks) == (3, 2, 1)
+    # A push that was broken off is not judged.
+    stopping = replace(sliding, status=replace(status, mode=PreGraspMode.STOPPING))
+    broken_off, due = loop.observe(stopping, seen)
+    assert due and broken_off.surprises is sliding.surprises and not broken_off.fallbacks
+    assert broken_off.status.reason == "A push was broken off."
     decided = loop.decide(after, seen)
     assert decided.status.mode == PreGraspMode.EXPLORING and decided.status.pokes == 4
     assert "learned anew" in decided.status.reason

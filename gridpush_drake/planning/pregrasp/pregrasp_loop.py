@@ -266,6 +266,14 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             return {"pokes": now.status.pokes - 1, "slides": now.status.slides}
         return {"pokes": now.status.pokes, "slides": now.status.slides - 1}
 
+    def _judge(self, now: PreGraspState, seen: Observation) -> PreGraspState:
+        """The state after a push was judged.
+
+        One that was broken off is not: the loop saw already that something else moved the object.
+        """
+        broken_off = now.status.mode == PreGraspMode.STOPPING
+        return now if broken_off else super()._judge(now, seen)
+
     def _end_push(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """The state after a push; after two surprises in a row the planner begins anew."""
         after = super()._end_push(now, seen)
