@@ -514,8 +514,9 @@ def tabulate_goals(kind: str, results: Sequence[Followed]) -> Table:
     }
     notes = (
         f"{what[kind]} Times are of the runs that reached it, given up after {MOST_TIME:g} s.",
-        "Stroke by stroke: until the mean cell error is 2 mm; the time is what a station's arm takes "
-        "for the strokes, up, over, down and along. Nothing is counted for looking and planning.",
+        "Stroke by stroke: until the mean cell error is 2 mm; the time is what a station's arm "
+        "takes for the strokes, up, over, down and along. Nothing is counted for looking and "
+        "planning.",
         f"With {CONFIDENCE:.0%} Wilson intervals.",
     )
     title = {GOAL: "To a goal", SHOVE: "After a shove"}[kind]
