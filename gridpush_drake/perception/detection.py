@@ -142,6 +142,9 @@ CLOSE_UP_ROOM = 0.2
 AXIS = 0.03
 """Length of the body frame's axes in pictures, m."""
 
+PAINTED = -1.0
+"""Depth where the table was painted over what hides it, m: neither measured nor missing."""
+
 TABLE_SHARE = 75
 """Percentage of the pixels seen, those nearest to the median color, that is taken for table when
 something is painted over."""
@@ -284,7 +287,8 @@ def detect_object(
         raise NoTableError("no even color takes the picture's rim; expected a table in view", color)
 
     # The object's pixels, with the boundary drawn anew by color.
-    mask, coverage, doubtful = _find_pixels(found, color, plane, camera, options)
+    painted = np.zeros(color.shape[:2], dtype=bool) if depth is None else depth == PAINTED
+    mask, coverage, doubtful = _find_pixels(found, color, plane, painted, camera, options)
     if not mask.any():
         raise NoObjectError("no object is in view; expected one on the table", color)
 
@@ -376,7 +380,7 @@ def cover_pixels(
         seed: seed of the choice among the table's colors, which are the most common ones.
 
     Returns:
-        New images; depth is 0 there. The very ones that were given where nothing is unseen.
+        New images; depth is PAINTED there. The very ones that were given where nothing is unseen.
 
     Raises:
         NoTableError: nothing is left to be looked at.
@@ -394,7 +398,7 @@ def cover_pixels(
     covered[unseen] = np.random.default_rng(seed).choice(table, int(unseen.sum()))
     if depth is None:
         return covered, None
-    return covered, np.where(unseen, np.float32(0), depth)
+    return covered, np.where(unseen, np.float32(PAINTED), depth)
 
 
 def find_off_table(camera: Camera, table_top: BaseGeometry) -> Mask:
@@ -457,6 +461,7 @@ def _find_pixels(
     found: Foreground,
     color: Color,
     plane: TablePlane | None,
+    painted: Mask,
     camera: Camera,
     options: DetectorOptions,
 ) -> tuple[Mask, NDArray[np.float32], bool]:
@@ -470,7 +475,7 @@ def _find_pixels(
     if hint is None:
         if plane is None or options.cues != "both":
             return (*refine_boundary(_choose_object(found, color, camera, options), found), False)
-        return _find_whole(found, color, plane, camera, options)
+        return _find_whole(found, color, plane, painted, camera, options)
     try:
         drawn = hint.place(camera)
         if hint.mask is not None:
@@ -501,6 +506,7 @@ def _find_whole(
     found: Foreground,
     color: Color,
     plane: TablePlane,
+    painted: Mask,
     camera: Camera,
     options: DetectorOptions,
 ) -> tuple[Mask, NDArray[np.float32], bool]:
@@ -517,7 +523,7 @@ def _find_whole(
         mask, coverage = refine_boundary(_choose_object(found, color, camera, options), found)
     except SeveralObjectsError as error:
         refused = error
-    joint = find_jointly(color, plane, found)
+    joint = find_jointly(color, plane, found, painted)
     if refused is None and (joint is None or not joint.disputes(mask)):
         return mask, coverage, False
 

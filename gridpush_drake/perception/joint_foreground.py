@@ -196,18 +196,22 @@ class JointForeground(NamedTuple):
         return bool(missed or too_much)
 
 
-def find_jointly(color: Color, plane: TablePlane, found: Foreground) -> JointForeground | None:
+def find_jointly(
+    color: Color, plane: TablePlane, found: Foreground, painted: Mask
+) -> JointForeground | None:
     """Finds the object by all evidence together.
 
     Args:
         color: (height, width, 3), undistorted.
         plane: the table with the heights above it.
         found: foreground of the picture, for the table's color.
+        painted: (height, width) bool, where the table was painted over what hides it; that its
+            depth is missing says nothing.
 
     Returns:
         The object that stands out most; None where nothing does.
     """
-    height, table = _weigh_height(plane, found.mask)
+    height, table = _weigh_depth(plane, found.mask, painted)
     on_table = _learn_colors(found.difference[table])
 
     # The likelihood of each color on the table, which may be in a shadow there.
@@ -245,12 +249,13 @@ def find_jointly(color: Color, plane: TablePlane, found: Foreground) -> JointFor
     return JointForeground(_draw_boundary(joined, found), evidence)
 
 
-def _weigh_height(plane: TablePlane, rough: Mask) -> tuple[Image, Mask]:
+def _weigh_depth(plane: TablePlane, rough: Mask, painted: Mask) -> tuple[Image, Mask]:
     """Weighs blurred heights, and depth that is missing.
 
     Args:
         plane: the table with the heights above it.
         rough: (height, width) bool, what may be object.
+        painted: (height, width) bool, where missing depth says nothing.
 
     Returns:
         (height, width) their evidence; and (height, width) bool, what is surely table.
@@ -273,8 +278,9 @@ def _weigh_height(plane: TablePlane, rough: Mask) -> tuple[Image, Mask]:
 
     # Some depth is missing everywhere; more than twice of that tells metal, or black.
     table = ~occupied
-    usual = float((~measured)[table].mean()) if table.any() else 0.0
-    missing = _blur(~measured, HOLE_RADIUS) - np.float32(2 * usual + HOLE_BIAS)
+    hole = ~measured & ~painted
+    usual = float(hole[table].mean()) if table.any() else 0.0
+    missing = _blur(hole, HOLE_RADIUS) - np.float32(2 * usual + HOLE_BIAS)
     says += HOLE_EVIDENCE * np.clip(missing, 0, 1)
     return says.astype(np.float32), table
 

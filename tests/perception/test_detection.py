@@ -15,6 +15,7 @@ from gridpush_drake.errors import (
 )
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.perception import Camera, DetectorOptions, detect_object, read_color, read_depth
+from gridpush_drake.perception.detection import cover_pixels
 from gridpush_drake.perception.foreground import (
     Foreground,
     fill_holes,
@@ -76,6 +77,18 @@ def test_a_part_of_the_table_s_color_that_is_hardly_higher_is_found_and_doubted(
     assert found.doubtful
     # nobody need doubt an object that stands out
     assert not detect([(whole, POSE, LOW, BROWN)], shade=0.0).doubtful
+
+
+def test_what_the_arm_hid_is_no_object_though_its_depth_is_missing():
+    camera = make_camera()
+    frame = paint(camera, [(L_SHAPE, POSE, HEIGHT, BROWN)])
+    arm = np.zeros((480, 640), dtype=bool)
+    arm[120:320, 400:620] = True
+    color, depth = cover_pixels(frame.color, frame.depth, arm, 0)
+    found = detect_object(color, depth, camera)
+    true = (cover(camera, L_SHAPE, POSE, HEIGHT) > 0.5) & ~arm
+    assert (found.mask & true).sum() / (found.mask | true).sum() > 0.98
+    assert not found.doubtful
 
 
 def test_what_joins_two_objects_must_be_seen():
