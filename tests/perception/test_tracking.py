@@ -292,7 +292,7 @@ def test_a_model_says_which_side_of_a_square_is_which():
     """After a turn by 60 degrees its next side is nearer to where the last one was."""
     start = np.array([-0.04, -0.02, 0.2])
     end = start + [0.06, 0.05, np.radians(60)]
-    told = Expectation(end + [0.01, -0.01, 0.2], place_deviation=0.02, turn_deviation=0.3)
+    told = Expectation(end + [0.01, -0.01, 0.1], place_deviation=0.02, turn_deviation=0.15)
     first, last = push_out_of_sight(SQUARE, start, end, told)
     np.testing.assert_allclose(last.pose, end, atol=5e-3)
     assert np.sqrt(last.covariance[2, 2]) < np.radians(3)
