@@ -23,6 +23,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from gridpush_drake.dynamics.physics import GRAVITY
@@ -60,20 +61,8 @@ START_SIGMAS = (-1.5, 0.0, 1.5)
 """Standard deviations of the prior from its mean at which the mass is begun with. From far off the
 least squares might end in a side valley."""
 
-MAX_STEPS = 60
-"""Largest number of steps of the least squares."""
-
-STEP_TOLERANCE = 1e-10
-"""Largest change of an unknown, in standard deviations of its prior, that counts as none."""
-
-FIRST_DAMPING = 1e-3
-"""Damping of the first step, by Levenberg and Marquardt."""
-
-MAX_DAMPING = 1e12
-"""Damping at which the search ends, as no step makes the sum of squares smaller."""
-
-MAX_LOG_CHANGE = 2.0
-"""Largest change of log m or log mu in one step."""
+TOLERANCES = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-10}
+"""At which changes of unknowns and sum of squares, and at which slope, the least squares end."""
 
 DOUBT = 1e-3
 """Probability of a sum of squares as large as the one that is left, below which weighings, forces
@@ -422,7 +411,7 @@ def estimate_absolute(problem: WeighingProblem) -> AbsoluteEstimate:
 def _minimize(
     problem: WeighingProblem, mean: Array, root: Array, start: Array
 ) -> tuple[float, Array]:
-    """Minimizes half the sum of squares by the method of Levenberg and Marquardt.
+    """Minimizes half the sum of squares, priors included.
 
     Args:
         problem: the observations.
@@ -434,32 +423,14 @@ def _minimize(
         The loss, and v (N,).
     """
 
-    def calc(v: Array) -> tuple[float, Array, Array]:
-        """Loss, gradient (N,) and Gauss-Newton Hessian (N, N) at v."""
-        r, J = problem.calc_residuals(mean + root @ v)
-        by_v = J @ root
-        hessian = np.eye(len(v)) + by_v.T @ by_v
-        return float(r @ r + v @ v) / 2, by_v.T @ r + v, hessian
+    def calc_residuals(v: Array) -> Array:
+        return np.append(problem.calc_residuals(mean + root @ v)[0], v)
 
-    v = start
-    loss, gradient, hessian = calc(v)
-    damping = FIRST_DAMPING
-    for _ in range(MAX_STEPS):
-        step = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-        logs = (root @ step)[[LOG_MASS, LOG_FRICTION]]
-        step *= min(1.0, MAX_LOG_CHANGE / max(float(np.abs(logs).max()), MAX_LOG_CHANGE))
-        tried = calc(v + step)
-        if tried[0] > loss:
-            damping *= 10
-            if damping > MAX_DAMPING:
-                break
-            continue
-        v = v + step
-        loss, gradient, hessian = tried
-        damping /= 10
-        if np.abs(step).max() < STEP_TOLERANCE:
-            break
-    return loss, v
+    def calc_derivatives(v: Array) -> Array:
+        return np.vstack([problem.calc_residuals(mean + root @ v)[1] @ root, np.eye(len(v))])
+
+    found = least_squares(calc_residuals, start, calc_derivatives, **TOLERANCES)
+    return float(found.cost), found.x
 
 
 def describe_sources(estimate: AbsoluteEstimate) -> str:
