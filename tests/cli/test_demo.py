@@ -114,7 +114,8 @@ def check_recorded_again(gridpush, out, path, pushes, table):
 def check_recording(out, duration, tmp_path):
     """A real browser shows the cells in the colors of their estimate: even at first, as learned at last.
 
-    At first the region of possible centers veils most cells, so each picture is measured by itself.
+    Cells that are learned to be hardly off the mean look even at last, too. At first the region of possible centers
+    veils most cells, so fewer of them are seen to be even than are.
     """
     model = read_model(out / "model.yaml")
     even = CellColors().calc_colors(CellParameters.uniform(model.obj).mass, model.params.friction)[
@@ -132,7 +133,7 @@ def check_recording(out, duration, tmp_path):
     (even_first, changed_first), (even_last, changed_last) = seen
     assert even_first > MIN_SEEN, seen
     assert changed_last > max(MIN_SEEN / 10, 3 * changed_first), seen
-    assert even_last < changed_last / 2, seen
+    assert even_last < 0.6 * even_first, seen
 
 
 def test_replaces_nothing_unasked(refuses, tmp_path):
