@@ -19,6 +19,7 @@ paths of 10 instead of 6). Its `InverseKinematics` with SNOPT takes 510 ms, and 
 the postures.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 from threading import RLock
 
@@ -210,6 +211,7 @@ class ArmReach:
         control_plant: MultibodyPlant,
         robot: Robot,
         q_nominal: ArrayLike,
+        tip_bounds: Callable[[Array], str | None] | None = None,
     ):
         """Prepares the search.
 
@@ -217,8 +219,11 @@ class ArmReach:
             control_plant: the robot alone, as `MakeControlPlant` makes it.
             robot: the robot; its `control` says how far paths keep from the joints' limits.
             q_nominal: (n,) nominal posture, rad. Paths begin at it, and postures stay near to it.
+            tip_bounds: says in a sentence why the tip may not be at p_WP (3,), m, or None if it
+                may. Seen from above, the places where it may be are convex. None for no bounds.
         """
         self._posture = ArmPosture(control_plant, robot)
+        self._tip_bounds = tip_bounds
         control = robot.arm.control
         self._nominal = np.array(q_nominal, float)
         self._p_WN = self._posture.calc_tip_pose(self._nominal).translation()
@@ -239,6 +244,12 @@ class ArmReach:
             yaws: (k,) yaw of the tool at the corners, rad; None if it does not turn.
         """
         corners = np.array(path, float)
+        if self._tip_bounds is not None:
+            # Between two corners the tip goes straight, and so stays in what is convex.
+            for corner in corners:
+                beyond = self._tip_bounds(corner)
+                if beyond is not None:
+                    return beyond
         turns = np.zeros(len(corners)) if yaws is None else np.asarray(yaws, float)
         corners = np.column_stack([corners, turns])
         q, reason = self._follow(self._nominal, np.append(self._p_WN, 0.0), corners[0], None)

@@ -258,6 +258,7 @@ def AddRobotControl(
     object_pose: OutputPort,
     gripper_state: OutputPort | None,
     logged: dict[str, OutputPort] | None = None,
+    tip_bounds: Callable[[Array], str | None] | None = None,
 ) -> RobotControl:
     """Adds the systems that command the robot and learn the object, and connects them.
 
@@ -272,6 +273,8 @@ def AddRobotControl(
         object_pose: (3,) X_WB of the object as the camera sees it, m and rad.
         gripper_state: (4,) state of the gripper's fingers, see `Station`; None without a gripper.
         logged: further ports to be logged whenever the identifier reads, by the logs' names.
+        tip_bounds: says why a path may not lead the tip to a place, see `ArmReach`; None where it
+            may go wherever the arm reaches.
 
     Returns:
         The systems that were added.
@@ -282,7 +285,7 @@ def AddRobotControl(
 
     # From a command to joint positions: the executor of pushes, then the inverse kinematics.
     kinematics = AddArmKinematics(builder, robot, control_plant, setting.q_start)
-    reach = ArmReach(control_plant, robot, setting.q_start)
+    reach = ArmReach(control_plant, robot, setting.q_start, tip_bounds)
     style = make_style(scenario, robot)
     # Only pictures can be covered by the arm; an ideal camera always sees the object.
     lookouts = () if scenario.camera.kind == "ideal" else find_lookouts(setting)

@@ -5,6 +5,7 @@ from pydrake.lcm import DrakeLcm
 from pydrake.multibody.parsing import AddDirectives, ModelDirective
 
 from gridpush_drake.errors import ScenarioError, StationError
+from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
 from gridpush_drake.station.arm import ArmPosture
 from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
@@ -13,8 +14,9 @@ from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, 
 from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.robot import find_robot, make_robot_directives
 from gridpush_drake.station.scenario import OtherConfig, PartTruth
+from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.systems.arm_guard import GuardMode
-from gridpush_drake.systems.messages import PushPhase
+from gridpush_drake.systems.messages import GraspCommand, PushPhase
 from tests.helpers.twin_bench import TwinBench
 
 MIN_SPEED = 0.05
@@ -458,6 +460,19 @@ def test_a_silent_or_another_robot_is_refused():
 def test_a_wrong_url_is_refused(url):
     with pytest.raises(StationError, match="expected udpm://ADDRESS:PORT"):
         open_lcm(url)
+
+
+def test_no_path_is_planned_on_which_the_guard_would_stop_the_arm():
+    """The same grasp is refused where the tip would leave the guard's bounds, by a sentence that names them."""
+    scenario = read_scenario(find_models() / "scenarios/grasp.yaml")
+    grasp = GraspCommand(1, 0.5, 0.18, 0.015, -np.pi / 2, 0.1)
+    said = []
+    for margin in (scenario.safety.margin, 0.02):
+        scenario.safety.margin = margin
+        station = MakeHardwareStation(scenario, lcm=DrakeLcm("memq://"))
+        said.append(station.FindGraspObstacle(grasp))
+    assert said[0] is None
+    assert said[1].startswith("the finger's tip is at (") and "y -0.47 to 0.37 m" in said[1]
 
 
 def test_what_lcm_cannot_tell_is_refused():

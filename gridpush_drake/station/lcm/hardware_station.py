@@ -304,6 +304,7 @@ def MakeHardwareStation(
         pusher_state=tip.GetOutputPort("pusher_state"),
         object_pose=object_pose,
         gripper_state=gripper_state,
+        tip_bounds=make_bounds(setting),
     )
     if control.grasping is not None and gripper is not None:
         builder.Connect(
