@@ -34,6 +34,10 @@ SURE = 0.99
 FORGET_AFTER = 2
 """Number of surprises in a row after which what was seen before them is forgotten."""
 
+CLEAR = 2.0
+"""If a push ends more than this many times as far off as 99 % of such pushes do, it surprised
+clearly. One push of a hundred ends outside of its region by chance, but not by so much."""
+
 MUCH_VAGUER = 3.0
 """If the region of a newer model is more than this many times as wide, the model as it was before a
 surprise judges the next push."""
@@ -57,6 +61,11 @@ class Judgment:
     def surprises(self) -> bool:
         """Whether the push ended outside of the region; so does one whose distance is no number."""
         return not self.distance <= self.limit
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether it ended so far outside of the region that this is hardly by chance."""
+        return not self.distance <= CLEAR * self.limit
 
     def describe(self) -> str:
         """The judgment of a surprise, in a sentence."""
@@ -121,6 +130,14 @@ class SurpriseRecord:
     def is_changed(self) -> bool:
         """Whether the last push says that the object is another one than was learned."""
         return self.in_row >= FORGET_AFTER
+
+    @property
+    def forbids_edge(self) -> bool:
+        """Whether an object that hangs over an edge may neither be pushed on nor grasped.
+
+        The last push surprised clearly, or the one before it did so, too.
+        """
+        return self.last is not None and (self.last.is_clear or self.is_changed)
 
     def note(self, model: Identification | None, log: PushLog) -> "SurpriseRecord":
         """The record with the last push of a log judged; itself where it cannot be judged.

@@ -19,7 +19,7 @@ forgotten.
 Every push that was made is judged by the model as it was before it (`identification.surprise`). A
 loop says of a push that it surprised. After two surprises in a row the object is another one than
 was learned: the loop falls back to pokes, and does not slide on. Where the object hangs over the
-edge, one surprise is enough to stop.
+edge, one clear surprise is enough to stop.
 """
 
 from collections.abc import Sequence

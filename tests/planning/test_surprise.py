@@ -233,6 +233,15 @@ def test_at_the_edge_one_surprise_stops_the_pushing(learned) -> None:
         assert face(pose, learned, surprises=record).status.mode == ContactPointMode.PUSHING
 
 
+def test_at_the_edge_a_surprise_that_may_be_chance_stops_only_if_the_one_before_did_so_too(
+    learned,
+) -> None:
+    slight = replace(SURPRISED, last=Judgment("push_1", 0.0085, 0.008))
+    assert face(AT_EDGE, learned, surprises=slight).status.mode == ContactPointMode.PUSHING
+    again = face(AT_EDGE, learned, surprises=replace(slight, total=2, in_row=2)).status
+    assert (again.mode, again.cause) == (ContactPointMode.FAILED, "surprised")
+
+
 def test_pokes_keep_to_the_rules_of_the_goal(learned) -> None:
     poked = face(START, learned, pokes=2)
     assert poked.status.mode == ContactPointMode.POKING and "2 pokes to go" in poked.status.reason

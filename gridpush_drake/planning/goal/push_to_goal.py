@@ -12,7 +12,7 @@ somebody, is pushed from where it lies.
 
 After two surprises in a row the object is another one than was learned. Then `POKES` pokes are
 made, which tell most of where it bears, before it is pushed on. Where it hangs over the table's
-edge, one surprise ends the pushing.
+edge, one clear surprise ends the pushing.
 
 `PushToGoalLoop` is the loop; `push_to_goal` steps it in a simulated world. A whole sequence by the
 model alone is planned by `push_plan`.
@@ -415,7 +415,7 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
             return None
         surface = self.rules.constraints.surface
         hangs_over = surface is not None and not find_supported(self.obj, pose, surface).all()
-        if last is not None and hangs_over:
+        if last is not None and now.surprises.forbids_edge and hangs_over:
             reason = (
                 f"The object hangs over the table's edge, and surprised. {last.describe()} "
                 "It is pushed no further."

@@ -15,7 +15,7 @@ is simply taken from where it lies.
 
 After two surprises in a row (`identification.surprise`) the object is another one than was learned.
 The planner then begins anew: it pokes until it knows enough, before it slides on. If an object that
-surprised hangs over the edge, nothing more is done: neither slid nor grasped.
+surprised clearly hangs over the edge, nothing more is done: neither slid nor grasped.
 """
 
 from collections.abc import Callable
@@ -296,7 +296,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         last = now.surprises.last
         planner = self.planner
         supported = find_supported(planner.obj, pose, planner.surface)
-        if last is not None and not supported.all():
+        if last is not None and now.surprises.forbids_edge and not supported.all():
             reason = (
                 f"The object hangs over the table's edge, and surprised. {last.describe()} "
                 "It is neither slid on nor grasped."
