@@ -106,6 +106,7 @@ def test_the_path_begins_where_the_object_lies_with_its_longest_side_behind():
 
 
 def test_the_jobs_and_their_tables():
+    pytest.importorskip("mujoco", reason="mujoco is not installed")
     options = STUDY.options(worlds=(LCP, FOUNDATION), objects=(NAME,), runs=2)
     jobs = STUDY.make_jobs(options)
     count = sum(len(list_models(k, w)) for k in (PATH, GOAL, SHOVE) for w in (LCP, FOUNDATION))
@@ -137,7 +138,7 @@ def test_the_jobs_and_their_tables():
         ({"kinds": ("dance",)}, "kind: 'dance'; expected one of path, goal, shove"),
         ({"worlds": ("mars",)}, "world: 'mars'; expected one of lcp"),
         ({"runs": 0}, "runs: none"),
-        ({"objects": ("teapot",)}, "teapot"),
+        ({"objects": ("teapot",), "worlds": (LCP,)}, "teapot"),
     ],
 )
 def test_refuses_what_it_does_not_know(chosen, message):
