@@ -34,9 +34,10 @@ SURE = 0.99
 FORGET_AFTER = 2
 """Number of surprises in a row after which what was seen before them is forgotten."""
 
-CLEAR = 2.0
+CLEAR = 3.0
 """If a push ends more than this many times as far off as 99 % of such pushes do, it surprised
-clearly. One push of a hundred ends outside of its region by chance, but not by so much."""
+clearly. One push of a hundred ends outside of its region by chance, and a few more do where the
+model's spread is too narrow, as it is in the simulated station; but not by so much."""
 
 MUCH_VAGUER = 3.0
 """If the region of a newer model is more than this many times as wide, the model as it was before a
