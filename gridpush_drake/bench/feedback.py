@@ -234,7 +234,15 @@ def run_job(job: Job) -> Followed:
         rms = float(np.sqrt((way.measure_distance(centers) ** 2).mean()))
         ended = follower.progress > way.length - WANTED_RMS
         return make_result(
-            job, obj, world.pose, path.goal, run=run, reached=ended, decision=decision, rms=rms
+            job,
+            obj,
+            world.pose,
+            path.goal,
+            status=run.status.value,
+            time=run.time,
+            reached=ended,
+            decision=decision,
+            rms=rms,
         )
     pose = np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
     heading = rng.uniform(-np.pi, np.pi)
@@ -252,7 +260,16 @@ def run_job(job: Job) -> Followed:
     world = case.make_world(pose, tip)
     run, decision = time_run(make_follower(job, case, goal), world)
     reached = run.status == FollowStatus.REACHED
-    return make_result(job, obj, world.pose, goal, run=run, reached=reached, decision=decision)
+    return make_result(
+        job,
+        obj,
+        world.pose,
+        goal,
+        status=run.status.value,
+        time=run.time,
+        reached=reached,
+        decision=decision,
+    )
 
 
 class TimedFollower(PushFollower):
@@ -313,20 +330,14 @@ def run_strokes(job: Job, case: Case, pose: Array, goal: Array, tip: Array) -> F
     rules = GoalRules(contact=contact, robustness=None, tolerance=STROKE_TOLERANCE)
     run = push_to_goal(world, obj, goal, rules, params=learned.params, learner=None)
     end = world.truth.pose
-    distance, turn = measure_off(obj, end, goal)
-    return Followed(
-        kind=job.kind,
-        world=job.world,
-        name=job.name,
-        model=job.model,
-        seed=job.seed,
+    return make_result(
+        job,
+        obj,
+        end,
+        goal,
         status=run.status,
-        reached=run.status == FollowStatus.REACHED,
         time=measure_strokes(run, tip),
-        rms=np.nan,
-        distance=distance,
-        turn=turn,
-        decision=np.nan,
+        reached=run.status == FollowStatus.REACHED,
     )
 
 
@@ -364,9 +375,10 @@ def make_result(
     pose: Array,
     goal: Array,
     *,
-    run: FollowRun,
+    status: str,
+    time: float,
     reached: bool,
-    decision: float,
+    decision: float = np.nan,
     rms: float = np.nan,
 ) -> Followed:
     """Makes the result of a run that ended with the object at a pose (3,)."""
@@ -377,9 +389,9 @@ def make_result(
         name=job.name,
         model=job.model,
         seed=job.seed,
-        status=run.status.value,
+        status=status,
         reached=reached,
-        time=run.time,
+        time=time,
         rms=rms,
         distance=distance,
         turn=turn,

@@ -316,23 +316,39 @@ class PreGraspPlanner:
         # Slide towards the goals.
         if slides >= options.max_slides:
             return PreGraspDecision("fail", f"not at the edge after {slides} slides", goals[0])
+        sliding = self._slide(q, model, goals, "a goal")
+        if sliding is None:
+            why = "no push towards a goal is safe all the way"
+            return self._poke(q, model, goals[0], pokes, why)
+        return sliding
+
+    def _slide(
+        self, pose: Array, model: UncertainModel, goals: Sequence[PreGraspGoal], aim: str
+    ) -> PreGraspDecision | None:
+        """Decides on a push towards one of some goals; None if none is safe all the way.
+
+        Args:
+            pose: (3,) where the object lies, X_WB, m and rad.
+            model: what is known of the object.
+            goals: the goals, the best one first.
+            aim: what the goals are, in words.
+        """
         slide = plan_slide(
             masses=model.masses,
             params=model.params,
             draws=model.samples,
-            pose=q,
+            pose=pose,
             goals=goals,
             surface=self.surface,
-            options=options.slide,
+            options=self.options.slide,
             limits=self.limits,
             obstacles=self.obstacles,
             physics=model.physics,
         )
         if slide is None:
-            why = "no push towards a goal is safe all the way"
-            return self._poke(q, model, goals[0], pokes, why)
+            return None
         reason = (
-            f"{slide.planned.cost * MM:.0f} mm from a goal after this push; stability margin "
+            f"{slide.planned.cost * MM:.0f} mm from {aim} after this push; stability margin "
             f"{slide.margin * MM:.0f} mm or more on the way"
         )
         return PreGraspDecision(

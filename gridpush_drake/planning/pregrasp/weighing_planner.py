@@ -21,7 +21,6 @@ from gridpush_drake.identification.absolute import AbsoluteEstimate
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
-from gridpush_drake.planning.pregrasp.slides import plan_slide
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import (
@@ -144,31 +143,7 @@ class WeighingPlanner(PreGraspPlanner):
         goals = self._list_goals(pose, model, belief)
         if not goals:
             return None
-        slide = plan_slide(
-            masses=model.masses,
-            params=model.params,
-            draws=model.samples,
-            pose=pose,
-            goals=goals,
-            surface=self.surface,
-            options=self.options.slide,
-            limits=self.limits,
-            obstacles=self.obstacles,
-            physics=model.physics,
-        )
-        if slide is None:
-            return None
-        reason = (
-            f"{slide.planned.cost * MM:.0f} mm from where it can be weighed after this push; "
-            f"stability margin {slide.margin * MM:.0f} mm or more on the way"
-        )
-        return PreGraspDecision(
-            "slide",
-            reason,
-            goal=slide.goal,
-            push=slide.planned.push,
-            expected_pose=slide.planned.pose,
-        )
+        return self._slide(pose, model, goals, "where it can be weighed")
 
     def _list_goals(
         self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate

@@ -5,10 +5,6 @@ N bodies, M cells in all, P pairs of bodies, T steps, and room for R contacts a 
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from gridpush_drake.dynamics.kernels.scene.compiled import kernel
-
 FINGER = -1
 """What stands for the pusher where a contact names its second body."""
 
@@ -194,18 +190,3 @@ class SceneSteps(NamedTuple):
     finger_gaps: Any
     statuses: Any
     residuals: Any
-
-
-@kernel()
-def make_contacts(room):
-    """Makes room for so many contacts; none is there."""
-    return Contacts(
-        ids=np.zeros((room, IDENTITY), np.int64),
-        numbers=np.zeros((room, NUMBERS)),
-        lam=np.zeros((room, 2)),
-        modes=np.zeros(room, np.int64),
-        last_ids=np.zeros((room, IDENTITY), np.int64),
-        last_modes=np.zeros(room, np.int64),
-        counts=np.zeros(2, np.int64),
-        lost=np.zeros(1, np.int64),
-    )
