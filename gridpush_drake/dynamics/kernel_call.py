@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.first_compilation import have_rollouts_compiled
 from gridpush_drake.dynamics.kernels.contact import Edges
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
-from gridpush_drake.dynamics.kernels.inputs import Body, Load, Pushes, Scheme, Steps
+from gridpush_drake.dynamics.kernels.inputs import Body, Load, Pushes, Scheme, Steps, make_steps
 from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
 from gridpush_drake.dynamics.kernels.step_memory import make_memory
 from gridpush_drake.dynamics.kernels.step_start import make_state
@@ -62,7 +62,7 @@ def run_kernel(
         The record.
     """
     have_rollouts_compiled()
-    record = make_record(len(dts))
+    record = make_steps(len(dts))
     prepared = prepare_rollout(obj, params, physics, table, ahead)
     if memory is None:
         memory = make_memory()
@@ -104,22 +104,6 @@ def run_pushes(
     prepared = prepare_rollout(obj, params, physics, table)
     rollout_pushes(*prepared, pushes, row_of_step, poses, touched, J)
     return poses, touched
-
-
-def make_record(steps: int) -> Steps:
-    """Makes an unfilled record of so many steps."""
-    return Steps(
-        poses=np.empty((steps + 1, 3)),
-        twists=np.empty((steps, 3)),
-        velocities=np.empty((steps + 1, 3)),
-        contact_forces=np.empty((steps, 2, 2)),
-        contact_points=np.empty((steps, 2, 2)),
-        modes=np.empty((steps, 2), np.int64),
-        gaps=np.empty(steps + 1),
-        load_centers=np.empty((steps, 2)),
-        tips=np.empty(steps, np.bool_),
-        statuses=np.empty((steps, 2), np.int64),
-    )
 
 
 def prepare_rollout(

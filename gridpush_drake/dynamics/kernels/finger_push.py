@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.inputs import Load, Steps
+from gridpush_drake.dynamics.kernels.inputs import Load, make_steps, take_first_steps
 from gridpush_drake.dynamics.kernels.rollout import rollout
 from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE
 from gridpush_drake.dynamics.kernels.walk_round import calc_distance2
@@ -103,18 +103,7 @@ def make_bench(decisions):
         point=np.zeros(2),
         dts=np.zeros(n),
         rows=np.full(n + 1, -1),
-        record=Steps(
-            poses=np.empty((n + 1, 3)),
-            twists=np.empty((n, 3)),
-            velocities=np.empty((n + 1, 3)),
-            contact_forces=np.empty((n, 2, 2)),
-            contact_points=np.empty((n, 2, 2)),
-            modes=np.empty((n, 2), np.int64),
-            gaps=np.empty(n + 1),
-            load_centers=np.empty((n, 2)),
-            tips=np.empty(n, np.bool_),
-            statuses=np.empty((n, 2), np.int64),
-        ),
+        record=make_steps(n),
         J=np.empty((0, 3, 0)),
         memory=np.zeros(MEMORY_SIZE),
         at=np.zeros(2),
@@ -173,19 +162,7 @@ def advance_push(model, bench, state, to_x, to_y):
         bench.dts[k] = length / n
     for i in range(MEMORY_SIZE):
         bench.memory[i] = state[MEMORY + i]
-    whole = bench.record
-    record = Steps(
-        poses=whole.poses[: n + 1],
-        twists=whole.twists[:n],
-        velocities=whole.velocities[: n + 1],
-        contact_forces=whole.contact_forces[:n],
-        contact_points=whole.contact_points[:n],
-        modes=whole.modes[:n],
-        gaps=whole.gaps[: n + 1],
-        load_centers=whole.load_centers[:n],
-        tips=whole.tips[:n],
-        statuses=whole.statuses[:n],
-    )
+    record = take_first_steps(bench.record, n)
     load = Load(
         tip=bench.tip[: n + 1],
         path_length=length,

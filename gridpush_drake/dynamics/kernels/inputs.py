@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.kernels.compiled import kernel
+
 Array = NDArray[np.float64]
 
 
@@ -116,3 +118,37 @@ class Steps(NamedTuple):
     load_centers: Array
     tips: NDArray[np.bool_]
     statuses: NDArray[np.int64]
+
+
+@kernel()
+def make_steps(steps):
+    """Makes an unfilled record of so many steps."""
+    return Steps(
+        poses=np.empty((steps + 1, 3)),
+        twists=np.empty((steps, 3)),
+        velocities=np.empty((steps + 1, 3)),
+        contact_forces=np.empty((steps, 2, 2)),
+        contact_points=np.empty((steps, 2, 2)),
+        modes=np.empty((steps, 2), np.int64),
+        gaps=np.empty(steps + 1),
+        load_centers=np.empty((steps, 2)),
+        tips=np.empty(steps, np.bool_),
+        statuses=np.empty((steps, 2), np.int64),
+    )
+
+
+@kernel()
+def take_first_steps(record, steps):
+    """Takes the part of a record that holds its first steps; it shares the record's arrays."""
+    return Steps(
+        poses=record.poses[: steps + 1],
+        twists=record.twists[:steps],
+        velocities=record.velocities[: steps + 1],
+        contact_forces=record.contact_forces[:steps],
+        contact_points=record.contact_points[:steps],
+        modes=record.modes[:steps],
+        gaps=record.gaps[: steps + 1],
+        load_centers=record.load_centers[:steps],
+        tips=record.tips[:steps],
+        statuses=record.statuses[:steps],
+    )

@@ -42,7 +42,7 @@ from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     step_columns,
 )
 from gridpush_drake.dynamics.kernels.friction import begin_step, fill_load_derivatives, renew
-from gridpush_drake.dynamics.kernels.inputs import Load, Steps
+from gridpush_drake.dynamics.kernels.inputs import Load, make_steps, take_first_steps
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
 from gridpush_drake.dynamics.kernels.step import CONVERGED, make_step_work, solve_step
 from gridpush_drake.dynamics.kernels.step_derivative import (
@@ -291,18 +291,7 @@ def rollout_pushes(law, body, support, edges, scheme, pushes, row_of_step, poses
         longest = max(longest, pushes.first[p + 1] - pushes.first[p])
 
     # One record for the longest push, of which each push uses the beginning.
-    whole = Steps(
-        poses=np.empty((longest + 1, 3)),
-        twists=np.empty((longest, 3)),
-        velocities=np.empty((longest + 1, 3)),
-        contact_forces=np.empty((longest, 2, 2)),
-        contact_points=np.empty((longest, 2, 2)),
-        modes=np.empty((longest, 2), np.int64),
-        gaps=np.empty(longest + 1),
-        load_centers=np.empty((longest, 2)),
-        tips=np.empty(longest, np.bool_),
-        statuses=np.empty((longest, 2), np.int64),
-    )
+    whole = make_steps(longest)
     wrench = np.zeros((longest, 3))
     point = np.zeros(2)
     still = np.zeros(3)
@@ -319,18 +308,7 @@ def rollout_pushes(law, body, support, edges, scheme, pushes, row_of_step, poses
             wrench=wrench[:steps],
             point=point,
         )
-        record = Steps(
-            poses=whole.poses[: steps + 1],
-            twists=whole.twists[:steps],
-            velocities=whole.velocities[: steps + 1],
-            contact_forces=whole.contact_forces[:steps],
-            contact_points=whole.contact_points[:steps],
-            modes=whole.modes[:steps],
-            gaps=whole.gaps[: steps + 1],
-            load_centers=whole.load_centers[:steps],
-            tips=whole.tips[:steps],
-            statuses=whole.statuses[:steps],
-        )
+        record = take_first_steps(whole, steps)
         rows = row_of_step[begin:end]
         # Every push begins at rest, and nothing is remembered of the one before.
         rollout(

@@ -32,25 +32,25 @@ CONVERGED = 0
 NOT_CONVERGED = 1
 """Status of a step whose residual, or whose contact modes, are off by too much."""
 
-_NEWTON_LIMIT = 15
+NEWTON_LIMIT = 15
 """Most Newton iterations from the guess. If they do not suffice, continuation begins."""
 
-_ITERATION_LIMIT = 40
+ITERATION_LIMIT = 40
 """Most Newton iterations at each tolerance of the continuation."""
 
-_SLOW = 0.5
+SLOW = 0.5
 """If a Newton step leaves more than this share of the residual, a majorizing one follows."""
 
-_FINAL_RESIDUAL = 1e-8
+FINAL_RESIDUAL = 1e-8
 """Residual, as a share of the load, at which one last Newton step is taken: it squares the rest."""
 
-_MAX_RESIDUAL = 1e-6
+MAX_RESIDUAL = 1e-6
 """Greatest residual of a step that counts as solved, as a share of the load."""
 
-_SHARPEN = 0.1
+SHARPEN = 0.1
 """Factor by which each step of the continuation lowers the stiction tolerance."""
 
-_MIN_SHARPENING = 0.97
+MIN_SHARPENING = 0.97
 """The continuation gives up where it fails even with a factor as near to 1 as this."""
 
 
@@ -159,9 +159,9 @@ def _iterate(law, cells, touch, scales, eps, unknowns, work, limit):
         last = False
         if iteration > 0:
             residual = _calc_residual(g, touch, scales, unknowns.lam)
-            rounding = residual < _MAX_RESIDUAL and residual > _SLOW * previous
-            last = residual < _FINAL_RESIDUAL or rounding
-            majorize = not (last or majorize) and residual > _SLOW * previous and can_majorize(law)
+            rounding = residual < MAX_RESIDUAL and residual > SLOW * previous
+            last = residual < FINAL_RESIDUAL or rounding
+            majorize = not (last or majorize) and residual > SLOW * previous and can_majorize(law)
             previous = residual
             if majorize:
                 for i in range(3):
@@ -176,7 +176,7 @@ def _iterate(law, cells, touch, scales, eps, unknowns, work, limit):
         if not (worst < np.inf):
             return NOT_CONVERGED, iteration + 1
         if last:
-            status = CONVERGED if worst < _MAX_RESIDUAL else NOT_CONVERGED
+            status = CONVERGED if worst < MAX_RESIDUAL else NOT_CONVERGED
             return status, iteration + 1
     return NOT_CONVERGED, limit
 
@@ -197,7 +197,7 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
     Returns:
         (status, iterations).
     """
-    status, iterations = _iterate(law, cells, touch, scales, eps, unknowns, work, _NEWTON_LIMIT)
+    status, iterations = _iterate(law, cells, touch, scales, eps, unknowns, work, NEWTON_LIMIT)
     if status == CONVERGED:
         return status, iterations
     # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by
@@ -210,12 +210,12 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
     last_tolerance = np.inf
     before_tolerance = np.inf
     tolerance = scales.speed
-    factor = _SHARPEN
+    factor = SHARPEN
     xi = unknowns.xi
     xi[:] = 0.0
     while True:
         status, used = _iterate(
-            law, cells, touch, scales, tolerance, unknowns, work, _ITERATION_LIMIT
+            law, cells, touch, scales, tolerance, unknowns, work, ITERATION_LIMIT
         )
         iterations += used
         if status == CONVERGED:
@@ -226,8 +226,8 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
                 last[i] = xi[i]
             before_tolerance = last_tolerance
             last_tolerance = tolerance
-            factor = max(factor * factor, _SHARPEN)
-        elif last_tolerance < np.inf and factor < _MIN_SHARPENING:
+            factor = max(factor * factor, SHARPEN)
+        elif last_tolerance < np.inf and factor < MIN_SHARPENING:
             # Once more from the last solution, with a smaller stride.
             factor = sqrt(factor)
         else:

@@ -18,24 +18,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.kernels.driven_disc import PX, STATE, THETA, VX, X
+from gridpush_drake.dynamics.kernels.plan_search import (
+    ANGLE,
+    BEND,
+    CHANGE,
+    LENGTH,
+    PLACE,
+    ROUND,
+    STROKE,
+    WALK,
+    Plan,
+)
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, wrap_angle
 from gridpush_drake.planning.feedback.block_learner import BlockLearner, BlockLearnerOptions
 from gridpush_drake.planning.feedback.sliding_block import SlidingBlock
-from gridpush_drake.planning.feedback.stroke_search import (
-    ANGLE,
-    BEND,
-    CHANGE,
-    GAIN,
-    LEAD,
-    PLACE,
-    ROUND,
-    STROKE,
-    Candidates,
-    Plan,
-    Task,
-    search,
-)
+from gridpush_drake.planning.feedback.stroke_search import Candidates, Task, search
 
 Status = Literal["pushing", "no_pose", "unlike_model"]
 """What a controller does: it pushes; it rests, as no pose came; or it rests, as the block moves
@@ -299,9 +297,9 @@ class FeedbackController:
         strokes = np.empty((count, STROKE))
         strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
         strokes[:, ANGLE] = rng.uniform(*ANGLES, count)
-        strokes[:, LEAD] = radius * _draw_log_uniform(rng, LEADS, count)
+        strokes[:, LENGTH] = radius * _draw_log_uniform(rng, LEADS, count)
         strokes[:, BEND] = rng.normal(0.0, BEND_STD, count)
-        strokes[:, GAIN] = rng.uniform(*GAINS, count)
+        strokes[:, WALK] = rng.uniform(*GAINS, count)
         strokes[:, ROUND] = rng.choice([-1.0, 1.0], count)
         at_once = rng.random(count) < AT_ONCE
         strokes[at_once, PLACE] = -1.0

@@ -27,6 +27,17 @@ from gridpush_drake.dynamics.kernels.finger_push import (
     Room,
     X,
 )
+from gridpush_drake.dynamics.kernels.plan_search import (
+    ANGLE,
+    BEND,
+    CHANGE,
+    LENGTH,
+    PLACE,
+    ROUND,
+    STROKE,
+    WALK,
+    Plan,
+)
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform, wrap_angle
@@ -41,20 +52,7 @@ from gridpush_drake.planning.feedback.follow_options import (
 from gridpush_drake.planning.feedback.plan_refinement import refine_plan
 from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
 from gridpush_drake.planning.feedback.pose_track import PoseTrack, TrackOptions
-from gridpush_drake.planning.feedback.push_search import (
-    ANGLE,
-    BEND,
-    CHANGE,
-    LENGTH,
-    PLACE,
-    ROUND,
-    STROKE,
-    WALK,
-    Candidates,
-    Plan,
-    Wish,
-    search_push,
-)
+from gridpush_drake.planning.feedback.push_search import Candidates, Wish, search_push
 from gridpush_drake.planning.feedback.pushed_object import (
     FeedbackFinger,
     covers_places,

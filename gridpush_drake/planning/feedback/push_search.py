@@ -5,7 +5,9 @@ finger moves evenly, and the object moves as the learned model of its cells says
 short rollout of `dynamics.kernels.rollout`. A candidate is made from the best plan known by
 replacing its end with a *stroke* (go round the object to a place of its outline, and push there),
 or by shifting some of its places a little. Candidates whose object or finger comes too near to
-something cost infinitely much.
+something cost infinitely much. A stroke's LENGTH and WALK are how far the finger goes in a decision
+while it pushes and on its way round, m. What this search shares with `stroke_search` is in
+`dynamics.kernels.plan_search`.
 
 What a plan costs is in `docs/theory/feedback.md`, section 7; `push_follower` chooses the
 candidates.
@@ -29,26 +31,19 @@ from gridpush_drake.dynamics.kernels.finger_push import (
     make_bench,
     measure_room,
 )
-from gridpush_drake.dynamics.kernels.walk_round import find_way
-
-STROKE = 6
-"""Numbers that describe a stroke."""
-
-PLACE, ANGLE, LENGTH, BEND, WALK, ROUND = range(STROKE)
-"""Places in a stroke: where round the object it touches, 0 to 1, or below 0 for a push at once; its
-angle from the inward normal there, rad, or from the body's x axis for a push at once; how far the
-finger goes in a decision while it pushes, m; by how much it turns in a decision, rad, seen from the
-object; how far it goes in a decision on its way round, m; and 1 or -1 for the way round,
-counterclockwise or clockwise."""
-
-CHANGE = 6
-"""Numbers that describe a change of a plan: x and y at the window's begin, end and middle."""
-
-WHOLE, SECOND_HALF, END = range(3)
-"""Windows of a plan that are changed in turn."""
-
-LAST = 4
-"""Decisions in the window END."""
+from gridpush_drake.dynamics.kernels.plan_search import (
+    BEND,
+    LENGTH,
+    WALK,
+    Plan,
+    aim_stroke,
+    begin_window,
+    find_cut,
+    keep_plan,
+    shift_places,
+    take_plan,
+    walk_to_aim,
+)
 
 PATIENCE = 6
 """Decisions that a stroke to a goal goes on for without getting better, once it pushes."""
@@ -89,18 +84,6 @@ class Wish(NamedTuple):
     per_length: Any
     per_root: Any
     hit: Any
-
-
-class Plan(NamedTuple):
-    """Places of the finger, one a decision, and where they lead.
-
-    Attributes:
-        targets: (T, 2) places, W, m.
-        states: (T + 1, STATE) states before and after them.
-    """
-
-    targets: Any
-    states: Any
 
 
 class Candidates(NamedTuple):
@@ -224,42 +207,30 @@ def _roll_stroke(model, wish, room, ways, bench, first, limit, stroke, least, be
     best = np.inf
     end = first
     total = before
-    pushing = stroke[PLACE] < 0.0
-    heading = stroke[ANGLE]
-    begin_x = 0.0
-    begin_y = 0.0
-    if not pushing:
-        count = ways.touch.shape[0]
-        touch = min(int(stroke[PLACE] * count), count - 1)
-        heading += ways.inward[touch]
-        begin_x = ways.touch[touch, 0] - ways.standoff * cos(ways.inward[touch])
-        begin_y = ways.touch[touch, 1] - ways.standoff * sin(ways.inward[touch])
+    aim = aim_stroke(ways, stroke)
+    pushing = aim.pushing
+    heading = aim.heading
     pushed = 0
     for k in range(first, limit):
         state = bench.states[k]
+        tip_x = state[TIP_X]
+        tip_y = state[TIP_Y]
         if not pushing:
-            c = cos(state[THETA])
-            s = sin(state[THETA])
-            dx = state[TIP_X] - state[X]
-            dy = state[TIP_Y] - state[Y]
-            ax = c * dx + s * dy
-            ay = c * dy - s * dx
-            if (begin_x - ax) ** 2 + (begin_y - ay) ** 2 < ways.arrival**2:
-                pushing = True
-            else:
-                # on the way round: towards the farthest point in sight
-                turn = 1 if stroke[ROUND] > 0.0 else -1
-                find_way(ways, ax, ay, begin_x, begin_y, turn, bench.at)
-                wx = state[X] + c * bench.at[0] - s * bench.at[1] - state[TIP_X]
-                wy = state[Y] + s * bench.at[0] + c * bench.at[1] - state[TIP_Y]
-                share = min(1.0, stroke[WALK] / max(hypot(wx, wy), STILL))
-                bench.targets[k, 0] = state[TIP_X] + share * wx
-                bench.targets[k, 1] = state[TIP_Y] + share * wy
-        if pushing:
+            pushing = walk_to_aim(
+                ways, stroke, aim, state[X], state[Y], state[THETA], tip_x, tip_y, bench.at
+            )
+        if not pushing:
+            # on the way round, no farther than the finger goes in a decision
+            dx = bench.at[0] - tip_x
+            dy = bench.at[1] - tip_y
+            share = min(1.0, stroke[WALK] / max(hypot(dx, dy), STILL))
+            bench.targets[k, 0] = tip_x + share * dx
+            bench.targets[k, 1] = tip_y + share * dy
+        else:
             # the direction is held in the body frame, which turns
             angle = state[THETA] + heading
-            bench.targets[k, 0] = state[TIP_X] + stroke[LENGTH] * cos(angle)
-            bench.targets[k, 1] = state[TIP_Y] + stroke[LENGTH] * sin(angle)
+            bench.targets[k, 0] = tip_x + stroke[LENGTH] * cos(angle)
+            bench.targets[k, 1] = tip_y + stroke[LENGTH] * sin(angle)
             heading += stroke[BEND]
             pushed += 1
         cost, over = _step_candidate(model, wish, room, bench, k, least)
@@ -276,26 +247,6 @@ def _roll_stroke(model, wish, room, ways, bench, first, limit, stroke, least, be
     if wish.follows:
         best = total
     return best, end
-
-
-@kernel(allocates=False)
-def _take(bench, plan, first, end):
-    """Makes the best plan the candidate, from `first` on."""
-    for k in range(first, end):
-        bench.targets[k, 0] = plan.targets[k, 0]
-        bench.targets[k, 1] = plan.targets[k, 1]
-    for i in range(STATE):
-        bench.states[first, i] = plan.states[first, i]
-
-
-@kernel(allocates=False)
-def _keep(bench, plan, first, end):
-    """Makes the candidate the best plan; both are the same before `first`."""
-    for k in range(first, end):
-        plan.targets[k, 0] = bench.targets[k, 0]
-        plan.targets[k, 1] = bench.targets[k, 1]
-        for i in range(STATE):
-            plan.states[k + 1, i] = bench.states[k + 1, i]
 
 
 @kernel(allocates=False)
@@ -338,7 +289,7 @@ def search_push(model, wish, room, ways, plan, length, candidates):
     best = np.inf
     # The plan of the decision before, from where the object really is.
     if length > 0:
-        _take(bench, plan, 0, length)
+        take_plan(bench, plan, 0, length)
         if wish.follows:
             for k in range(length, limit):
                 for j in range(2):
@@ -346,12 +297,12 @@ def search_push(model, wish, room, ways, plan, length, candidates):
                     bench.targets[k, j] = bench.targets[length - 1, j] + step * (k + 1 - length)
             length = limit
         best, end = _roll_plan(model, wish, room, bench, 0, length, least, longest, 0.0)
-        _keep(bench, plan, 0, end)
+        keep_plan(bench, plan, 0, end)
         length = end
     # Strokes, after some of the plan or at once.
     for n in range(candidates.strokes.shape[0]):
-        first = min(int(candidates.cuts[n] * (length + 1)), length, limit - 1)
-        _take(bench, plan, first, first)
+        first = find_cut(candidates.cuts[n], length, limit)
+        take_plan(bench, plan, first, first)
         stroke = candidates.strokes[n]
         before = _cost_before(wish, plan, first)
         cost, end = _roll_stroke(
@@ -359,7 +310,7 @@ def search_push(model, wish, room, ways, plan, length, candidates):
         )
         if cost < best:
             best = cost
-            _keep(bench, plan, first, end)
+            keep_plan(bench, plan, first, end)
             length = end
     # Small changes of the best of them.
     for n in range(candidates.changes.shape[0]):
@@ -370,7 +321,7 @@ def search_push(model, wish, room, ways, plan, length, candidates):
         )
         if cost < best:
             best = cost
-            _keep(bench, plan, first, end)
+            keep_plan(bench, plan, first, end)
             length = end
     return best, length, to_go
 
@@ -379,34 +330,20 @@ def search_push(model, wish, room, ways, plan, length, candidates):
 def _roll_change(model, wish, room, bench, plan, length, candidates, n, least):
     """Shifts places within a window of the plan, and follows it from there.
 
-    A window's shift is a parabola in time. Every other candidate for a goal is one decision longer
-    than the plan, and goes on as it ended.
+    Every other candidate for a goal is one decision longer than the plan, and goes on as it ended.
 
     Returns:
         As `_roll_plan`, and the first decision that was changed.
     """
-    change = candidates.changes[n]
-    scale = candidates.scales[n]
-    first = 0
-    window = n % 3
-    if window == SECOND_HALF:
-        first = length // 2
-    elif window == END:
-        first = max(length - LAST, 0)
+    first = begin_window(n, length)
     stop = length if wish.follows else min(length + n % 2, plan.targets.shape[0])
-    _take(bench, plan, first, length)
+    take_plan(bench, plan, first, length)
     for k in range(length, stop):
         for j in range(2):
             bench.targets[k, j] = plan.targets[length - 1, j]
             if length > 1:
                 bench.targets[k, j] += plan.targets[length - 1, j] - plan.targets[length - 2, j]
-    width = max(stop - first - 1, 1)
-    for k in range(first, stop):
-        t = (k - first) / width
-        u = 1.0 - t
-        for j in range(2):
-            shift = u * change[j] + t * change[2 + j] + 2.0 * u * t * change[4 + j]
-            bench.targets[k, j] += scale * shift
+    shift_places(bench.targets, candidates.changes[n], candidates.scales[n], first, stop)
     before = _cost_before(wish, plan, first)
     cost, end = _roll_plan(model, wish, room, bench, first, stop, least, candidates.longest, before)
     return cost, end, first
@@ -434,9 +371,9 @@ def roll_plans(model, wish, room, start, targets, longest, states, costs):
         plan = Plan(targets=targets[p], states=states[p])
         for i in range(STATE):
             plan.states[0, i] = start[i]
-        _take(bench, plan, 0, limit)
+        take_plan(bench, plan, 0, limit)
         costs[p], end = _roll_plan(model, wish, room, bench, 0, limit, least, longest, 0.0)
-        _keep(bench, plan, 0, end)
+        keep_plan(bench, plan, 0, end)
         for k in range(end, limit):
             for i in range(STATE):
                 plan.states[k + 1, i] = plan.states[end, i]

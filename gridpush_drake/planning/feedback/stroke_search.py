@@ -8,7 +8,10 @@ there), or by shifting some of its targets a little. Each candidate is simulated
     J = per_decision · (decisions made) + (cost-to-go of the pose then)
 
 is least. The cost-to-go is per_coverage · (1 - coverage) once the goal is reached, where the
-episode ends, and base + per_root · (distance from the goal)^1/2 elsewhere.
+episode ends, and base + per_root · (distance from the goal)^1/2 elsewhere. A stroke's LENGTH is how
+far the target leads the disc while it pushes; WALK is how many times as far away as the next point
+of the way round the target is set. What this search shares with `push_search` is in
+`dynamics.kernels.plan_search`.
 
 `docs/theory/feedback.md` has the equations, and `feedback_controller` the choice of the candidates.
 """
@@ -31,25 +34,18 @@ from gridpush_drake.dynamics.kernels.driven_disc import (
     advance_disc,
     set_velocity,
 )
-from gridpush_drake.dynamics.kernels.walk_round import find_way
-
-STROKE = 6
-"""Numbers that describe a stroke."""
-
-PLACE, ANGLE, LEAD, BEND, GAIN, ROUND = range(STROKE)
-"""Places in a stroke: where round the block it touches, 0 to 1, or below 0 for a push at once; its
-angle from the inward normal there, rad, or from the body's x axis for a push at once; how far the
-target leads the disc; by how much it turns in a decision, rad; how much farther than the next point
-of the way the target is set; and 1 or -1 for the way round, counterclockwise or clockwise."""
-
-CHANGE = 6
-"""Numbers that describe a change of a plan: x and y at the window's begin, end and middle."""
-
-WHOLE, SECOND_HALF, END = range(3)
-"""Windows of a plan that are changed in turn."""
-
-LAST = 4
-"""Decisions in the window END."""
+from gridpush_drake.dynamics.kernels.plan_search import (
+    BEND,
+    LENGTH,
+    WALK,
+    aim_stroke,
+    begin_window,
+    find_cut,
+    keep_plan,
+    shift_places,
+    take_plan,
+    walk_to_aim,
+)
 
 PATIENCE = 4
 """Decisions that a stroke goes on for without getting better, once it pushes."""
@@ -188,18 +184,6 @@ def _rate(block, task, state, room):
     return task.base + task.per_root * sqrt(sqrt(distance2)), False
 
 
-class Plan(NamedTuple):
-    """Targets of the disc, one a decision, and where they lead.
-
-    Attributes:
-        targets: (T, 2) targets.
-        states: (T + 1, STATE) states before and after them.
-    """
-
-    targets: Any
-    states: Any
-
-
 class Candidates(NamedTuple):
     """What the search tries.
 
@@ -273,40 +257,26 @@ def _roll_stroke(block, task, ways, room, first, limit, stroke):
     """Makes a stroke from `first` on, and fills its targets; returns as `_roll_plan`."""
     best = np.inf
     end = first
-    pushing = stroke[PLACE] < 0.0
-    heading = stroke[ANGLE]
-    begin_x = 0.0
-    begin_y = 0.0
-    if not pushing:
-        count = ways.touch.shape[0]
-        touch = min(int(stroke[PLACE] * count), count - 1)
-        heading += ways.inward[touch]
-        begin_x = ways.touch[touch, 0] - ways.standoff * cos(ways.inward[touch])
-        begin_y = ways.touch[touch, 1] - ways.standoff * sin(ways.inward[touch])
+    aim = aim_stroke(ways, stroke)
+    pushing = aim.pushing
+    heading = aim.heading
     pushed = 0
     for k in range(first, limit):
         state = room.states[k]
-        c = cos(state[THETA])
-        s = sin(state[THETA])
+        px = state[PX]
+        py = state[PY]
         if not pushing:
-            dx = state[PX] - state[X]
-            dy = state[PY] - state[Y]
-            ax = c * dx + s * dy
-            ay = c * dy - s * dx
-            if (begin_x - ax) ** 2 + (begin_y - ay) ** 2 < ways.arrival**2:
-                pushing = True
-            else:
-                # on the way: the target lies beyond the next point, so that the disc is fast
-                turn = 1 if stroke[ROUND] > 0.0 else -1
-                find_way(ways, ax, ay, begin_x, begin_y, turn, room.nearest)
-                wx = state[X] + c * room.nearest[0] - s * room.nearest[1]
-                wy = state[Y] + s * room.nearest[0] + c * room.nearest[1]
-                room.targets[k, 0] = state[PX] + stroke[GAIN] * (wx - state[PX])
-                room.targets[k, 1] = state[PY] + stroke[GAIN] * (wy - state[PY])
-        if pushing:
+            pushing = walk_to_aim(
+                ways, stroke, aim, state[X], state[Y], state[THETA], px, py, room.nearest
+            )
+        if not pushing:
+            # on the way round: the target lies beyond the next point, so that the disc is fast
+            room.targets[k, 0] = px + stroke[WALK] * (room.nearest[0] - px)
+            room.targets[k, 1] = py + stroke[WALK] * (room.nearest[1] - py)
+        else:
             angle = state[THETA] + heading
-            room.targets[k, 0] = state[PX] + stroke[LEAD] * cos(angle)
-            room.targets[k, 1] = state[PY] + stroke[LEAD] * sin(angle)
+            room.targets[k, 0] = px + stroke[LENGTH] * cos(angle)
+            room.targets[k, 1] = py + stroke[LENGTH] * sin(angle)
             heading += stroke[BEND]
             pushed += 1
         cost, over = _step_candidate(block, task, room, k)
@@ -322,52 +292,20 @@ def _roll_stroke(block, task, ways, room, first, limit, stroke):
 def _roll_change(block, task, room, plan, length, change, scale, kind):
     """Shifts targets within a window of the plan, and follows it from there.
 
-    A window's shift is a parabola in time. Every other candidate is one decision longer than the
-    plan, and repeats the last target.
+    Every other candidate is one decision longer than the plan, and repeats the last target.
 
     Returns:
         As `_roll_plan`, and the first decision that was changed.
     """
-    first = 0
-    window = kind % 3
-    if window == SECOND_HALF:
-        first = length // 2
-    elif window == END:
-        first = max(length - LAST, 0)
+    first = begin_window(kind, length)
     stop = min(length + kind % 2, plan.targets.shape[0])
-    _take(room, plan, first, length)
+    take_plan(room, plan, first, length)
     for k in range(length, stop):
         room.targets[k, 0] = plan.targets[length - 1, 0]
         room.targets[k, 1] = plan.targets[length - 1, 1]
-    width = max(stop - first - 1, 1)
-    for k in range(first, stop):
-        t = (k - first) / width
-        u = 1.0 - t
-        for j in range(2):
-            shift = u * change[j] + t * change[2 + j] + 2.0 * u * t * change[4 + j]
-            room.targets[k, j] += scale * shift
+    shift_places(room.targets, change, scale, first, stop)
     cost, end = _roll_plan(block, task, room, first, stop)
     return cost, end, first
-
-
-@kernel(allocates=False)
-def _keep(room, plan, first, end):
-    """Makes the candidate the best plan; both are the same before `first`."""
-    for k in range(first, end):
-        plan.targets[k, 0] = room.targets[k, 0]
-        plan.targets[k, 1] = room.targets[k, 1]
-        for i in range(STATE):
-            plan.states[k + 1, i] = room.states[k + 1, i]
-
-
-@kernel(allocates=False)
-def _take(room, plan, first, end):
-    """Makes the best plan the candidate, from `first` on."""
-    for k in range(first, end):
-        room.targets[k, 0] = plan.targets[k, 0]
-        room.targets[k, 1] = plan.targets[k, 1]
-    for i in range(STATE):
-        room.states[first, i] = plan.states[first, i]
 
 
 @kernel()
@@ -399,18 +337,18 @@ def search(block, task, ways, plan, length, candidates):
     best = np.inf
     # The plan of the decision before, from where the block really is.
     if length > 0:
-        _take(room, plan, 0, length)
+        take_plan(room, plan, 0, length)
         best, end = _roll_plan(block, task, room, 0, length)
-        _keep(room, plan, 0, end)
+        keep_plan(room, plan, 0, end)
         length = end
     # Strokes, after some of the plan or at once.
     for n in range(candidates.strokes.shape[0]):
-        first = min(int(candidates.cuts[n] * (length + 1)), length, limit - 1)
-        _take(room, plan, first, first)
+        first = find_cut(candidates.cuts[n], length, limit)
+        take_plan(room, plan, first, first)
         cost, end = _roll_stroke(block, task, ways, room, first, limit, candidates.strokes[n])
         if cost < best:
             best = cost
-            _keep(room, plan, first, end)
+            keep_plan(room, plan, first, end)
             length = end
     # Small changes of the best of them.
     for n in range(candidates.changes.shape[0]):
@@ -419,6 +357,6 @@ def search(block, task, ways, plan, length, candidates):
         cost, end, first = _roll_change(block, task, room, plan, length, change, scale, n)
         if cost < best:
             best = cost
-            _keep(room, plan, first, end)
+            keep_plan(room, plan, first, end)
             length = end
     return best, length, to_go

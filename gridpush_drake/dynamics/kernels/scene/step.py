@@ -36,28 +36,17 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     ROW_GAP,
     SECOND_BODY,
 )
-from gridpush_drake.dynamics.kernels.step import CONVERGED, NOT_CONVERGED
-
-_NEWTON_LIMIT = 15
-"""Most Newton iterations from the guess. If they do not suffice, continuation begins."""
-
-_ITERATION_LIMIT = 40
-"""Most Newton iterations at each tolerance of the continuation."""
-
-_SLOW = 0.5
-"""If a Newton step leaves more than this share of the residual, a majorizing one follows."""
-
-_FINAL_RESIDUAL = 1e-8
-"""Residual at which one last Newton step is taken: it squares the rest."""
-
-_MAX_RESIDUAL = 1e-6
-"""Greatest residual, and greatest violation, of a step that counts as solved."""
-
-_SHARPEN = 0.1
-"""Factor by which each step of the continuation lowers the stiction tolerance."""
-
-_MIN_SHARPENING = 0.97
-"""The continuation gives up where it fails even with a factor as near to 1 as this."""
+from gridpush_drake.dynamics.kernels.step import (
+    CONVERGED,
+    FINAL_RESIDUAL,
+    ITERATION_LIMIT,
+    MAX_RESIDUAL,
+    MIN_SHARPENING,
+    NEWTON_LIMIT,
+    NOT_CONVERGED,
+    SHARPEN,
+    SLOW,
+)
 
 OVERLAP = 1e-7
 """Overlap from which on two bodies are awake by themselves, m."""
@@ -280,9 +269,9 @@ def _iterate(bodies, contacts, scales, eps, xi, work, limit):
         last = False
         if iteration > 0:
             residual = calc_residual(bodies, contacts, work)
-            rounding = residual < _MAX_RESIDUAL and residual > _SLOW * previous
-            last = residual < _FINAL_RESIDUAL or rounding
-            majorize = not (last or majorize) and residual > _SLOW * previous
+            rounding = residual < MAX_RESIDUAL and residual > SLOW * previous
+            last = residual < FINAL_RESIDUAL or rounding
+            majorize = not (last or majorize) and residual > SLOW * previous
             previous = residual
             work.certificate[0] = residual
             if majorize:
@@ -303,7 +292,7 @@ def _iterate(bodies, contacts, scales, eps, xi, work, limit):
         if not (worst < np.inf):
             return NOT_CONVERGED, iteration + 1
         if last:
-            status = CONVERGED if worst < _MAX_RESIDUAL else NOT_CONVERGED
+            status = CONVERGED if worst < MAX_RESIDUAL else NOT_CONVERGED
             return status, iteration + 1
     return NOT_CONVERGED, limit
 
@@ -333,7 +322,7 @@ def solve_scene_step(bodies, contacts, dt, scales, eps, xi, work):
         (status, iterations).
     """
     fill_rows(contacts, dt, work.contact)
-    status, iterations = _iterate(bodies, contacts, scales, eps, xi, work, _NEWTON_LIMIT)
+    status, iterations = _iterate(bodies, contacts, scales, eps, xi, work, NEWTON_LIMIT)
     if status == CONVERGED:
         return status, iterations
     # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by
@@ -346,10 +335,10 @@ def solve_scene_step(bodies, contacts, dt, scales, eps, xi, work):
     last_tolerance = np.inf
     before_tolerance = np.inf
     tolerance = scales.speed
-    factor = _SHARPEN
+    factor = SHARPEN
     _set_zero(xi)
     while True:
-        status, used = _iterate(bodies, contacts, scales, tolerance, xi, work, _ITERATION_LIMIT)
+        status, used = _iterate(bodies, contacts, scales, tolerance, xi, work, ITERATION_LIMIT)
         iterations += used
         if status == CONVERGED:
             if tolerance == eps:
@@ -360,8 +349,8 @@ def solve_scene_step(bodies, contacts, dt, scales, eps, xi, work):
                     last[b, i] = xi[b, i]
             before_tolerance = last_tolerance
             last_tolerance = tolerance
-            factor = max(factor * factor, _SHARPEN)
-        elif last_tolerance < np.inf and factor < _MIN_SHARPENING:
+            factor = max(factor * factor, SHARPEN)
+        elif last_tolerance < np.inf and factor < MIN_SHARPENING:
             # Once more from the last solution, with a smaller stride.
             factor = sqrt(factor)
         else:
