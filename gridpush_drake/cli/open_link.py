@@ -23,14 +23,14 @@ from gridpush_drake.station.lcm.robot_messages import (
 )
 from gridpush_drake.station.links.link_bus import LinkBus
 from gridpush_drake.station.links.ros2 import (
-    COLOR,
     JOINT_STATES,
     OBJECT_POSE,
-    MakeRosRobot,
     Ros2Link,
     Ros2Role,
     open_ros2,
 )
+from gridpush_drake.station.links.ros2_pictures import COLOR
+from gridpush_drake.station.links.ros2_robot import MakeRosRobot
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario

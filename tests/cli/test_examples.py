@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.station.links import ros2
+from gridpush_drake.station.links import ros2, ros2_pictures
 
 EXAMPLES = Path(__file__).parents[2] / "docs/examples"
 
@@ -103,7 +103,9 @@ def test_a_launch_file_renames_topics_that_there_are(arm):
     text = (EXAMPLES / f"{arm}.launch.py").read_text()
     compile(text, arm, "exec")
     topics = {
-        value for name, value in vars(ros2).items() if name.isupper() and isinstance(value, str)
+        value
+        for name, value in {**vars(ros2), **vars(ros2_pictures)}.items()
+        if name.isupper() and isinstance(value, str)
     }
     renamed = re.findall(r'"([\w/]+):=', text)
     assert renamed and set(renamed) <= topics

@@ -18,7 +18,7 @@ from gridpush_drake.station.links import (
     LinkBus,
     ObjectSight,
 )
-from gridpush_drake.station.links.ros2 import MakeRosRobot
+from gridpush_drake.station.links.ros2_robot import MakeRosRobot
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario

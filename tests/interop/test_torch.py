@@ -11,7 +11,11 @@ torch = pytest.importorskip("torch", reason="torch is not installed", exc_type=I
 
 from gridpush_drake.interop.torch import PushSetting, simulate  # noqa: E402
 
-pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:FutureWarning")
+# torch warns of itself when it loads its derivatives; the kind of warning depends on its version.
+pytestmark = [
+    pytest.mark.filterwarnings(f"ignore:.torch.jit.script. is deprecated:{kind}")
+    for kind in ("FutureWarning", "DeprecationWarning")
+]
 
 EVERY = tuple(range(len(ARGUMENTS)))
 

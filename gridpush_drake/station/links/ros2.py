@@ -11,8 +11,8 @@ Topics are relative names, so that namespaces and remapping work as ROS users ex
     camera/color/camera_info                   sensor_msgs/CameraInfo
     joint_trajectory_controller/joint_trajectory        trajectory_msgs/JointTrajectory
     forward_position_controller/commands       std_msgs/Float64MultiArray
-    gripper_controller/joint_trajectory        likewise, for the gripper's joints
-    gripper_controller/commands                likewise
+    gripper_controller/joint_trajectory        trajectory_msgs/JointTrajectory
+    gripper_controller/commands                std_msgs/Float64MultiArray
 
 Statuses are received by best effort, which takes both kinds of publishers, and images reliably
 where their publisher offers it. Commands are sent reliably, as ros2_control's controllers want
@@ -20,7 +20,6 @@ them. Nothing of ROS is imported before a link is made.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from importlib import import_module
 from types import SimpleNamespace
@@ -28,13 +27,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.math import RollPitchYaw
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.frames import MILLIMETERS
 from gridpush_drake.station.lcm.robot_messages import ARM_PERIOD
 from gridpush_drake.station.links.link import (
     ArmCommand,
@@ -46,9 +43,15 @@ from gridpush_drake.station.links.link import (
     Picture,
     Unusable,
 )
-from gridpush_drake.station.links.tip_load import TipLoad
-from gridpush_drake.station.resolve import ResolvedScenario
-from gridpush_drake.station.robot import GetRobotInPlant
+from gridpush_drake.station.links.ros2_pictures import (
+    CAMERA_INFO,
+    COLOR,
+    DEPTH,
+    find_camera_fault,
+    read_color,
+    read_depth,
+)
+from gridpush_drake.station.links.ros2_robot import RosRobot
 
 JOINT_STATES = "joint_states"
 WRENCH = "wrench"
@@ -58,11 +61,8 @@ ARM_TRAJECTORY = "joint_trajectory_controller/joint_trajectory"
 ARM_POSITIONS = "forward_position_controller/commands"
 GRIPPER_TRAJECTORY = "gripper_controller/joint_trajectory"
 GRIPPER_POSITIONS = "gripper_controller/commands"
-COLOR = "camera/color/image_raw"
-DEPTH = "camera/depth/image_raw"
-CAMERA_INFO = "camera/color/camera_info"
 CLOCK = "/clock"
-"""Topics; all but the last are relative."""
+"""Topics; all but the last are relative names. Those of a camera are in `ros2_pictures`."""
 
 WORLD = "world"
 """Frame of the scenario's W in headers."""
@@ -84,9 +84,12 @@ TURN_SHARE = 0.1
 COVARIANCE_PLACES = (0, 7, 35)
 """Where the variances of x, y and the turn about z are in a pose's covariance of 36 numbers."""
 
-FOCAL_TOLERANCE = 0.01
-"""How far K in a camera's `CameraInfo` may differ from the scenario's, as a share of the focal
-length."""
+QUATERNION_TOLERANCE = 0.01
+"""How far an orientation's quaternion may be from length 1."""
+
+MAX_TILT = 10.0
+"""Greatest angle between the object's z axis and the vertical, degrees. An object that lies on the
+table is upright; beyond this, the pose is of something else, or in another frame."""
 
 KEPT_IMAGES = 10
 """Number of color or depth images that wait at most for the other one of the same moment."""
@@ -103,24 +106,6 @@ BEST_AVAILABLE = "BEST_AVAILABLE"
 """How a topic is received. Best effort takes every publisher. Images are larger than the buffers of
 a computer, and most would be lost so: they are received reliably wherever their publisher offers
 it."""
-
-COLOR_FORMS = {
-    "rgb8": (3, (0, 1, 2)),
-    "rgba8": (4, (0, 1, 2)),
-    "bgr8": (3, (2, 1, 0)),
-    "bgra8": (4, (2, 1, 0)),
-}
-"""Bytes a pixel, and where red, green and blue are, by an image's encoding."""
-
-DEPTH_FORMS = {
-    "16UC1": ("u2", 1 / MILLIMETERS),
-    "mono16": ("u2", 1 / MILLIMETERS),
-    "32FC1": ("f4", 1.0),
-}
-"""NumPy's name of a pixel's type, and its unit in m, by a depth image's encoding."""
-
-FARTHEST = 1e3
-"""Greatest depth that counts as measured, m."""
 
 TYPES = {
     "Clock": "rosgraph_msgs",
@@ -164,119 +149,6 @@ def import_ros() -> SimpleNamespace:
             "shell (source /opt/ros/DISTRO/setup.bash) and gridpush installed for its Python"
         ) from error
     return SimpleNamespace(**found)
-
-
-@dataclass(frozen=True)
-class GripperJoints:
-    """The joints of a gripper as ROS knows them.
-
-    Attributes:
-        names: of the joints.
-        closed: their positions when the gripper is closed, m or rad.
-        open: their positions when it is wide open, m or rad.
-        opening: distance between the fingers then, m.
-    """
-
-    names: tuple[str, ...]
-    closed: Array
-    open: Array
-    opening: float
-
-    def calc_share(self, position: Array) -> float:
-        """How far the gripper is open, 0 to 1, by the mean of its joints."""
-        return float(np.mean((position - self.closed) / (self.open - self.closed)))
-
-    def calc_position(self, opening: float) -> list[float]:
-        """The joints' positions at an opening, m."""
-        share = opening / self.opening
-        return [float(p) for p in self.closed + share * (self.open - self.closed)]
-
-
-@dataclass(frozen=True, eq=False)
-class RosRobot:
-    """What of a scenario's robot and camera a link needs to know.
-
-    Attributes:
-        joints: names of the arm's joints in `JointState`, in the model's order.
-        gripper: the gripper's joints; None where there is none.
-        command: "trajectory" or "position": what the arm's controller takes.
-        load: "wrench", "effort" or "none": what says the load on the arm from outside.
-        base_frame: name of the robot's base in headers.
-        flange_frame: name of the frame of wrenches.
-        X_WR: pose of the robot's base.
-        tip_load: converts between wrenches and torques.
-        camera: that the scenario has; None for an ideal one.
-        max_force: greatest force of the gripper, N.
-    """
-
-    joints: tuple[str, ...]
-    gripper: GripperJoints | None
-    command: str
-    load: str
-    base_frame: str
-    flange_frame: str
-    X_WR: RigidTransform
-    tip_load: TipLoad
-    camera: Camera | None = None
-    max_force: float = 0.0
-
-
-def MakeRosRobot(resolved: ResolvedScenario, camera: Camera | None = None) -> RosRobot:
-    """Finds the names of a scenario's robot; the model's, where `robot.yaml` has no others.
-
-    Raises:
-        StationError: `robot.yaml` names another number of joints than the arm has.
-    """
-    robot, plant = resolved.robot, resolved.scene.plant
-    instances = GetRobotInPlant(plant, robot)
-    spoken = robot.arm.ros2
-    own = list_joints(plant, instances.arm)
-    joints = tuple(spoken.joints or own)
-    if len(joints) != len(own):
-        raise StationError(
-            f"robot.yaml of {robot.arm_model}: ros2.joints has {len(joints)} names; "
-            f"expected {len(own)}"
-        )
-    gripper, max_force = None, 0.0
-    if robot.gripper is not None and instances.gripper is not None:
-        gripper = _find_gripper_joints(plant, instances.gripper, robot.gripper)
-        max_force = robot.gripper.max_force
-    return RosRobot(
-        joints=joints,
-        gripper=gripper,
-        command=spoken.command,
-        load=spoken.load,
-        base_frame=robot.arm.base_frame,
-        flange_frame=robot.arm.flange_frame,
-        X_WR=resolved.X_WR,
-        tip_load=TipLoad(resolved.control_plant, robot),
-        camera=camera,
-        max_force=max_force,
-    )
-
-
-def list_joints(plant: Any, instance: ModelInstanceIndex) -> list[str]:
-    """Names of a model's moving joints, in the order of its positions."""
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices(instance)]
-    moving = [joint for joint in joints if joint.num_positions() == 1]
-    return [joint.name() for joint in sorted(moving, key=lambda joint: joint.position_start())]
-
-
-def _find_gripper_joints(plant: Any, instance: ModelInstanceIndex, measures: Any) -> GripperJoints:
-    """As gripper.yaml names them; else the model's, which slide by half the opening each."""
-    if measures.ros2_joints:
-        names = tuple(measures.ros2_joints)
-        closed, wide = np.array(list(measures.ros2_joints.values()), float).T
-        return GripperJoints(names, closed, wide, measures.opening)
-    names = tuple(list_joints(plant, instance))
-    half = measures.opening / 2
-    lower = np.array([plant.GetJointByName(n, instance).position_lower_limit() for n in names])
-    return GripperJoints(
-        names=names,
-        closed=np.zeros(len(names)),
-        open=np.where(lower < 0.0, -half, half),
-        opening=measures.opening,
-    )
 
 
 def open_ros2(role: Ros2Role, robot: RosRobot, arguments: Sequence[str] = ()) -> "Ros2Link":
@@ -551,8 +423,11 @@ class Ros2Link:
                 f"{self._robot.base_frame}"
             )
             return
-        q = pose.orientation
-        yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+        fault = find_orientation_fault(pose.orientation)
+        if fault:
+            self._leave_out(f"{topic}: {fault}")
+            return
+        yaw = calc_yaw(pose.orientation)
         x, y = pose.position.x, pose.position.y
         if header.frame_id == self._robot.base_frame:
             X_WR = self._robot.X_WR
@@ -757,75 +632,33 @@ class Ros2Link:
         return stamp
 
 
+def calc_yaw(q: Any) -> float:
+    """The turn about z, rad, of a `geometry_msgs/Quaternion` of length 1."""
+    return float(np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2)))
+
+
+def find_orientation_fault(q: Any) -> str:
+    """Says why a `geometry_msgs/Quaternion` is not that of an object which lies flat.
+
+    A message that nobody filled has x = y = z = w = 0, and would be read as "not turned".
+    """
+    length = np.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
+    if not abs(length - 1.0) <= QUATERNION_TOLERANCE:  # true for NaN
+        return f"the orientation's quaternion has length {length:.3g}; expected 1"
+    z_up = 1 - 2 * (q.x**2 + q.y**2)
+    tilt = float(np.degrees(np.arccos(np.clip(z_up, -1.0, 1.0))))
+    if tilt > MAX_TILT:
+        return (
+            f"the object's z axis is {tilt:.0f} degrees from upright; expected at most {MAX_TILT:g}"
+        )
+    return ""
+
+
 def write_pose(message: Any, pose: Sequence[float] | Array, height: float = 0.0) -> None:
     """Writes a pose in the plane (3,), m and rad, into a `geometry_msgs/Pose`."""
     x, y, yaw = (float(number) for number in pose)
     message.position.x, message.position.y, message.position.z = x, y, height
     message.orientation.z, message.orientation.w = float(np.sin(yaw / 2)), float(np.cos(yaw / 2))
-
-
-def read_color(message: Any) -> NDArray[np.uint8]:
-    """The pixels (height, width, 3) of a `sensor_msgs/Image`.
-
-    Raises:
-        StationError: its form will not do.
-    """
-    if message.encoding not in COLOR_FORMS:
-        raise StationError(
-            f"{COLOR}: encoding is {message.encoding}; expected one of {', '.join(COLOR_FORMS)}"
-        )
-    count, order = COLOR_FORMS[message.encoding]
-    return np.ascontiguousarray(_read_rows(COLOR, message, np.dtype("u1"), count)[..., order])
-
-
-def read_depth(message: Any) -> NDArray[np.float32]:
-    """The depth (height, width) in m of a `sensor_msgs/Image`; 0 where it is not known.
-
-    Raises:
-        StationError: its form will not do.
-    """
-    if message.encoding not in DEPTH_FORMS:
-        raise StationError(
-            f"{DEPTH}: encoding is {message.encoding}; expected one of {', '.join(DEPTH_FORMS)}"
-        )
-    kind, unit = DEPTH_FORMS[message.encoding]
-    meters = _read_rows(DEPTH, message, np.dtype(kind), 1)[..., 0] * unit
-    known = (meters >= 0.0) & (meters <= FARTHEST)  # false for NaN
-    return np.where(known, meters, 0.0).astype(np.float32)
-
-
-def _read_rows(topic: str, message: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
-    data = np.frombuffer(bytes(message.data), np.uint8)
-    used = message.width * channels * kind.itemsize
-    if message.step < used or len(data) != message.height * message.step or not len(data):
-        raise StationError(
-            f"{topic} has {len(data)} bytes in rows of {message.step}; expected {message.height} "
-            f"rows of at least {used}"
-        )
-    rows = np.ascontiguousarray(data.reshape(message.height, message.step)[:, :used])
-    sent = kind.newbyteorder(">" if message.is_bigendian else "<")
-    return rows.view(sent).astype(kind).reshape(message.height, message.width, channels)
-
-
-def find_camera_fault(message: Any, camera: Camera | None) -> str:
-    """Says how a `CameraInfo` differs from the scenario's camera; empty where it does not."""
-    if camera is None:
-        return ""
-    if (message.width, message.height) != (camera.width, camera.height):
-        return (
-            f"{CAMERA_INFO}: the picture is {message.width} x {message.height} pixels; expected "
-            f"{camera.width} x {camera.height}, as the scenario's camera.rgbd"
-        )
-    if np.any(np.asarray(message.d, float)):
-        return f"{CAMERA_INFO}: d is not zero; expected pictures without distortion (image_rect)"
-    K = np.asarray(message.k, float).reshape(3, 3)
-    if np.abs(K - camera.K).max() > FOCAL_TOLERANCE * camera.K[0, 0]:
-        fx, cx = float(K[0, 0]), float(K[0, 2])
-        return (
-            f"{CAMERA_INFO}: fx is {fx:.1f} and cx {cx:.1f}; expected {camera.K[0, 0]:.1f} and "
-            f"{camera.K[0, 2]:.1f}, as the scenario's camera.rgbd"
-        )
-    return ""
 
 
 def _read_time(stamp: Any) -> float:

@@ -5,19 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.station.camera import make_camera
 from gridpush_drake.station.links.ros2 import (
-    GripperJoints,
-    MakeRosRobot,
     Ros2Role,
-    find_camera_fault,
+    calc_yaw,
+    find_orientation_fault,
     import_ros,
     open_ros2,
-    read_color,
-    read_depth,
 )
+from gridpush_drake.station.links.ros2_pictures import find_camera_fault, read_color, read_depth
+from gridpush_drake.station.links.ros2_robot import GripperJoints, MakeRosRobot
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
@@ -55,6 +55,31 @@ def test_a_gripper_of_one_turning_joint_is_wide_open_at_another_end():
     assert robotiq.calc_position(0.085) == pytest.approx([0.0])
     assert robotiq.calc_position(0.0) == pytest.approx([0.8])
     assert 0.085 * robotiq.calc_share(np.array([0.4])) == pytest.approx(0.0425)
+
+
+def make_quaternion(roll, yaw):
+    x, y, z, w = Rotation.from_euler("xz", [roll, yaw]).as_quat()
+    return SimpleNamespace(x=x, y=y, z=z, w=w)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -3.0])
+def test_an_object_that_lies_flat_has_a_turn(yaw):
+    q = make_quaternion(0.0, yaw)
+    assert find_orientation_fault(q) == ""
+    assert calc_yaw(q) == pytest.approx(yaw)
+
+
+def test_an_orientation_that_nobody_filled_is_not_taken_for_one():
+    empty = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0)
+    assert find_orientation_fault(empty) == "the orientation's quaternion has length 0; expected 1"
+    unknown = SimpleNamespace(x=0.0, y=0.0, z=float("nan"), w=1.0)
+    assert "has length nan" in find_orientation_fault(unknown)
+
+
+def test_a_tilted_object_is_not_one_that_lies_on_the_table():
+    assert find_orientation_fault(make_quaternion(np.radians(8), 0.4)) == ""
+    assert "12 degrees from upright" in find_orientation_fault(make_quaternion(np.radians(12), 0.4))
+    assert "180 degrees from upright" in find_orientation_fault(make_quaternion(np.pi, 0.4))
 
 
 def make_image(pixels, encoding, pad=0, big=False):
