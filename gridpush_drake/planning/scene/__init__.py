@@ -1,4 +1,4 @@
-"""Tasks with several objects: so far, to move objects that touch apart.
+"""Tasks with several objects: to bring them to goals, and to move those that touch apart.
 
 The names below are imported on first use.
 """

@@ -1,0 +1,251 @@
+"""How a task with several objects is carried out, whatever the task: look, decide, push, learn.
+
+A planner decides by what is seen and believed now and by the pushes made so far, on nothing else.
+So the same planner leads a simulated world here and a robot in a station.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PlanningError, PushRefusedError, require_positive
+from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.identification.scene_learning import NOISE, identify_scene
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.scene.world import SceneWorld
+from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
+
+MAX_REFUSED = 8
+"""Number of pushes that a robot may refuse one after another before a task is given up."""
+
+
+class SceneAction(StrEnum):
+    """What to do next."""
+
+    PUSH = "push"
+    GRASP = "grasp"
+    DONE = "done"
+    FAIL = "fail"
+
+
+@dataclass(frozen=True, eq=False)
+class SceneDecision:
+    """A decision of a task with several objects.
+
+    Attributes:
+        action: a push to make; or how the task ends: "grasp" and "done" well, "fail" not.
+        reason: why, in half a sentence.
+        push: the push to make; None at the end.
+        body: number of the object that is pushed, or to be grasped; -1 for none.
+        expected: (N, 3) where the push is expected to leave the objects, m and rad; None at the
+            end.
+    """
+
+    action: SceneAction
+    reason: str
+    push: Push | None = None
+    body: int = -1
+    expected: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SceneStep:
+    """A push that was made.
+
+    Attributes:
+        poses: (N, 3) where the objects were seen before it, m and rad.
+        decision: the decision to make it.
+        refused: why a robot did not make it; empty where it did.
+    """
+
+    poses: Array
+    decision: SceneDecision
+    refused: str = ""
+
+
+class ScenePlanner(Protocol):
+    """Decides what to do next in a task with several objects."""
+
+    def decide(
+        self, poses: Array, belief: SceneBelief, steps: Sequence[SceneStep]
+    ) -> SceneDecision:
+        """Decides what to do next.
+
+        Args:
+            poses: (N, 3) where the objects are seen, m and rad.
+            belief: what is believed of them.
+            steps: the pushes made so far.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class SceneLearning:
+    """Which pushes the objects are learned from, and when.
+
+    Attributes:
+        after: numbers of pushes after which the objects are learned anew.
+        amplitudes: standard deviations of log k within an object that are tried.
+        noise: standard deviations of the poses about their predictions, m, m and rad.
+        min_move: least distance by which a pose must change in a push for it to tell something, m.
+
+    Raises:
+        PlanningError: a number is not positive.
+    """
+
+    after: tuple[int, ...] = (2, 4, 7, 11, 16)
+    amplitudes: tuple[float, ...] = (0.3, 0.7)
+    noise: tuple[float, float, float] = NOISE
+    min_move: float = 0.003
+
+    def __post_init__(self) -> None:
+        require_positive(PlanningError, min_move=self.min_move)
+
+    def learn(
+        self, objects: Sequence[GridObject], pushes: Sequence[ObservedScenePush], seed: int
+    ) -> SceneBelief | None:
+        """Learns the objects from all pushes so far; None where nothing was moved yet."""
+        telling = [seen for seen in pushes if _moves(seen) >= self.min_move]
+        if not telling:
+            return None
+        names = tuple(f"object_{i}" for i in range(len(objects)))
+        with threadpool_limits(limits=1, user_api="blas"):
+            found = identify_scene(
+                objects,
+                SceneLog(tuple(telling), names),
+                amplitudes=self.amplitudes,
+                noise=self.noise,
+            )
+        return SceneBelief.of_identification(found, seed=seed)
+
+
+def _moves(seen: ObservedScenePush) -> float:
+    """Says by how much the object that moved most was seen to move in a push, m."""
+    change = seen.poses_observed[-1] - seen.poses
+    return float(np.linalg.norm(change[:, :2], axis=1).max())
+
+
+@dataclass(eq=False)
+class SceneRun:
+    """What came of a task.
+
+    Attributes:
+        done: whether the planner ended it well.
+        reason: how it ended, in half a sentence.
+        poses: (P+1, N, 3) the objects before each push and at last, as they were seen, m and rad.
+        steps: the pushes that were made or refused.
+        log: what was seen of those that were made.
+        time: time that passed in the world, s.
+        belief: what is believed of the objects at last.
+        last: the decision that ended the task.
+    """
+
+    done: bool
+    reason: str
+    poses: Array
+    steps: list[SceneStep]
+    log: list[ObservedScenePush]
+    time: float
+    belief: SceneBelief
+    last: SceneDecision | None = None
+    learned: list[int] = field(default_factory=list)
+
+    @property
+    def pushes(self) -> int:
+        """Number of pushes that were made."""
+        return len(self.log)
+
+
+def run_scene_task(
+    world: SceneWorld,
+    planner: ScenePlanner,
+    belief: SceneBelief,
+    *,
+    learning: SceneLearning | None = None,
+    max_pushes: int = 60,
+    seed: int = 0,
+    watch: Callable[[SceneStep], None] | None = None,
+) -> SceneRun:
+    """Carries a task out.
+
+    Args:
+        world: the world with the objects.
+        planner: decides.
+        belief: what is believed of the objects beforehand.
+        learning: which pushes they are learned from; None for none.
+        max_pushes: number of pushes after which the task is given up.
+        seed: seed of what is drawn of the models.
+        watch: called after each push; None for nobody.
+
+    Returns:
+        What came of it.
+    """
+    steps: list[SceneStep] = []
+    log: list[ObservedScenePush] = []
+    seen: list[Array] = []
+    learned: list[int] = []
+    refused = 0
+    decision: SceneDecision | None = None
+    while True:
+        # Look.
+        poses = world.observe()
+        if poses is None:
+            reason = "an object is not seen any more: it has left the table"
+            break
+        seen.append(straighten(poses, seen))
+        # Decide.
+        decision = planner.decide(seen[-1], belief, steps)
+        reason = decision.reason
+        push = decision.push
+        if push is None:
+            break
+        if len(log) >= max_pushes or refused >= MAX_REFUSED:
+            decision = SceneDecision(SceneAction.FAIL, f"not done after {len(log)} pushes")
+            reason = decision.reason
+            break
+        # Push. A push that a robot refuses is noted, so that another one is drawn.
+        try:
+            log.append(world.execute(push))
+        except PushRefusedError as error:
+            steps.append(SceneStep(seen[-1], decision, str(error)))
+            seen.pop()
+            refused += 1
+            continue
+        refused = 0
+        steps.append(SceneStep(seen[-1], decision))
+        if watch is not None:
+            watch(steps[-1])
+        # Learn, where something new can be learned.
+        if learning is not None and len(log) in learning.after:
+            found = learning.learn(belief.objects, log, seed)
+            if found is not None:
+                belief = found
+                learned.append(len(log))
+    return SceneRun(
+        done=decision is not None
+        and poses is not None
+        and decision.action in (SceneAction.DONE, SceneAction.GRASP),
+        reason=reason,
+        poses=np.array(seen),
+        steps=steps,
+        log=log,
+        time=world.time,
+        belief=belief,
+        last=decision,
+        learned=learned,
+    )
+
+
+def straighten(poses: Array, before: Sequence[Array]) -> Array:
+    """Returns poses (N, 3) with angles within half a turn of those seen before, if any were."""
+    straight = np.array(poses, dtype=np.float64)
+    if before:
+        turned = wrap_angle(straight[:, 2] - before[-1][:, 2])
+        straight[:, 2] = before[-1][:, 2] + turned
+    return straight

@@ -1,0 +1,488 @@
+"""Which push of several objects to make next: what the tasks with several objects have in common.
+
+A task says what a state of the scene costs, V(q_1, ..., q_N), in seconds that are left to go. Many
+pushes are drawn along the outlines, simulated by the scene model with all contacts, and cut where
+
+    t + V(poses after t)
+
+is least: one simulation tells the best length of a push, too. The best of them are varied a little,
+and of the best after that it is asked what a second push would bring. At last the few best are
+simulated with further models, and the one is made that costs least on the average. Contact with
+other objects is not forbidden: it is weighed by where all of them end.
+
+What no push may do is in `SceneRules`: push an object near the table's edge, or begin where the
+finger does not fit. The theory is in `docs/theory/planning.md`, section 6.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.geometry.polygons import hull_of
+from gridpush_drake.geometry.se2 import Array, transform, transform_shape
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.push_constraints import PushRule, make_body
+from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.scene.rollouts import Rollout, SceneRollouts
+from gridpush_drake.planning.support_surface import SupportSurface
+
+CostToGo = Callable[[Array], Array]
+"""Takes poses (K, N, 3), m and rad, and returns what each state of the scene costs, (K,) s."""
+
+FREE = 1e-4
+"""Distance of the pusher from every outline, beyond its clearance, where a push begins, m."""
+
+SLACK = 1e-6
+"""By how much a rule may be broken, m, for round-off."""
+
+DRAWS_A_PLACE = 3
+"""Pushes that are drawn for each one that is simulated: the pusher does not fit everywhere."""
+
+
+@dataclass(frozen=True)
+class SceneSearchOptions:
+    """How the next push is searched for.
+
+    Attributes:
+        candidates: number of pushes that are drawn and simulated for each object that is to move.
+        refined: number of the best of them that are varied.
+        variations: number of variations of each of these.
+        firsts: number of pushes of which it is asked what a second one would bring.
+        seconds: number of second pushes that are simulated for each object, after each first one.
+        compared: number of pushes that are simulated with all further models.
+        lengths: least and greatest length of a push, its clearance left out, m.
+        slant: greatest angle of a push from the outline's inward normal, rad.
+        radius: of the pusher, m.
+        speed: of the pusher, m/s.
+        clearance: distance between pusher and object where a push begins, m.
+        approach_time: time that the finger takes from one push to the next, about, s.
+        workers: number of threads that simulate; no result depends on it.
+
+    Raises:
+        PlanningError: a number is not positive, or the lengths do not increase.
+    """
+
+    candidates: int = 48
+    refined: int = 4
+    variations: int = 8
+    firsts: int = 5
+    seconds: int = 14
+    compared: int = 5
+    lengths: tuple[float, float] = (0.003, 0.2)
+    slant: float = 0.8
+    radius: float = 0.008
+    speed: float = 0.05
+    clearance: float = 0.003
+    approach_time: float = 2.0
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        require_positive(
+            PlanningError,
+            candidates=self.candidates,
+            slant=self.slant,
+            radius=self.radius,
+            speed=self.speed,
+            workers=self.workers,
+            least_length=self.lengths[0],
+        )
+        if not self.lengths[0] <= self.lengths[1] < np.inf:
+            raise PlanningError(
+                f"lengths are {self.lengths!r}; expected the least and the greatest, m"
+            )
+        for name in ("refined", "variations", "firsts", "seconds", "compared", "clearance"):
+            value = getattr(self, name)
+            if not 0 <= value < np.inf:
+                raise PlanningError(f"{name} is {value!r}; expected a number >= 0")
+
+
+@dataclass(frozen=True, eq=False)
+class SceneRules:
+    """What a push of a scene may not do.
+
+    Attributes:
+        surface: the table; None for one without end.
+        edge_margin: how far inside the table's edge every object must stay, m. An object that is
+            nearer to the edge already must not come nearer still. While all of an object is over
+            the table, it stays whatever its masses are.
+        leeway: by how much nearer to the edge an object may come by a further model, m.
+        finger_overhang: how far beyond the edge the finger's center may be, m.
+        finger_region: where the finger's center may be, W; None for anywhere.
+        push_rule: asked last, of a push that is about to be chosen: whether a robot can carry it
+            out; None allows all.
+    """
+
+    surface: SupportSurface | None = None
+    edge_margin: float = 0.03
+    leeway: float = 0.01
+    finger_overhang: float = 0.03
+    finger_region: BaseGeometry | None = None
+    push_rule: PushRule | None = None
+
+    def allows_push(self, push: Push) -> bool:
+        """Whether a robot can carry a push out."""
+        return self.push_rule is None or self.push_rule(push)
+
+
+ANYWHERE = SceneRules()
+"""The rules of a table without end and a finger that comes everywhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScenePush:
+    """A push that was tried, cut to its best length.
+
+    Attributes:
+        body: number of the object on whose outline it begins.
+        arc_length: where on its exterior outline, m; see `Push.on_outline`.
+        angle: of the motion from the inward normal there, rad.
+        push: the push.
+        poses: (N, 3) where the best model leaves the objects, m and rad.
+        cost: time of the push and what is left then, s.
+        left: what is left alone, s.
+    """
+
+    body: int
+    arc_length: float
+    angle: float
+    push: Push
+    poses: Array
+    cost: float
+    left: float
+
+
+class SceneSearch:
+    """Searches for pushes of the objects of a scene.
+
+    Attributes:
+        belief: what is believed of the objects.
+        rules: what no push may do.
+        options: how it searches.
+    """
+
+    def __init__(
+        self,
+        belief: SceneBelief,
+        rules: SceneRules = ANYWHERE,
+        options: SceneSearchOptions | None = None,
+    ) -> None:
+        """Prepares simulations by all models."""
+        self.belief = belief
+        self.rules = rules
+        self.options = options or SceneSearchOptions()
+        workers = self.options.workers
+        self._best = SceneRollouts(belief.scene, workers=workers)
+        self._others = [SceneRollouts(scene, workers=workers) for scene in belief.draws]
+        self._hulls = [
+            hull_of(np.array(make_body(obj).exterior.coords)[:-1]) for obj in belief.objects
+        ]
+
+    @property
+    def simulations(self) -> int:
+        """Number of pushes that were simulated so far."""
+        return self._best.simulations + sum(each.simulations for each in self._others)
+
+    def find_push(
+        self,
+        poses: Array,
+        cost: CostToGo,
+        bodies: Sequence[int],
+        rng: np.random.Generator,
+        *,
+        detours: Sequence[CostToGo] = (),
+        longest: float | None = None,
+    ) -> ScenePush | None:
+        """Searches for the push to make next.
+
+        Args:
+            poses: (N, 3) where the objects lie, m and rad.
+            cost: what a state costs.
+            bodies: numbers of the objects on whose outlines pushes begin.
+            rng: draws the pushes.
+            detours: other costs, by which first pushes are chosen, too, after which a second push
+                may do better: to turn an object first where it lies, say.
+            longest: greatest length of a push, m; that of the options where None.
+
+        Returns:
+            The push; None where the finger fits nowhere, or no push is allowed.
+        """
+        options = self.options
+        # As long as it may be: each push is cut where it costs least.
+        reach = options.lengths[1] if longest is None else min(longest, options.lengths[1])
+        reach = max(reach, options.lengths[0])
+        drawn = self._draw(poses, bodies, options.candidates, reach, rng)
+        rolled = self._best.roll_all([each[3] for each in drawn], poses)
+        tried = self._cut(poses, cost, drawn, rolled)
+        tried += self._vary(poses, cost, tried, reach, rng)
+        tried.sort(key=lambda each: each.cost)
+
+        # What would a second push bring after each of the best, and after detours?
+        scored = [(each.cost, each) for each in tried]
+        firsts = _pick_different(tried, options.firsts)
+        for detour in detours:
+            turned = sorted(self._cut(poses, detour, drawn, rolled), key=lambda each: each.cost)
+            for each in _pick_different(turned, options.firsts):
+                left = float(cost(each.poses[None])[0])
+                firsts.append(replace(each, cost=left + each.push.duration, left=left))
+        for first in firsts:
+            after = first.cost - first.left + options.approach_time
+            drawn = self._draw(first.poses, bodies, options.seconds, options.lengths[1], rng)
+            rolled = self._best.roll_all([each[3] for each in drawn], first.poses)
+            seconds = self._cut(first.poses, cost, drawn, rolled)
+            if seconds:
+                both = after + min(each.cost for each in seconds)
+                scored.append((min(both, first.cost), first))
+        # By the other models it may look different.
+        scored.sort(key=lambda pair: pair[0])
+        return self._compare(poses, cost, scored)
+
+    def calc_edge_distances(self, poses: Array) -> Array:
+        """Calculates how far inside the table's edge each object is, (K, N) m; inf without a table.
+
+        Args:
+            poses: (K, N, 3), m and rad.
+        """
+        surface = self.rules.surface
+        if surface is None:
+            return np.full(poses.shape[:2], np.inf)
+        distances = []
+        for b, hull in enumerate(self._hulls):
+            corners = transform(poses[:, b], hull)
+            if surface.is_convex:
+                inside = surface.edge_offsets - corners @ surface.edge_normals.T
+                distances.append(inside.min(axis=(1, 2)))
+            else:
+                distances.append(surface.signed_distances(corners).min(axis=1))
+        return np.stack(distances, axis=1)
+
+    def _draw(
+        self,
+        poses: Array,
+        bodies: Sequence[int],
+        count: int,
+        reach: float,
+        rng: np.random.Generator,
+    ) -> list[tuple[int, float, float, Push]]:
+        """Draws pushes along the outlines of some objects, at most `count` for each."""
+        slant = self.options.slant
+        drawn = []
+        for body in bodies:
+            perimeter = self.belief.objects[body].edges.perimeter
+            places = rng.uniform(0.0, perimeter, DRAWS_A_PLACE * count)
+            angles = rng.uniform(-slant, slant, DRAWS_A_PLACE * count)
+            own = [(body, *pair) for pair in zip(places.tolist(), angles.tolist(), strict=True)]
+            drawn += self._keep_fitting(poses, own, reach)[:count]
+        return drawn
+
+    def _vary(
+        self,
+        poses: Array,
+        cost: CostToGo,
+        tried: Sequence[ScenePush],
+        reach: float,
+        rng: np.random.Generator,
+    ) -> list[ScenePush]:
+        """Varies place and angle of the best pushes, less in the second half."""
+        best = sorted(tried, key=lambda each: each.cost)[: self.options.refined]
+        drawn = []
+        for each in best:
+            perimeter = self.belief.objects[each.body].edges.perimeter
+            for i in range(self.options.variations):
+                share = PLACE_SPREAD / (1 + (i >= self.options.variations // 2) * FINER)
+                place = each.arc_length + share * perimeter * rng.standard_normal()
+                turned = each.angle + ANGLE_SPREAD * rng.standard_normal()
+                angle = float(np.clip(turned, -self.options.slant, self.options.slant))
+                drawn.append((each.body, float(place), angle))
+        fitting = self._keep_fitting(poses, drawn, reach)
+        rolled = self._best.roll_all([each[3] for each in fitting], poses)
+        return self._cut(poses, cost, fitting, rolled)
+
+    def _keep_fitting(
+        self, poses: Array, drawn: Sequence[tuple[int, float, float]], reach: float
+    ) -> list[tuple[int, float, float, Push]]:
+        """Makes pushes of (object, place, angle), and keeps those that can begin where they do."""
+        options = self.options
+        made = []
+        for body, place, angle in drawn:
+            push = Push.on_outline(
+                self.belief.objects[body],
+                place,
+                angle,
+                reach + options.clearance,
+                radius=options.radius,
+                speed=options.speed,
+                pose=poses[body],
+                clearance=options.clearance,
+            )
+            made.append((body, place, angle, push))
+        if not made:
+            return []
+        starts = np.array([each[3].start for each in made])
+        fits = self._fits(poses, starts)
+        return [each for each, fit in zip(made, fits.tolist(), strict=True) if fit]
+
+    def _fits(self, poses: Array, starts: Array) -> NDArray[np.bool_]:
+        """Says where the finger can come down, of places (K, 2)."""
+        room = self.options.radius + FREE
+        fits = np.ones(len(starts), dtype=bool)
+        points = shapely.points(starts)
+        for pose, obj in zip(poses, self.belief.objects, strict=True):
+            outline = transform_shape(pose, obj.outline)
+            fits &= shapely.distance(outline, points) > room
+        if self.rules.finger_region is not None:
+            fits &= shapely.contains_xy(self.rules.finger_region, starts[:, 0], starts[:, 1])
+        if self.rules.surface is not None:
+            fits &= self.rules.surface.contains(starts, -self.rules.finger_overhang)
+        return fits
+
+    def _cut(
+        self,
+        poses: Array,
+        cost: CostToGo,
+        drawn: Sequence[tuple[int, float, float, Push]],
+        rolled: Sequence[Rollout],
+    ) -> list[ScenePush]:
+        """Cuts pushes, as the best model has them, each to its best length; some are left out."""
+        allowed_distances = self._calc_allowed(poses, 0.0)
+        found = []
+        for (body, place, angle, push), rollout in zip(drawn, rolled, strict=True):
+            if not (rollout.touched and rollout.solved):
+                continue
+            row = self._find_best_row(push, rollout, cost, allowed_distances)
+            if row is None:
+                continue
+            at, value, left = row
+            found.append(
+                ScenePush(
+                    body=body,
+                    arc_length=place,
+                    angle=angle,
+                    push=cut_push(push, float(rollout.traveled[at])),
+                    poses=rollout.poses[at].copy(),
+                    cost=value,
+                    left=left,
+                )
+            )
+        return found
+
+    def _find_best_row(
+        self, push: Push, rollout: Rollout, cost: CostToGo, allowed: Array
+    ) -> tuple[int, float, float] | None:
+        """Finds the step of a rollout after which to stop: its number, its cost, what is left."""
+        last = len(rollout.traveled)
+        # up to where a rule is broken
+        inside = (self.calc_edge_distances(rollout.poses) >= allowed).all(axis=1)
+        ends = self._allows_finger(push.tip_at(rollout.traveled / self.options.speed))
+        allowed_rows = inside & ends
+        if not allowed_rows.all():
+            last = int(np.argmin(allowed_rows))
+        least = self.options.clearance + self.options.lengths[0]
+        first = int(np.searchsorted(rollout.traveled, least - SLACK))
+        if first >= last:
+            return None
+        left = cost(rollout.poses[first:last])
+        values = left + rollout.traveled[first:last] / self.options.speed
+        best = int(np.argmin(values))
+        return first + best, float(values[best]), float(left[best])
+
+    def _allows_finger(self, tips: Array) -> NDArray[np.bool_]:
+        """Says where the finger may be, of places (K, 2) along a push."""
+        allowed = np.ones(len(tips), dtype=bool)
+        if self.rules.finger_region is not None:
+            allowed &= shapely.contains_xy(self.rules.finger_region, tips[:, 0], tips[:, 1])
+        if self.rules.surface is not None:
+            allowed &= self.rules.surface.contains(tips, -self.rules.finger_overhang)
+        return allowed
+
+    def _calc_allowed(self, poses: Array, leeway: float) -> Array:
+        """Calculates how far inside the edge each object must stay in a push from poses, (N,) m."""
+        now = self.calc_edge_distances(poses[None])[0]
+        return np.minimum(now, self.rules.edge_margin) - leeway - SLACK
+
+    def _compare(
+        self, poses: Array, cost: CostToGo, scored: Sequence[tuple[float, ScenePush]]
+    ) -> ScenePush | None:
+        """Picks the push that costs least on the average of all models, and that a robot can make.
+
+        Args:
+            poses: (N, 3) where the objects lie, m and rad.
+            cost: what a state costs.
+            scored: pushes with what they cost by the best model, the best first.
+        """
+        allowed = self._calc_allowed(poses, self.rules.leeway)
+        compared: list[tuple[float, ScenePush]] = []
+        seen: set[int] = set()
+        for score, each in scored:
+            if id(each) in seen or not self.rules.allows_push(each.push):
+                continue
+            seen.add(id(each))
+            if not self._others:
+                return each
+            mean = self._average(poses, cost, each, allowed)
+            if mean is None:
+                continue
+            compared.append((score - each.left + mean, each))
+            if len(compared) >= max(self.options.compared, 1):
+                break
+        if not compared:
+            return None
+        return min(compared, key=lambda pair: pair[0])[1]
+
+    def _average(
+        self, poses: Array, cost: CostToGo, each: ScenePush, allowed: Array
+    ) -> float | None:
+        """Averages what is left after a push over all models, s; None where one breaks a rule."""
+        left = [each.left]
+        for rollouts in self._others:
+            rollout = rollouts.roll(each.push, poses)
+            if not (self.calc_edge_distances(rollout.poses) >= allowed).all():
+                return None
+            left.append(float(cost(rollout.poses[-1:])[0]))
+        return float(np.mean(left))
+
+
+PLACE_SPREAD = 0.03
+"""Standard deviation of the place of a push that is varied, as a share of the perimeter."""
+
+ANGLE_SPREAD = 0.15
+"""Standard deviation of the angle of a push that is varied, rad."""
+
+FINER = 3
+"""The later half of the variations is finer by 1 + FINER."""
+
+
+def cut_push(push: Push, distance: float) -> Push:
+    """Returns the beginning of a straight push, up to a distance, m."""
+    share = min(distance / push.length, 1.0)
+    return Push(
+        start=push.start,
+        velocity=push.velocity,
+        duration=push.duration * share,
+        radius=push.radius,
+        start_tangent=push.start_tangent,
+    )
+
+
+def _pick_different(tried: Sequence[ScenePush], count: int) -> list[ScenePush]:
+    """Picks some of the best pushes, not all of one object."""
+    taken: dict[int, int] = {}
+    picked = []
+    for each in tried:
+        if taken.get(each.body, 0) < max(2, count // 2):
+            taken[each.body] = taken.get(each.body, 0) + 1
+            picked.append(each)
+        if len(picked) == count:
+            break
+    return picked
+
+
+def place_outlines(objects: Sequence[GridObject], poses: Array) -> NDArray[np.object_]:
+    """Places the outlines of N objects at poses (N, 3), in W: (N,) polygons."""
+    placed = [transform_shape(pose, obj.outline) for obj, pose in zip(objects, poses, strict=True)]
+    return np.array(placed, dtype=object)

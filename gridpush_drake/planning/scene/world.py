@@ -1,0 +1,206 @@
+"""`SimulatedSceneWorld`: several objects of hidden masses on a table, moved by `simulate_scene`.
+
+It is to scenes what `planning.world.SimulatedWorld` is to one object: whoever plans or learns sees
+poses with noise, and only judges read `truth`. It also keeps the time that a finger would take,
+which is lifted between pushes and travels over the objects.
+
+An object falls where its center of mass leaves the convex hull of what lies on the table. Up to
+there the support presses as if there were no edge. A fallen object is not seen any more, and
+touches nothing.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
+from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import OBSERVATIONS, REGIME, CenterOfMassSupport
+from gridpush_drake.pushes.scene_log import ObservedScenePush
+
+TRAVEL_SPEED = 0.25
+"""Speed of the finger between two pushes, m/s."""
+
+LIFT_TIME = 0.5
+"""Time that the finger takes to be lifted, and again to come down, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneTruth:
+    """What is true of a scene now. Judges may read it; whoever plans or learns must not.
+
+    Attributes:
+        scene: the objects with their true masses and frictions, where they truly lie; a fallen one
+            where it fell.
+        fallen: (N,) whether each object has fallen off the table.
+    """
+
+    scene: Scene
+    fallen: tuple[bool, ...]
+
+    @property
+    def poses(self) -> Array:
+        """(N, 3) where the objects truly lie, m and rad."""
+        return self.scene.poses
+
+
+@runtime_checkable
+class SceneWorld(Protocol):
+    """A world with several objects that can be pushed, looked at, and judged."""
+
+    def execute(self, push: Push) -> ObservedScenePush:
+        """Carries out a push, and lets the objects come to rest.
+
+        Returns:
+            What was seen: all poses when the push began, and poses during it, all with noise.
+
+        Raises:
+            PushRefusedError: a robot makes the pushes of this world, and does not make this one.
+        """
+        ...
+
+    def observe(self) -> Array | None:
+        """Looks at the objects: (N, 3) q_WB with noise, m and rad; None once one has fallen."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Time that has passed in the world, s."""
+        ...
+
+    @property
+    def truth(self) -> SceneTruth:
+        """What is true of the objects now, for judges only."""
+        ...
+
+
+class SimulatedSceneWorld:
+    """Objects with hidden masses and frictions on a table, moved by `simulate_scene`.
+
+    Attributes:
+        pushes: number of pushes that were made.
+        surface: the table; None for one without end.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        surface: SupportSurface | None = None,
+        *,
+        position_std: float = 0.0,
+        angle_std: float = 0.0,
+        seed: int | np.random.Generator = 0,
+        observations: int = OBSERVATIONS,
+        travel_speed: float = TRAVEL_SPEED,
+        lift_time: float = LIFT_TIME,
+    ) -> None:
+        """Puts the objects down where a scene has them.
+
+        Args:
+            scene: the objects with their true masses and frictions.
+            surface: the table; None for one without end.
+            position_std: standard deviation of seen positions, per axis, m.
+            angle_std: standard deviation of seen angles, rad.
+            seed: seed of the noise, or the generator that draws it.
+            observations: number of poses of each object that are seen during a push after the first
+                one, at most.
+            travel_speed: speed of the finger between pushes, m/s.
+            lift_time: time that lifting the finger takes, and again lowering it, s.
+
+        Raises:
+            PlanningError: a number is out of range.
+        """
+        if not (position_std >= 0 and angle_std >= 0 and observations >= 1):
+            raise PlanningError(
+                "position_std and angle_std must be >= 0, and observations at least 1"
+            )
+        require_positive(PlanningError, travel_speed=travel_speed, lift_time=lift_time)
+        self.pushes = 0
+        self.surface = surface
+        self._scene = scene
+        self._supports = [
+            None if surface is None else CenterOfMassSupport(obj, params, surface)
+            for obj, params in zip(scene.objects, scene.params, strict=True)
+        ]
+        self._fallen = np.zeros(len(scene), dtype=bool)
+        self._std = np.array([position_std, position_std, angle_std])
+        self._rng = np.random.default_rng(seed)
+        self._observations = observations
+        self._travel_speed = travel_speed
+        self._lift_time = lift_time
+        self._time = 0.0
+        self._tip: Array | None = None
+        self._seen = self._add_noise(scene.poses)
+
+    @property
+    def time(self) -> float:
+        """Time that pushes and the finger's ways between them have taken, s."""
+        return self._time
+
+    @property
+    def truth(self) -> SceneTruth:
+        """What is true of the objects now, for judges only."""
+        return SceneTruth(self._scene, tuple(self._fallen.tolist()))
+
+    def observe(self) -> Array | None:
+        """The poses (N, 3) that were seen last, m and rad; None once an object has fallen."""
+        return None if self._fallen.any() else self._seen.copy()
+
+    def execute(self, push: Push) -> ObservedScenePush:
+        """Carries out a push; see `SceneWorld.execute`.
+
+        An object that falls is left out of the world from then on; its poses as they were seen end
+        where it fell.
+        """
+        begin = self._seen
+        # What has fallen stays where it fell; the rest is simulated.
+        times = make_path_times(push, REGIME)
+        poses = np.repeat(self._scene.poses[None], len(times), axis=0)
+        lying = np.flatnonzero(~self._fallen)
+        if len(lying):
+            bodies = [
+                SceneBody(self._scene.objects[b], self._scene.params[b], self._scene.poses[b])
+                for b in lying
+            ]
+            friction = self._scene.pair_friction[np.ix_(lying, lying)]
+            part = Scene(bodies, friction, may_overlap=True)
+            poses[:, lying] = simulate_scene(part, push, times=times).poses
+        self._note_falls(poses)
+        self._scene = self._scene.with_poses(poses[-1], may_overlap=True)
+        self._spend(push)
+        self.pushes += 1
+
+        # Poses are seen evenly spaced in time, the last at the end.
+        steps = len(times) - 1
+        even = np.linspace(0, steps, min(self._observations, steps) + 1)
+        rows = np.unique(np.rint(even).astype(int))[1:]
+        seen = self._add_noise(poses[rows])
+        self._seen = seen[-1].copy()
+        return ObservedScenePush(
+            name=f"push_{self.pushes}",
+            push=push,
+            poses=begin,
+            t_observed=times[rows],
+            poses_observed=seen,
+        )
+
+    def _note_falls(self, poses: Array) -> None:
+        """Notes which objects fall in a motion (T+1, N, 3)."""
+        for b, support in enumerate(self._supports):
+            if support is not None and not self._fallen[b]:
+                self._fallen[b] = support.falls(poses[:, b])
+
+    def _spend(self, push: Push) -> None:
+        """Adds the time of a push, and of the finger's way to where it begins."""
+        way = 0.0 if self._tip is None else float(np.linalg.norm(push.start - self._tip))
+        self._time += way / self._travel_speed + 2 * self._lift_time + push.duration
+        self._tip = push.xy[-1]
+
+    def _add_noise(self, poses: Array) -> Array:
+        """Draws poses (..., 3) as they are seen, m and rad."""
+        return np.asarray(poses + self._std * self._rng.standard_normal(np.shape(poses)))

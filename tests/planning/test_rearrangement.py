@@ -1,0 +1,172 @@
+"""Objects whose masses are other than believed are brought to goals, those in the way moved aside."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
+from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning, run_scene_task
+from gridpush_drake.planning.scene.rearrangement import (
+    FINE,
+    RearrangeOptions,
+    RearrangePlanner,
+)
+from gridpush_drake.planning.scene.rollouts import SceneRollouts
+from gridpush_drake.planning.scene.search import SceneRules, SceneSearchOptions
+from gridpush_drake.planning.scene.world import SceneWorld, SimulatedSceneWorld
+from gridpush_drake.planning.support_surface import SupportSurface
+from tests.helpers.random_pushes import make_random_contents
+from tests.helpers.scene_cases import make_row
+from tests.helpers.shapes import make_shape
+
+TABLE = SupportSurface.rectangle((0.0, 0.0), (1.2, 1.2))
+QUICK = SceneSearchOptions(candidates=24, variations=4, firsts=3, seconds=8, compared=3)
+COARSE = RearrangeOptions(search=QUICK)
+
+
+def make_truth(shapes, poses, seed=0):
+    rng = np.random.default_rng(seed)
+    bodies = []
+    for shape, pose in zip(shapes, poses, strict=True):
+        obj = make_shape(shape, 20)
+        bodies.append(SceneBody(obj, make_random_contents(rng, obj), pose))
+    return Scene(bodies, 0.25)
+
+
+def rearrange(truth, goals, options=COARSE, seed=0, **more):
+    world = SimulatedSceneWorld(truth, TABLE, position_std=0.0005, angle_std=0.003, seed=seed)
+    planner = RearrangePlanner(truth.objects, goals, options, SceneRules(TABLE), seed=seed)
+    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2, seed=seed)
+    return run_scene_task(world, planner, belief, seed=seed, **more), world, planner
+
+
+def test_objects_are_brought_to_goals():
+    truth = make_truth(["square", "bar"], [(0, 0, 0), (0.2, 0.05, 0.4)])
+    goals = [(-0.1, 0.15, 0.8), (0.1, -0.2, 0.0)]
+    run, world, planner = rearrange(truth, goals)
+    assert run.done and run.last.action is SceneAction.DONE
+    assert planner.find_reached(world.truth.poses).all()
+    assert len(run.poses) == run.pushes + 1 == world.pushes + 1
+    assert run.time == world.time > 0
+    again, *_ = rearrange(truth, goals)
+    np.testing.assert_array_equal(again.poses, run.poses)
+
+
+def test_two_objects_change_places():
+    truth = make_truth(["square", "bar"], [(-0.12, 0, 0), (0.12, 0, 0.3)])
+    goals = truth.poses[::-1].copy()
+    run, world, planner = rearrange(truth, goals)
+    assert run.done and planner.find_reached(world.truth.poses).all()
+    # whoever goes first must not lie in the other's goal for good
+    first = planner.choose_targets(truth.poses, [])
+    assert first.aside.sum() == 1
+
+
+def test_an_object_without_a_goal_is_moved_out_of_one():
+    truth = make_truth(["square", "bar"], [(-0.25, 0, 0), (0.0, 0, 0.3)])
+    goals = [(0.0, 0.0, 0.0), (np.nan, np.nan, np.nan)]
+    run, world, planner = rearrange(truth, goals)
+    assert run.done and planner.find_reached(world.truth.poses).all()
+    assert {step.decision.body for step in run.steps} == {0, 1}
+
+
+def test_fine_goals_are_reached_after_learning():
+    truth = make_truth(["square"], [(0, 0, 0)], seed=3)
+    options = replace(FINE, search=QUICK)
+    learning = SceneLearning(after=(2,), amplitudes=(0.7,))
+    run, world, planner = rearrange(truth, [(0.12, 0.1, 1.0)], options, learning=learning)
+    distance, turn = planner.calc_errors(world.truth.poses)
+    assert run.done and run.learned == [2] and run.belief.identification is not None
+    assert distance.max() < 0.006 and turn.max() < np.radians(3.5)
+
+
+def test_nothing_comes_nearer_to_the_edge_than_it_may():
+    truth = make_truth(["bar", "square"], [(0.4, 0.0, 0.0), (0.25, 0.1, 0.0)])
+    goals = [(0.4, 0.25, 1.2), (0.1, 0.1, 0.5)]
+    run, world, _ = rearrange(truth, goals)
+    assert run.done and not any(world.truth.fallen)
+    assert all(TABLE.contains_cells(truth.objects[0], poses[0]) for poses in run.poses)
+
+
+def test_a_fallen_object_ends_the_task_and_is_out_of_the_way():
+    truth = make_truth(["square", "bar"], [(0.55, 0.0, 0.0), (0.0, 0.0, 0.0)])
+    world = SimulatedSceneWorld(truth, TABLE)
+    assert isinstance(world, SceneWorld)
+    world.execute(Push((0.45, 0.0), (0.05, 0.0), 4.0, 0.008))
+    assert world.truth.fallen == (True, False)
+    assert world.observe() is None
+    before = world.truth.poses[0].copy()
+    world.execute(Push((0.45, 0.0), (0.05, 0.0), 4.0, 0.008))
+    np.testing.assert_array_equal(world.truth.poses[0], before)
+
+
+def test_rollouts_are_those_of_the_simulator():
+    scene, push = make_row(1, ["square", "bar", "triangle"])
+    rollouts = SceneRollouts(scene, tip_step=0.002)
+    rolled = rollouts.roll(push, scene.poses)
+    times = np.linspace(0.0, push.duration, len(rolled.traveled))
+    motion = simulate_scene(scene, push, times=times)
+    np.testing.assert_allclose(rolled.poses, motion.poses, atol=1e-9)
+    assert rolled.touched and rolled.solved and rollouts.simulations == 1
+    threaded = SceneRollouts(scene, tip_step=0.002, workers=2).roll_all([push] * 3, scene.poses)
+    for each in threaded:
+        np.testing.assert_array_equal(each.poses, rolled.poses)
+
+
+def test_draws_surround_what_was_learned():
+    truth = make_truth(["square", "bar"], [(0, 0, 0), (0.2, 0.05, 0.4)])
+    run, *_ = rearrange(
+        truth,
+        [(-0.1, 0.15, 0.8), (0.1, -0.2, 0.0)],
+        learning=SceneLearning(after=(2,), amplitudes=(0.7,)),
+    )
+    found = run.belief.identification
+    assert len(run.belief.draws) > 0
+    log_ratio = [
+        np.log(draw.params[0].mass / found.scene.params[0].mass) for draw in run.belief.draws
+    ]
+    spread = np.sqrt(np.diag(found.covariance)[: truth.objects[0].n])
+    assert 0.2 < np.std(log_ratio) / spread.mean() < 3.0
+
+
+def test_what_is_refused():
+    truth = make_truth(["square", "bar"], [(0, 0, 0), (0.3, 0, 0)])
+    objects = truth.objects
+    with pytest.raises(PlanningError, match=r"that of square and that of bar overlap by"):
+        RearrangePlanner(objects, [(0, 0, 0), (0.01, 0, 0)])
+    with pytest.raises(PlanningError, match=r"that of bar is nearer to the table's edge"):
+        RearrangePlanner(objects, [(0, 0, 0), (0.6, 0, 0)], rules=SceneRules(TABLE))
+    with pytest.raises(PlanningError, match=r"shape \(1, 3\)"):
+        RearrangePlanner(objects, [(0, 0, 0)])
+    with pytest.raises(PlanningError, match="NaN"):
+        RearrangePlanner(objects, [(0, 0, 0), (np.nan, 0, 0)])
+    with pytest.raises(PlanningError, match="lengths"):
+        SceneSearchOptions(lengths=(0.2, 0.1))
+    with pytest.raises(PlanningError, match="hit"):
+        RearrangeOptions(hit=0.0)
+    with pytest.raises(PlanningError, match="min_move"):
+        SceneLearning(min_move=0.0)
+    with pytest.raises(PlanningError, match="position_std"):
+        SimulatedSceneWorld(truth, position_std=-1.0)
+
+
+def test_an_object_that_no_finger_reaches_is_named_with_what_is_around_it():
+    truth = make_truth(["square", "bar"], [(0, 0, 0), (0.3, 0, 0)])
+    huge = replace(QUICK, radius=2.0)
+    planner = RearrangePlanner(
+        truth.objects,
+        [(-0.3, 0, 0), (np.nan,) * 3],
+        RearrangeOptions(search=huge),
+        SceneRules(TABLE),
+    )
+    belief = SceneBelief.of_prior(truth.objects, truth.poses)
+    decision = planner.decide(truth.poses, belief, [])
+    assert decision.action is SceneAction.FAIL
+    assert "square" in decision.reason and "between bar" in decision.reason
+    assert CellParameters.uniform(truth.objects[0]).n == truth.objects[0].n
