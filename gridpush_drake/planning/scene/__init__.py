@@ -1,4 +1,4 @@
-"""Tasks with several objects: to bring them to goals, and to move those that touch apart.
+"""Tasks with several objects: bring them to goals, move them apart, or fetch one of them.
 
 The names below are imported on first use.
 """

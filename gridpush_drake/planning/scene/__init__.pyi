@@ -1,7 +1,11 @@
 from .belief import SceneBelief as SceneBelief
 from .belief import draw_scenes as draw_scenes
+from .fetching import FetchLearning as FetchLearning
+from .fetching import FetchOptions as FetchOptions
+from .fetching import FetchPlanner as FetchPlanner
 from .loop import SceneAction as SceneAction
 from .loop import SceneDecision as SceneDecision
+from .loop import SceneLearner as SceneLearner
 from .loop import SceneLearning as SceneLearning
 from .loop import ScenePlanner as ScenePlanner
 from .loop import SceneRun as SceneRun
@@ -17,6 +21,7 @@ from .search import ScenePush as ScenePush
 from .search import SceneRules as SceneRules
 from .search import SceneSearch as SceneSearch
 from .search import SceneSearchOptions as SceneSearchOptions
+from .separation import SeparatePlanner as SeparatePlanner
 from .separation import Separation as Separation
 from .separation import SeparationOptions as SeparationOptions
 from .separation import calc_clearances as calc_clearances

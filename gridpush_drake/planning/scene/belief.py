@@ -11,8 +11,8 @@ After `identify_scene` they are draws from its posterior. The theory is in
 `docs/theory/planning.md`, section 6.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from gridpush_drake.identification.scene_learning import SceneIdentification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.goal.next_push import RobustnessOptions, draw_model_samples
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 
 DRAWS = 4
 """Number of further models by default."""
@@ -44,11 +45,14 @@ class SceneBelief:
         scene: the best model; where its objects lie does not matter.
         draws: further models.
         identification: that they come from; None where nothing was learned.
+        models: what is known of single objects by their numbers, learned from pushes in which
+            nothing else moved; their stability at the table's edge is judged by them.
     """
 
     scene: Scene
     draws: tuple[Scene, ...] = ()
     identification: SceneIdentification | None = None
+    models: Mapping[int, UncertainModel] = field(default_factory=dict)
 
     @property
     def objects(self) -> tuple[GridObject, ...]:

@@ -5,7 +5,7 @@ So the same planner leads a simulated world here and a robot in a station.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Protocol
 
@@ -13,10 +13,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import describe_object
 from gridpush_drake.errors import PlanningError, PushRefusedError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.scene_learning import NOISE, identify_scene
+from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.world import SceneWorld
 from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
@@ -44,7 +47,9 @@ class SceneDecision:
         push: the push to make; None at the end.
         body: number of the object that is pushed, or to be grasped; -1 for none.
         expected: (N, 3) where the push is expected to leave the objects, m and rad; None at the
-            end.
+            end, and where nothing is expected.
+        kind: what the push is for, in a word, where a task makes pushes of several kinds.
+        goal: where the object is to be grasped, or slid to; None in other tasks.
     """
 
     action: SceneAction
@@ -52,6 +57,8 @@ class SceneDecision:
     push: Push | None = None
     body: int = -1
     expected: Array | None = None
+    kind: str = ""
+    goal: PreGraspGoal | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +92,28 @@ class ScenePlanner(Protocol):
         ...
 
 
+class SceneLearner(Protocol):
+    """Learns the objects of a scene from pushes."""
+
+    def learn(
+        self, belief: SceneBelief, pushes: Sequence[ObservedScenePush], seed: int
+    ) -> SceneBelief | None:
+        """Learns anew, if that is worth it now.
+
+        Args:
+            belief: what is believed of the objects.
+            pushes: all pushes so far, the last one new.
+            seed: seed of what is drawn of the models.
+
+        Returns:
+            What is believed then; None where nothing was learned.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class SceneLearning:
-    """Which pushes the objects are learned from, and when.
+    """Learns all objects together, by `identify_scene`, after certain numbers of pushes.
 
     Attributes:
         after: numbers of pushes after which the objects are learned anew.
@@ -108,21 +134,22 @@ class SceneLearning:
         require_positive(PlanningError, min_move=self.min_move)
 
     def learn(
-        self, objects: Sequence[GridObject], pushes: Sequence[ObservedScenePush], seed: int
+        self, belief: SceneBelief, pushes: Sequence[ObservedScenePush], seed: int
     ) -> SceneBelief | None:
-        """Learns the objects from all pushes so far; None where nothing was moved yet."""
+        """Learns from all pushes in which something moved; see `SceneLearner`."""
         telling = [seen for seen in pushes if _moves(seen) >= self.min_move]
-        if not telling:
+        if len(pushes) not in self.after or not telling:
             return None
-        names = tuple(f"object_{i}" for i in range(len(objects)))
+        names = tuple(f"object_{i}" for i in range(len(belief.objects)))
         with threadpool_limits(limits=1, user_api="blas"):
             found = identify_scene(
-                objects,
+                belief.objects,
                 SceneLog(tuple(telling), names),
                 amplitudes=self.amplitudes,
                 noise=self.noise,
             )
-        return SceneBelief.of_identification(found, seed=seed)
+        learned = SceneBelief.of_identification(found, draws=len(belief.draws), seed=seed)
+        return replace(learned, models=belief.models)
 
 
 def _moves(seen: ObservedScenePush) -> float:
@@ -143,7 +170,8 @@ class SceneRun:
         log: what was seen of those that were made.
         time: time that passed in the world, s.
         belief: what is believed of the objects at last.
-        last: the decision that ended the task.
+        last: the decision that ended the task; None where an object was lost before any.
+        learned: numbers of pushes after which the objects were learned anew.
     """
 
     done: bool
@@ -167,7 +195,7 @@ def run_scene_task(
     planner: ScenePlanner,
     belief: SceneBelief,
     *,
-    learning: SceneLearning | None = None,
+    learning: SceneLearner | None = None,
     max_pushes: int = 60,
     seed: int = 0,
     watch: Callable[[SceneStep], None] | None = None,
@@ -178,7 +206,7 @@ def run_scene_task(
         world: the world with the objects.
         planner: decides.
         belief: what is believed of the objects beforehand.
-        learning: which pushes they are learned from; None for none.
+        learning: learns the objects from the pushes; None for nobody.
         max_pushes: number of pushes after which the task is given up.
         seed: seed of what is drawn of the models.
         watch: called after each push; None for nobody.
@@ -222,11 +250,10 @@ def run_scene_task(
         if watch is not None:
             watch(steps[-1])
         # Learn, where something new can be learned.
-        if learning is not None and len(log) in learning.after:
-            found = learning.learn(belief.objects, log, seed)
-            if found is not None:
-                belief = found
-                learned.append(len(log))
+        found = None if learning is None else learning.learn(belief, log, seed)
+        if found is not None:
+            belief = found
+            learned.append(len(log))
     return SceneRun(
         done=decision is not None
         and poses is not None
@@ -249,3 +276,19 @@ def straighten(poses: Array, before: Sequence[Array]) -> Array:
         turned = wrap_angle(straight[:, 2] - before[-1][:, 2])
         straight[:, 2] = before[-1][:, 2] + turned
     return straight
+
+
+def describe_no_room(objects: Sequence[GridObject], bodies: Sequence[int], radius: float) -> str:
+    """Says that the finger fits nowhere beside some objects, and between which others they lie.
+
+    Args:
+        objects: the objects.
+        bodies: numbers of those that should be pushed.
+        radius: of the finger, m.
+    """
+    names = ", ".join(describe_object(objects, b) for b in bodies)
+    others = ", ".join(describe_object(objects, b) for b in range(len(objects)) if b not in bodies)
+    between = f", between {others}" if others else ""
+    return (
+        f"{names}: no place was found where a finger of {radius * MM:g} mm fits beside it{between}"
+    )

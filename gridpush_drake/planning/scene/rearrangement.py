@@ -43,7 +43,12 @@ from gridpush_drake.geometry.se2 import (
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.scene.belief import SceneBelief
-from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision, SceneStep
+from gridpush_drake.planning.scene.loop import (
+    SceneAction,
+    SceneDecision,
+    SceneStep,
+    describe_no_room,
+)
 from gridpush_drake.planning.scene.search import (
     ANYWHERE,
     SceneRules,
@@ -181,7 +186,7 @@ class RearrangePlanner:
                 f"goals of shape {self.goals.shape}; expected ({len(self.objects)}, 3), one for "
                 "each object"
             )
-        self._has_goal = np.isfinite(self.goals).all(axis=1)
+        self._has_goal: NDArray[np.bool_] = np.asarray(np.isfinite(self.goals).all(axis=1))
         if not (self._has_goal | np.isnan(self.goals).all(axis=1)).all():
             raise PlanningError("goals: expected three finite numbers each, or NaN for no goal")
         check_goals(self.objects, self.goals, rules)
@@ -233,7 +238,9 @@ class RearrangePlanner:
                 poses, lambda some: self.calc_cost(some, targets), range(len(poses)), rng
             )
         if found is None:
-            return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, bodies, search))
+            return SceneDecision(
+                SceneAction.FAIL, describe_no_room(self.objects, bodies, search.options.radius)
+            )
         left = len(poses) - int(reached.sum())
         name = describe_object(self.objects, found.body)
         going = "aside" if targets.aside[found.body] else "towards its goal"
@@ -315,7 +322,7 @@ class RearrangePlanner:
     def _find_in_goal(self, body: int, outlines: NDArray[np.object_]) -> list[int]:
         """Lists the objects that lie in another one's goal."""
         goal = transform_shape(self.goals[body], self.objects[body].outline)
-        near = np.asarray(shapely.distance(outlines, goal) < GOAL_GAP)
+        near: NDArray[np.bool_] = np.asarray(shapely.distance(outlines, goal) < GOAL_GAP)
         near[body] = False
         return [int(j) for j in np.flatnonzero(near)]
 
@@ -349,7 +356,7 @@ class RearrangePlanner:
         for i in sorted(np.flatnonzero(going).tolist(), key=lambda body: float(distance[body])):
             goal = transform_shape(self.goals[i], self.objects[i].outline)
             way = shapely.union(outlines[i], goal).convex_hull
-            others = np.asarray(shapely.distance(outlines, way) < GOAL_GAP)
+            others: NDArray[np.bool_] = np.asarray(shapely.distance(outlines, way) < GOAL_GAP)
             others[i] = False
             if others.any():
                 return [int(j) for j in np.flatnonzero(others)]
@@ -431,14 +438,3 @@ def check_goals(objects: Sequence[GridObject], goals: Array, rules: SceneRules =
                 f"goals: that of {describe_object(objects, i)} is nearer to the table's edge than "
                 f"{rules.edge_margin * MM:g} mm; expected a pose well on the table"
             )
-
-
-def describe_no_room(
-    objects: Sequence[GridObject], bodies: Sequence[int], search: SceneSearch
-) -> str:
-    """Says that the finger fits nowhere beside some objects, which lie between which others."""
-    names = ", ".join(describe_object(objects, b) for b in bodies)
-    others = ", ".join(describe_object(objects, b) for b in range(len(objects)) if b not in bodies)
-    between = f", between {others}" if others else ""
-    radius = search.options.radius * MM
-    return f"{names}: no place was found where a finger of {radius:g} mm fits beside it{between}"

@@ -1,36 +1,58 @@
-"""`separate`: objects that touch are pushed until each has room around it.
+"""Objects that touch are pushed until each has room around it: `SeparatePlanner` and `separate`.
 
-Pushes are drawn at random along all outlines and simulated by `simulate_scene` with what is
-believed of the objects; the best one is made, the objects are seen again, and so on. A push may
-move several objects: that is weighed by where all of them end, and not forbidden.
+What is left to do in a state of the scene is the room that is lacking,
 
-The planner knows no table edge and no arm: the pusher comes from above, wherever it fits beside
-every object.
+    V = sum over objects b of (c [d_b < d] + a max(0, d - d_b))       seconds
+
+with the distance d_b of object b from the nearest other one and the room d that each should have.
+The next push is the one after which least is left (`search`). A push may move several objects: that
+is weighed by where all of them end, and not forbidden. The theory is in `docs/theory/planning.md`,
+section 6.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import shapely
-from shapely import Point
+from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.scene.bodies import Scene, describe_object
 from gridpush_drake.errors import PlanningError, require_positive
-from gridpush_drake.geometry.se2 import Array, transform_shape
+from gridpush_drake.geometry.se2 import Array, transform, transform_shape
+from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.scene.loop import (
+    SceneAction,
+    SceneDecision,
+    SceneStep,
+    describe_no_room,
+)
+from gridpush_drake.planning.scene.search import (
+    ANYWHERE,
+    ScenePush,
+    SceneRules,
+    SceneSearch,
+    SceneSearchOptions,
+)
 
 MARGIN = 0.03
 """Room that every object should have around it, m."""
 
-FREE = 1e-4
-"""Distance of the pusher from every outline where a push begins, m."""
+SPARE = 0.003
+"""By how much more room a push is planned to make, m: it never ends quite where it should."""
 
-ANY_OUTLINE = 0.2
-"""Share of the pushes that are drawn on any outline, and not on that of an object without room."""
+PER_LENGTH = 100.0
+"""What a meter of room that an object lacks costs, s/m."""
+
+LACKING = 2.0
+"""What an object that lacks room costs in any case, s."""
+
+ROWS_APART = 5
+"""Steps of a simulated push between two states of which the room is measured."""
 
 
 @dataclass(frozen=True)
@@ -39,24 +61,26 @@ class SeparationOptions:
 
     Attributes:
         margin: room that every object should have around it, m.
-        candidates: number of pushes that are simulated for each one that is made.
+        candidates: number of pushes that are simulated for each object that lacks room.
         lengths: least and greatest length of a push, m.
         slant: greatest angle of a push from the outline's inward normal, rad.
         radius: of the pusher, m.
         speed: of the pusher, m/s.
         max_pushes: number of pushes after which it is given up.
+        clearance: distance between pusher and object where a push begins, m.
 
     Raises:
         PlanningError: a number is not positive, or the lengths do not increase.
     """
 
     margin: float = MARGIN
-    candidates: int = 40
-    lengths: tuple[float, float] = (0.03, 0.15)
+    candidates: int = 24
+    lengths: tuple[float, float] = (0.01, 0.15)
     slant: float = 0.6
     radius: float = 0.008
     speed: float = 0.05
     max_pushes: int = 30
+    clearance: float = 0.002
 
     def __post_init__(self) -> None:
         require_positive(
@@ -73,6 +97,21 @@ class SeparationOptions:
             raise PlanningError(
                 f"lengths are {self.lengths!r}; expected the least and the greatest, m"
             )
+
+    @property
+    def search(self) -> SceneSearchOptions:
+        """How pushes are searched for: one push ahead, for the state of a second is much alike."""
+        return SceneSearchOptions(
+            candidates=self.candidates,
+            firsts=2,
+            seconds=6,
+            compared=3,
+            lengths=self.lengths,
+            slant=self.slant,
+            radius=self.radius,
+            speed=self.speed,
+            clearance=self.clearance,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +131,83 @@ class Separation:
     pushes: tuple[Push, ...]
 
 
+class SeparatePlanner:
+    """Pushes objects apart.
+
+    Attributes:
+        objects: the N objects.
+        options: how they are separated.
+        rules: what no push may do.
+    """
+
+    def __init__(
+        self,
+        objects: Sequence[GridObject],
+        options: SeparationOptions | None = None,
+        rules: SceneRules = ANYWHERE,
+        *,
+        search: SceneSearchOptions | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Takes what no push may do.
+
+        Args:
+            objects: the objects.
+            options: how they are separated.
+            rules: what no push may do.
+            search: how pushes are searched for; as the options say where None.
+            seed: seed of the pushes that are drawn.
+        """
+        self.objects = tuple(objects)
+        self.options = options or SeparationOptions()
+        self.rules = rules
+        self._search = search or self.options.search
+        self._seed = seed
+
+    def decide(
+        self, poses: Array, belief: SceneBelief, steps: Sequence[SceneStep]
+    ) -> SceneDecision:
+        """Decides what to do next; see `ScenePlanner`."""
+        clearances = calc_clearances(self.objects, poses)
+        lacking = [int(b) for b in np.flatnonzero(clearances < self.options.margin)]
+        room = f"{self.options.margin * MM:g} mm"
+        if not lacking:
+            return SceneDecision(SceneAction.DONE, f"every object has {room} around it")
+        found = self._find_push(poses, belief, lacking, (self._seed, len(steps)))
+        if found is None:
+            return SceneDecision(
+                SceneAction.FAIL, describe_no_room(self.objects, lacking, self._search.radius)
+            )
+        name = describe_object(self.objects, found.body)
+        return SceneDecision(
+            SceneAction.PUSH,
+            f"{name} away from others, {len(lacking)} of {len(poses)} lack {room} around them",
+            push=found.push,
+            body=found.body,
+            expected=found.poses,
+        )
+
+    def _find_push(
+        self, poses: Array, belief: SceneBelief, lacking: Sequence[int], seed: tuple[int, ...]
+    ) -> ScenePush | None:
+        """Searches for a push at an object that lacks room; where none fits, at any."""
+        rng = np.random.default_rng(seed)
+        search = SceneSearch(belief, self.rules, self._search)
+        found = search.find_push(poses, self.calc_cost, lacking, rng)
+        if found is None:
+            found = search.find_push(poses, self.calc_cost, range(len(poses)), rng)
+        return found
+
+    def calc_cost(self, poses: Array) -> Array:
+        """Calculates V, what is left to do, (K,) s, of states (K, N, 3) along a push."""
+        # of a few states along a push; in between it changes evenly
+        rows = np.unique(np.append(np.arange(0, len(poses), ROWS_APART), len(poses) - 1))
+        apart = calc_clearances_along(self.objects, poses[rows])
+        wanted = self.options.margin + SPARE
+        left = PER_LENGTH * np.maximum(wanted - apart, 0.0) + LACKING * (apart < wanted)
+        return np.interp(np.arange(len(poses)), rows, left.sum(axis=1))
+
+
 def calc_clearances(objects: Sequence[GridObject], poses: Array) -> Array:
     """Calculates the distance of each object from the nearest other one, (N,) m.
 
@@ -107,6 +223,25 @@ def calc_clearances(objects: Sequence[GridObject], poses: Array) -> Array:
     return np.asarray(apart.min(axis=1))
 
 
+def calc_clearances_along(objects: Sequence[GridObject], poses: Array) -> Array:
+    """Calculates the distance of each object from the nearest other one, (K, N) m; no holes count.
+
+    Args:
+        objects: the objects.
+        poses: (K, N, 3) where they lie in each of K states, m and rad.
+    """
+    placed: list[NDArray[np.object_]] = []
+    for b, obj in enumerate(objects):
+        corners = np.array(obj.outline.exterior.coords)[:-1]
+        placed.append(np.asarray(shapely.polygons(transform(poses[:, b], corners))))
+    nearest = np.full(poses.shape[:2], np.inf)
+    for i, j in combinations(range(len(objects)), 2):
+        apart = shapely.distance(placed[i], placed[j])
+        nearest[:, i] = np.minimum(nearest[:, i], apart)
+        nearest[:, j] = np.minimum(nearest[:, j], apart)
+    return nearest
+
+
 def separate(
     scene: Scene,
     execute: Callable[[Push, Array], Array],
@@ -114,7 +249,10 @@ def separate(
     *,
     seed: int = 0,
 ) -> Separation:
-    """Pushes objects until each has room around it.
+    """Pushes objects until each has room around it, on a table without end.
+
+    `run_scene_task` with a `SeparatePlanner` does the same in a world, with a table's edge, and
+    learns the objects on the way.
 
     Args:
         scene: the objects as they are believed to be, where they are seen at the beginning.
@@ -164,61 +302,9 @@ def plan_separating_push(
     Raises:
         PlanningError: no place was found from which an object can be pushed.
     """
-    outlines = [
-        transform_shape(pose, obj.outline)
-        for obj, pose in zip(scene.objects, scene.poses, strict=True)
-    ]
-    taken = shapely.union_all(outlines)
-    shapely.prepare(taken)
-    clearances = calc_clearances(scene.objects, scene.poses)
-    best: Push | None = None
-    least = np.inf
-    for _ in range(options.candidates):
-        push = _draw_push(scene, taken, clearances, options, rng)
-        if push is None:
-            continue
-        motion = simulate_scene(scene, push)
-        if motion.status == MotionStatus.NO_CONTACT:
-            continue
-        missing = _calc_missing(scene, motion.final_poses, options.margin)
-        if missing < least:
-            least = missing
-            best = push
-    if best is None:
-        raise PlanningError(
-            f"scene of {', '.join(obj.name for obj in scene.objects)}: no place was found where "
-            f"a pusher of {options.radius * 1000:g} mm fits beside an object"
-        )
-    return best
-
-
-def _calc_missing(scene: Scene, poses: Array, margin: float) -> float:
-    """Sums up the room that objects lack, m."""
-    lacking = margin - calc_clearances(scene.objects, poses)
-    return float(np.maximum(lacking, 0.0).sum())
-
-
-def _draw_push(
-    scene: Scene,
-    taken: shapely.Geometry,
-    clearances: Array,
-    options: SeparationOptions,
-    rng: np.random.Generator,
-) -> Push | None:
-    """Draws a push of an object that lacks room, or of any; None where the pusher does not fit."""
-    lacking = np.flatnonzero(clearances < options.margin)
-    everyone = np.arange(len(scene))
-    body = int(rng.choice(everyone if rng.random() < ANY_OUTLINE else lacking))
-    obj = scene.objects[body]
-    push = Push.on_outline(
-        obj,
-        rng.uniform(0, obj.edges.perimeter),
-        rng.uniform(-options.slant, options.slant),
-        rng.uniform(*options.lengths),
-        radius=options.radius,
-        speed=options.speed,
-        pose=scene.poses[body],
-        clearance=2 * FREE,
-    )
-    fits = taken.distance(Point(push.start)) > options.radius + FREE
-    return push if fits else None
+    seed = int(rng.integers(np.iinfo(np.int64).max))
+    planner = SeparatePlanner(scene.objects, options, seed=seed)
+    decision = planner.decide(scene.poses, SceneBelief.of_truth(scene), [])
+    if decision.push is None:
+        raise PlanningError(f"scene: {decision.reason}")
+    return decision.push

@@ -4,9 +4,10 @@ It is to scenes what `planning.world.SimulatedWorld` is to one object: whoever p
 poses with noise, and only judges read `truth`. It also keeps the time that a finger would take,
 which is lifted between pushes and travels over the objects.
 
-An object falls where its center of mass leaves the convex hull of what lies on the table. Up to
-there the support presses as if there were no edge. A fallen object is not seen any more, and
-touches nothing.
+An object falls where its center of mass leaves the convex hull of what lies on the table. If it is
+pushed alone, with a part over the edge, its loads shift as they do there
+(`planning.pregrasp.slides.simulate_near_edge`); where objects push each other, the support presses
+as if there were no edge. A fallen object is not seen any more, and touches nothing.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.planning.pregrasp.slides import simulate_near_edge
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import OBSERVATIONS, REGIME, CenterOfMassSupport
 from gridpush_drake.pushes.scene_log import ObservedScenePush
@@ -170,6 +172,7 @@ class SimulatedSceneWorld:
             friction = self._scene.pair_friction[np.ix_(lying, lying)]
             part = Scene(bodies, friction, may_overlap=True)
             poses[:, lying] = simulate_scene(part, push, times=times).poses
+        self._shift_loads(push, poses)
         self._note_falls(poses)
         self._scene = self._scene.with_poses(poses[-1], may_overlap=True)
         self._spend(push)
@@ -188,6 +191,24 @@ class SimulatedSceneWorld:
             t_observed=times[rows],
             poses_observed=seen,
         )
+
+    def _shift_loads(self, push: Push, poses: Array) -> None:
+        """Simulates a motion (T+1, N, 3) anew where one object alone moved over the edge."""
+        moving = np.flatnonzero((poses[-1] != poses[0]).any(axis=1))
+        if self.surface is None or len(moving) != 1:
+            return
+        b = int(moving[0])
+        obj = self._scene.objects[b]
+        if self.surface.contains_cells(obj, poses[0, b]) and self.surface.contains_cells(
+            obj, poses[-1, b]
+        ):
+            return
+        params = self._scene.params[b]
+        motion = simulate_near_edge(obj, params, push, poses[0, b], self.surface)
+        # after a fall it stays where it fell
+        poses[: len(motion.poses), b] = motion.poses
+        poses[len(motion.poses) :, b] = motion.poses[-1]
+        self._fallen[b] |= motion.fell
 
     def _note_falls(self, poses: Array) -> None:
         """Notes which objects fall in a motion (T+1, N, 3)."""

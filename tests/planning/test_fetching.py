@@ -1,0 +1,135 @@
+"""The wanted object is brought out of the clutter to the table's edge, and nothing falls."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.goals import calc_overhangs
+from gridpush_drake.planning.pregrasp.planner import PreGraspOptions
+from gridpush_drake.planning.pregrasp.slides import simulate_near_edge
+from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.scene.fetching import CLEAR, FetchLearning, FetchOptions, FetchPlanner
+from gridpush_drake.planning.scene.loop import SceneAction, SceneStep, run_scene_task
+from gridpush_drake.planning.scene.world import SimulatedSceneWorld
+from gridpush_drake.planning.support_surface import SupportSurface
+from tests.helpers.random_pushes import make_random_contents
+from tests.helpers.shapes import make_shape
+
+TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
+
+
+def make_truth():
+    """A wrench with a square beside it and a bar behind that, 2 mm apart."""
+    wrench = GridObject.from_yaml(find_shipped_object("combination_wrench"))
+    rng = np.random.default_rng(4)
+    hidden = CellParameters.random(wrench, 4, (0.1, 5.0), (0.3, 0.4))
+    square, bar = make_shape("square", 20), make_shape("bar", 20)
+    top = wrench.outline.bounds[3] - square.outline.bounds[1] + 0.002
+    return Scene(
+        [
+            SceneBody(wrench, hidden, (0.0, 0.0, 0.0)),
+            SceneBody(square, make_random_contents(rng, square), (0.0, top, 0.0)),
+            SceneBody(bar, make_random_contents(rng, bar), (0.25, 0.2, 1.0)),
+        ],
+        0.3,
+    )
+
+
+def test_first_what_is_in_the_way_is_cleared_away():
+    truth = make_truth()
+    planner = FetchPlanner(truth.objects, 0, TABLE, seed=1)
+    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2)
+    decision = planner.decide(truth.poses, belief, [])
+    assert decision.kind == CLEAR and decision.push is not None
+    assert "square" in decision.reason and "out of the way of combination_wrench" in decision.reason
+    # by the truth, too, there is more room afterwards
+    world = SimulatedSceneWorld(truth, TABLE)
+    world.execute(decision.push)
+    before, after = (
+        transform_shape(poses[0], truth.objects[0].outline).distance(
+            transform_shape(poses[1], truth.objects[1].outline)
+        )
+        for poses in (truth.poses, world.truth.poses)
+    )
+    assert after > before + 0.01
+    # at last it is given up
+    steps = [SceneStep(truth.poses, decision)] * FetchOptions().max_clearing
+    assert "still in the way" in planner.decide(truth.poses, belief, steps).reason
+
+
+def test_the_wanted_object_is_learned_only_from_pushes_in_which_nothing_else_moved():
+    truth = make_truth()
+    world = SimulatedSceneWorld(truth, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
+    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2)
+    learning = FetchLearning(0, TABLE, friction_range=(0.3, 0.4))
+    low = truth.objects[0].outline.bounds[1]
+    x = truth.objects[0].outline.bounds[0] + 0.03
+    beside = world.execute(Push((0.25, 0.35), (0.0, -0.05), 1.5, 0.008))
+    assert learning.learn(belief, [beside], 0) is None
+    alone = world.execute(Push((x, low - 0.02), (0.0, 0.05), 0.6, 0.008))
+    learned = learning.learn(belief, [beside, alone], 0)
+    assert set(learned.models) == {0}
+    assert len(learned.models[0].poke_starts) == 1
+
+
+@pytest.mark.slow
+def test_the_wanted_object_is_fetched_and_nothing_falls():
+    truth = make_truth()
+    world = SimulatedSceneWorld(truth, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
+    options = FetchOptions(pregrasp=PreGraspOptions(max_arm=0.1))
+    planner = FetchPlanner(truth.objects, 0, TABLE, options, seed=1)
+    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2)
+    learning = FetchLearning(0, TABLE, friction_range=(0.3, 0.4))
+    run = run_scene_task(world, planner, belief, learning=learning, max_pushes=50, seed=1)
+    assert run.done and run.last.action is SceneAction.GRASP, run.reason
+    kinds = [step.decision.kind for step in run.steps]
+    assert kinds[0] == CLEAR and "slide" in kinds
+    # judged by the truth
+    assert not any(world.truth.fallen)
+    part = run.last.goal.part
+    assert calc_overhangs([part], world.truth.poses[0], TABLE)[0] > 0.0
+    for obj, pose in zip(truth.objects[1:], world.truth.poses[1:], strict=True):
+        assert TABLE.contains_cells(obj, pose)
+    # of the wanted one only pushes are learned from in which nothing else moved
+    assert 0 in run.belief.models
+
+
+def test_an_object_alone_at_the_edge_moves_as_its_loads_say():
+    truth = make_truth()
+    poses = truth.poses.copy()
+    poses[0] = (0.38, -0.2, 0.0)
+    truth = truth.with_poses(poses)
+    obj = truth.objects[0]
+    right = obj.outline.bounds[0] + poses[0, 0]
+    push = Push((right - 0.01, -0.2), (0.05, 0.0), 1.5, 0.008)
+    world = SimulatedSceneWorld(truth, TABLE)
+    world.execute(push)
+    motion = simulate_near_edge(obj, truth.params[0], push, poses[0], TABLE)
+    np.testing.assert_array_equal(world.truth.poses[0], motion.final_pose)
+    assert world.truth.fallen[0] == motion.fell
+
+
+def test_what_is_refused():
+    truth = make_truth()
+    with pytest.raises(PlanningError, match="wanted is 3; expected the number of one of 3"):
+        FetchPlanner(truth.objects, 3, TABLE)
+    with pytest.raises(PlanningError, match="room"):
+        FetchOptions(room=0.0)
+    planner = FetchPlanner(
+        truth.objects,
+        0,
+        TABLE,
+        FetchOptions(search=replace(FetchOptions().search, radius=2.0)),
+    )
+    belief = SceneBelief.of_prior(truth.objects, truth.poses)
+    decision = planner.decide(truth.poses, belief, [])
+    assert decision.action is SceneAction.FAIL and "square" in decision.reason
+    assert "between" in decision.reason
