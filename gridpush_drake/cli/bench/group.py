@@ -67,6 +67,11 @@ BENCHES: dict[str, LazyCommand] = {
         "gridpush_drake.bench.scene:STUDY",
         "Set MuJoCo beside the model of objects that push each other, and time their pushes.",
     ),
+    "scene-tasks": LazyCommand(
+        "gridpush_drake.bench.scene_tasks:STUDY",
+        "Rearrange and separate several objects, and fetch one of them, in the plain world: "
+        "success, simulated time, pushes.",
+    ),
     "perception": LazyCommand(
         "gridpush_drake.bench.perception:STUDY",
         "Find objects in photographs, real and rendered, and track them while they are pushed.",

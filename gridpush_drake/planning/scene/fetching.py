@@ -1,4 +1,4 @@
-"""`FetchPlanner`: the wanted object out of the clutter to the table's edge, where it can be grasped.
+"""`FetchPlanner`: the wanted object out of clutter to the table's edge, where it can be grasped.
 
     clear    push away what is too near to the wanted object, or to its way to the edge
     poke     poke the wanted object, to learn where its mass may be

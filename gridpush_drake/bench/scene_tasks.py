@@ -1,0 +1,542 @@
+"""`gridpush bench scene-tasks`: tasks with several objects, in the plain world.
+
+Shipped objects of hidden masses and frictions lie on a table, moved by the scene model with their
+true parameters; poses are seen with noise.
+
+    rearrange   1 to 4 objects at random poses are pushed to random goal poses, within 2 cm and
+                0.2 rad, and within 5 mm and 3°
+    separate    3 to 6 objects in a heap are pushed apart until each has 3 cm around it
+    fetch       the wanted one of 2 to 4 objects in a heap is brought to the table's edge, so far
+                that it can be grasped
+
+What counts is where the objects truly lie at the end, and whether any fell.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import thread_time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
+from gridpush_drake.bench.table import (
+    DEGREES,
+    MM,
+    Mean,
+    Share,
+    Table,
+    calc_interval,
+    check_figure,
+    write_panels,
+)
+from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array, make_direction, transform_shape
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.goals import calc_overhangs
+from gridpush_drake.planning.pregrasp.planner import PreGraspOptions
+from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.scene.fetching import FetchLearning, FetchOptions, FetchPlanner
+from gridpush_drake.planning.scene.loop import (
+    SceneAction,
+    SceneLearner,
+    SceneLearning,
+    ScenePlanner,
+    SceneRun,
+    run_scene_task,
+)
+from gridpush_drake.planning.scene.rearrangement import (
+    FINE,
+    RearrangeOptions,
+    RearrangePlanner,
+)
+from gridpush_drake.planning.scene.search import SceneRules
+from gridpush_drake.planning.scene.separation import (
+    MARGIN,
+    SeparatePlanner,
+    calc_clearances,
+)
+from gridpush_drake.planning.scene.world import SimulatedSceneWorld
+from gridpush_drake.planning.support_surface import SupportSurface
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+REARRANGE = "rearrange"
+FINELY = "rearrange, 5 mm"
+SEPARATE = "separate"
+FETCH = "fetch"
+PARTS = (REARRANGE, SEPARATE, FETCH)
+"""Names of what is done; `FINELY` belongs to `REARRANGE`."""
+
+COUNTS = {REARRANGE: (1, 2, 3, 4), FINELY: (1, 2, 3, 4), SEPARATE: (3, 4, 5, 6), FETCH: (2, 3, 4)}
+"""Numbers of objects of each task."""
+
+OBJECTS = ("claw_hammer", "snack_bag", "toolbox", "toothpaste_tube", "combination_wrench", "pliers")
+"""Shipped objects, of which some are drawn for each episode."""
+
+WANTED = ("claw_hammer", "combination_wrench", "spray_bottle", "toothpaste_tube")
+"""Shipped objects, one of which is fetched from among the others."""
+
+SEEDS = 20
+"""Number of episodes of each task and number of objects."""
+
+TABLE = 1.2
+"""Side of the table, m."""
+
+MASS_RANGE = (0.1, 5.0)
+"""Least and greatest mass of a cell; one is drawn for each part. Only their ratios matter."""
+
+FRICTION_RANGE = (0.3, 0.4)
+"""Least and greatest friction of a part against the table, which is known beforehand."""
+
+CONTACT_FRICTION_RANGE = (0.35, 0.65)
+"""Least and greatest friction of the finger on an object."""
+
+PAIR_FRICTION_RANGE = (0.1, 0.5)
+"""Least and greatest friction of two objects against each other."""
+
+POSITION_STD = 0.0005
+"""Standard deviation of seen positions, per axis, m."""
+
+ANGLE_STD = 0.003
+"""Standard deviation of seen angles, rad."""
+
+BOX = 0.22
+"""Greatest distance of an object's origin from the table's middle, along x and y, m; it grows where
+the objects do not fit."""
+
+GROW = 1.02
+"""Factor by which it grows with each place that does not fit."""
+
+START_GAP = 0.01
+"""Least distance of two objects at the beginning of rearranging, m."""
+
+END_GAP = 0.02
+"""Least distance of two goals, m."""
+
+HEAP_GAP = 0.0015
+"""Distance at which objects of a heap stop on their way to its middle, m."""
+
+HEAP_STEP = 0.002
+"""Step of that way, m."""
+
+HEAP_REACH = 1.0
+"""Where that way begins, m from the middle."""
+
+MAX_ARM = 0.1
+"""Farthest that an object is grasped from its estimated center of mass, m."""
+
+MAX_PUSHES = {REARRANGE: 60, FINELY: 80, SEPARATE: 30, FETCH: 60}
+"""Number of pushes after which each task is given up."""
+
+LOOSE = 1.25
+"""What was seen at a goal counts as there if it truly is within so many tolerances: it is seen with
+noise."""
+
+SECONDS_A_MINUTE = 60.0
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """What is measured.
+
+    Attributes:
+        parts: names of tasks.
+        seeds: number of episodes of each task and number of objects; the first has the seed `seed`.
+        figure: file of a figure of the simulated times; None for none.
+    """
+
+    parts: tuple[str, ...] | None = option(
+        None,
+        "rearrange, separate or fetch; may be repeated.",
+        name="--part",
+        metavar="PART",
+        shown="all",
+    )
+    seeds: int = option(SEEDS, "Episodes of each task and number of objects.", least=1)
+    figure: Path | None = option(
+        None,
+        "Write a figure of the simulated times: a .png, .pdf or .svg file.",
+        metavar="FILE",
+        is_setting=False,
+    )
+
+
+@dataclass(frozen=True)
+class Job:
+    """An episode.
+
+    Attributes:
+        part: what is done.
+        count: number of objects.
+        seed: seed of everything random.
+    """
+
+    part: str
+    count: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of an episode.
+
+    Attributes:
+        part: what was done.
+        count: number of objects.
+        seed: seed of everything random.
+        done: whether the planner ended it well.
+        reached: whether it truly is done, and nothing fell.
+        fell: number of objects that fell.
+        time: simulated time, s.
+        pushes: number of pushes.
+        distance: greatest distance from a goal at the end, m; NaN in other tasks.
+        turn: greatest turn from a goal at the end, rad; NaN in other tasks.
+        room: least room around an object at the end, m.
+        decision: mean time of a decision, with learning, s of one core.
+        reason: how it ended.
+    """
+
+    part: str
+    count: int
+    seed: int
+    done: bool
+    reached: bool
+    fell: int
+    time: float
+    pushes: int
+    distance: float
+    turn: float
+    room: float
+    decision: float
+    reason: str
+
+
+def run_job(job: Job) -> Outcome:
+    """Runs an episode, and judges it by where the objects truly lie."""
+    rng = np.random.default_rng((job.count, job.seed))
+    surface = SupportSurface.rectangle((0.0, 0.0), (TABLE, TABLE))
+    return RUNS[job.part](job, rng, surface)
+
+
+def _rearrange(job: Job, rng: np.random.Generator, surface: SupportSurface) -> Outcome:
+    """Brings objects from random poses to random goal poses."""
+    names = rng.permutation(OBJECTS)[: job.count]
+    objects = load_objects(names.tolist())
+    scene = hide(objects, scatter(objects, rng, START_GAP), rng)
+    goals = scatter(objects, rng, END_GAP)
+    options = FINE if job.part == FINELY else RearrangeOptions()
+    planner = RearrangePlanner(objects, goals, options, SceneRules(surface), seed=job.seed)
+    run, world, seconds = carry_out(job, scene, surface, planner, SceneLearning())
+    distance, turn = planner.calc_errors(world.truth.poses)
+    near = distance.max() < LOOSE * options.position_tolerance
+    near = near and turn.max() < LOOSE * options.angle_tolerance
+    return _judge(job, run, world, seconds, bool(near), (float(distance.max()), float(turn.max())))
+
+
+def _separate(job: Job, rng: np.random.Generator, surface: SupportSurface) -> Outcome:
+    """Moves the objects of a heap apart."""
+    names = rng.permutation(OBJECTS)[: job.count]
+    objects = load_objects(names.tolist())
+    scene = hide(objects, heap_up(objects, rng), rng)
+    planner = SeparatePlanner(objects, rules=SceneRules(surface), seed=job.seed)
+    run, world, seconds = carry_out(job, scene, surface, planner, None)
+    apart = calc_clearances(objects, world.truth.poses).min() > MARGIN / LOOSE
+    return _judge(job, run, world, seconds, bool(apart))
+
+
+def _fetch(job: Job, rng: np.random.Generator, surface: SupportSurface) -> Outcome:
+    """Fetches the wanted object, the first, out of a heap."""
+    wanted = str(rng.choice(WANTED))
+    others = [name for name in rng.permutation(OBJECTS).tolist() if name != wanted]
+    objects = load_objects([wanted, *others[: job.count - 1]])
+    scene = hide(objects, heap_up(objects, rng), rng)
+    options = FetchOptions(pregrasp=PreGraspOptions(max_arm=MAX_ARM))
+    planner = FetchPlanner(objects, 0, surface, options, seed=job.seed)
+    learning = FetchLearning(0, surface, friction_range=FRICTION_RANGE)
+    run, world, seconds = carry_out(job, scene, surface, planner, learning)
+    held = False
+    if run.last is not None and run.last.action is SceneAction.GRASP and run.last.goal is not None:
+        over = calc_overhangs([run.last.goal.part], world.truth.poses[0], surface)[0]
+        held = bool(over > 0.0)
+    return _judge(job, run, world, seconds, held)
+
+
+RUNS: dict[str, Callable[[Job, np.random.Generator, SupportSurface], Outcome]] = {
+    REARRANGE: _rearrange,
+    FINELY: _rearrange,
+    SEPARATE: _separate,
+    FETCH: _fetch,
+}
+"""What runs an episode of each task."""
+
+
+def carry_out(
+    job: Job,
+    scene: Scene,
+    surface: SupportSurface,
+    planner: ScenePlanner,
+    learning: SceneLearner | None,
+) -> tuple[SceneRun, SimulatedSceneWorld, float]:
+    """Carries a task out in a world.
+
+    Returns:
+        What came of it, the world, and the time that it took, s of one core.
+    """
+    world = SimulatedSceneWorld(
+        scene, surface, position_std=POSITION_STD, angle_std=ANGLE_STD, seed=job.seed
+    )
+    belief = SceneBelief.of_prior(scene.objects, scene.poses, seed=job.seed)
+    begin = thread_time()
+    run = run_scene_task(
+        world,
+        planner,
+        belief,
+        learning=learning,
+        max_pushes=MAX_PUSHES[job.part],
+        seed=job.seed,
+    )
+    return run, world, thread_time() - begin
+
+
+def _judge(
+    job: Job,
+    run: SceneRun,
+    world: SimulatedSceneWorld,
+    seconds: float,
+    reached: bool,
+    errors: tuple[float, float] = (np.nan, np.nan),
+) -> Outcome:
+    """Writes down what came of an episode; `reached` tells if the task's own aim truly is."""
+    truth = world.truth
+    fell = sum(truth.fallen)
+    return Outcome(
+        part=job.part,
+        count=job.count,
+        seed=job.seed,
+        done=run.done,
+        reached=run.done and reached and fell == 0,
+        fell=fell,
+        time=run.time,
+        pushes=run.pushes,
+        distance=errors[0],
+        turn=errors[1],
+        room=float(calc_clearances(truth.scene.objects, truth.poses).min()),
+        decision=seconds / max(run.pushes, 1),
+        reason=run.reason,
+    )
+
+
+def load_objects(names: Sequence[str]) -> list[GridObject]:
+    """Loads shipped objects."""
+    return [GridObject.from_yaml(find_shipped_object(name)) for name in names]
+
+
+def hide(objects: Sequence[GridObject], poses: Array, rng: np.random.Generator) -> Scene:
+    """Draws the true masses and frictions of objects that lie at poses (N, 3), m and rad."""
+    bodies = []
+    for obj, pose in zip(objects, poses, strict=True):
+        seed = int(rng.integers(np.iinfo(np.int32).max))
+        params = CellParameters.random(obj, seed, MASS_RANGE, FRICTION_RANGE)
+        rough = float(rng.uniform(*CONTACT_FRICTION_RANGE))
+        bodies.append(SceneBody(obj, replace(params, contact_friction=rough), pose))
+    return Scene(bodies, float(rng.uniform(*PAIR_FRICTION_RANGE)))
+
+
+def scatter(objects: Sequence[GridObject], rng: np.random.Generator, gap: float) -> Array:
+    """Draws poses (N, 3) of objects with a gap, m, between any two, m and rad."""
+    poses = []
+    taken: BaseGeometry = shapely.Polygon()
+    box = BOX
+    for obj in objects:
+        while True:
+            pose = np.append(rng.uniform(-box, box, 2), rng.uniform(-np.pi, np.pi))
+            outline = transform_shape(pose, obj.outline)
+            if taken.is_empty or outline.distance(taken) >= gap:
+                break
+            box = min(box * GROW, TABLE / 4)
+        poses.append(pose)
+        taken = shapely.union(taken, outline)
+    return np.array(poses)
+
+
+def heap_up(objects: Sequence[GridObject], rng: np.random.Generator) -> Array:
+    """Slides objects towards the first one until they touch, all but: poses (N, 3), m and rad.
+
+    The heap's middle is the origin.
+    """
+    poses: list[Array] = []
+    taken: BaseGeometry = shapely.Polygon()
+    for obj in objects:
+        direction = make_direction(rng.uniform(-np.pi, np.pi))
+        angle = rng.uniform(-np.pi, np.pi)
+        distance = 0.0 if taken.is_empty else HEAP_REACH
+        pose = np.append(distance * direction, angle)
+        while distance > 0:
+            distance -= HEAP_STEP
+            nearer = np.append(distance * direction, angle)
+            if transform_shape(nearer, obj.outline).distance(taken) < HEAP_GAP:
+                break
+            pose = nearer
+        poses.append(pose)
+        taken = shapely.union(taken, transform_shape(pose, obj.outline))
+    placed = np.array(poses)
+    left, low, right, high = taken.bounds
+    placed[:, :2] -= ((left + right) / 2, (low + high) / 2)
+    return placed
+
+
+def make_jobs(options: Options) -> list[Job]:
+    """Makes the episodes of each task and number of objects.
+
+    Raises:
+        GridPushError: a task is unknown.
+        OutputError: the figure cannot be written.
+    """
+    parts = PARTS if options.parts is None else options.parts
+    unknown = [part for part in parts if part not in PARTS]
+    if unknown:
+        raise GridPushError(f"part: {', '.join(unknown)}; expected some of {', '.join(PARTS)}")
+    if options.figure is not None:
+        check_figure(options.figure, options.force)
+    tasks = []
+    for part in dict.fromkeys(parts):
+        tasks += [REARRANGE, FINELY] if part == REARRANGE else [part]
+    seeds = range(options.seed, options.seed + options.seeds)
+    counts = {task: COUNTS[task][:1] if options.quick else COUNTS[task] for task in tasks}
+    return [
+        Job(part=task, count=count, seed=seed)
+        for task in tasks
+        for count in counts[task]
+        for seed in seeds
+    ]
+
+
+def tabulate(options: Options, done: Done) -> list[Table]:
+    """Makes a table of each task, a row for each number of objects; draws the figure."""
+    outcomes = done.of(TASK)
+    tables = []
+    for part in (REARRANGE, FINELY, SEPARATE, FETCH):
+        mine = [each for each in outcomes if each.part == part]
+        if mine:
+            tables.append(_tabulate_part(part, mine))
+    if options.figure is not None:
+        write_figure(options.figure, outcomes, options.force)
+    return tables
+
+
+TITLES = {
+    REARRANGE: "Rearranging, within 2 cm and 0.2 rad",
+    FINELY: "Rearranging, within 5 mm and 3°",
+    SEPARATE: "Separating, 3 cm around each",
+    FETCH: "Fetching the wanted object to the table's edge",
+}
+"""Titles of the tables and panels."""
+
+
+def _tabulate_part(part: str, outcomes: Sequence[Outcome]) -> Table:
+    """Makes the table of a task."""
+    groups = [
+        ((count,), [each for each in outcomes if each.count == count]) for count in COUNTS[part]
+    ]
+    columns: dict[str, Callable[[Sequence[Outcome]], str | float | int | Mean | None]] = {
+        "episodes": len,
+        "done": lambda some: Share.of(sum(each.reached for each in some), len(some)).describe(),
+        "fallen": lambda some: sum(each.fell for each in some),
+        "simulated, min": lambda some: _describe_mean(
+            [each.time / SECONDS_A_MINUTE for each in some]
+        ),
+        "90 %, min": lambda some: float(
+            np.quantile([each.time / SECONDS_A_MINUTE for each in some], 0.9)
+        ),
+        "pushes": lambda some: _describe_mean([float(each.pushes) for each in some]),
+        "s a decision": lambda some: float(np.mean([each.decision for each in some])),
+    }
+    if part in (REARRANGE, FINELY):
+        columns["off, mm"] = lambda some: MM * float(np.median([each.distance for each in some]))
+        columns["turned, °"] = lambda some: DEGREES * float(np.median([each.turn for each in some]))
+    notes = [
+        "done: share of the episodes, judged by where the objects truly lie, with nothing fallen; "
+        "Wilson intervals at 95 %. simulated and pushes: means with bootstrap intervals at 95 %.",
+        f"Shipped objects of hidden masses and frictions on a table of {TABLE:g} m; poses are seen "
+        f"with {POSITION_STD * MM:g} mm and {ANGLE_STD:g} rad of noise. A decision is timed on one "
+        "core, learning included.",
+    ]
+    notes += [
+        f"{each.count} objects, seed {each.seed}: {each.reason}"
+        for each in outcomes
+        if not each.reached
+    ]
+    return Table.of(TITLES[part], ("objects",), groups, columns, notes)
+
+
+def _describe_mean(values: Sequence[float]) -> Mean:
+    """Makes a mean with its interval."""
+    interval = calc_interval(values)
+    if not np.isfinite(interval.low):
+        return Mean(interval.mean)
+    return Mean(interval.mean, interval.low, interval.high)
+
+
+def write_figure(path: Path, outcomes: Sequence[Outcome], force: bool) -> None:
+    """Writes a figure of the simulated times of all episodes, a panel for each task.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    parts = {TITLES[part]: part for part in TITLES if any(one.part == part for one in outcomes)}
+
+    def draw(axis: "Axes", title: str) -> None:
+        mine = [each for each in outcomes if each.part == parts[title]]
+        for reached, color, label in ((True, "teal", "done"), (False, "firebrick", "not done")):
+            some = [each for each in mine if each.reached == reached]
+            # side by side, so that episodes of the same time are seen
+            shift = [0.3 * ((each.seed * 0.618) % 1.0 - 0.5) for each in some]
+            axis.plot(
+                [each.count + dx for each, dx in zip(some, shift, strict=True)],
+                [each.time / SECONDS_A_MINUTE for each in some],
+                ".",
+                color=color,
+                label=label,
+            )
+        counts = sorted({each.count for each in mine})
+        means = [
+            float(np.mean([one.time for one in mine if one.count == count])) for count in counts
+        ]
+        axis.plot(counts, np.array(means) / SECONDS_A_MINUTE, "k-", label="mean")
+
+    write_panels(
+        path, list(parts), 2, ("objects", "simulated time, min"), draw, force, from_zero=True
+    )
+
+
+def shorten(options: Options) -> Options:
+    """Makes the options of the quick variant: two episodes of the fewest objects of each task."""
+    return replace(options, seeds=min(options.seeds, 2))
+
+
+TASK = Task(
+    job=Job,
+    run=run_job,
+    describe=lambda job: f"{job.part}, {job.count} objects, {job.seed}",
+)
+"""What is done with an episode."""
+
+STUDY = Study(
+    name="scene-tasks",
+    help="Rearrange and separate several objects, and fetch one of them, in the plain world: "
+    "success, simulated time, pushes.",
+    options=Options,
+    tasks=(TASK,),
+    make_jobs=make_jobs,
+    tabulate=tabulate,
+    shorten=shorten,
+)
+"""`gridpush bench scene-tasks`."""
