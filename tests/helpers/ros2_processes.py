@@ -19,28 +19,13 @@ import numpy as np
 import yaml
 
 from tests.helpers import two_processes
+from tests.helpers.two_processes import PATIENCE, SCENARIO, TwinWatcher, end
 
 RATE = 0.25
 """The twin's seconds in one second: all processes share what computer there is."""
 
-PATIENCE = 240.0
-"""s, wall, for anything."""
-
-NEAR = 1e-3
-"""rad, of a joint that is where it is held."""
-
-MOVED = 0.008
-"""m, that the object has been pushed by in the middle of a push."""
-
 RAW = "raw/joint_states"
 """Where the twin publishes when a stranger stands between it and the controller."""
-
-SCENARIO = """
-object: open_book
-object_pose: [0.55, 0.0, 0.0]
-base: planar
-pokes: {count: 1, test_count: 0, speed: 0.06}
-"""
 
 
 def find_obstacle() -> str | None:
@@ -80,12 +65,10 @@ def make_environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
 
 
-class Stranger:
+class Stranger(TwinWatcher):
     """A node that knows of the topics and of ROS's messages, and of nothing else.
 
     Attributes:
-        statuses: (time, positions, velocities) of the arm, s, rad and rad/s.
-        poses: (x, y) of the object, m.
         trajectories: when each command came, s, by this computer's clock, and its positions, rad.
         spoil: of the twin's time, s, and a `JointState`: what is published instead; None to
             publish nothing.
@@ -100,10 +83,9 @@ class Stranger:
         from std_msgs.msg import Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory
 
+        super().__init__()
         self._rclpy, self._joints = rclpy, joints
         self.node = Node("stranger")
-        self.statuses: list[tuple[float, list[float], list[float]]] = []
-        self.poses: list[tuple[float, float]] = []
         self.trajectories: list[tuple[float, list[float]]] = []
         self.seen_topics: set[str] = set()
         self.spoil: Callable | None = None
@@ -132,40 +114,9 @@ class Stranger:
         self.node.create_subscription(kind, topic, came.append, profile)
         return came
 
-    def until(self, done: Callable[[], bool], what: str) -> None:
-        end = time.monotonic() + PATIENCE
-        while not done():
-            self._rclpy.spin_once(self.node, timeout_sec=0.01)
-            if time.monotonic() > end:
-                raise TimeoutError(what)
-
-    def until_there(self) -> None:
-        """Until the twin is heard of."""
-        self.until(lambda: bool(self.statuses and self.poses), "the twin")
-
-    def until_pushing(self) -> None:
-        """Until the object has begun to be pushed."""
-        begin = np.array(self.poses[-1])
-        self.until(lambda: bool(np.linalg.norm(np.array(self.poses[-1]) - begin) > MOVED), "a push")
-
-    def for_seconds(self, seconds: float) -> None:
-        """Through so many of the twin's seconds."""
-        end = self.statuses[-1][0] + seconds
-        self.until(lambda: self.statuses[-1][0] > end, "the twin's time")
-
-    def describe_stop(self, fault: float) -> dict:
-        """How the arm came to rest after a fault, and stayed there; the twin's seconds."""
-        held = np.array(self.statuses[-1][1])
-        away = [
-            row[0] for row in self.statuses if row[0] > fault and np.abs(held - row[1]).max() > NEAR
-        ]
-        rest = max(away, default=fault)
-        before = [row[2] for row in self.statuses if row[0] <= fault][-1]
-        return {
-            "speed_before": float(np.abs(before).max()),
-            "stopped_within": rest - fault,
-            "held_for": self.statuses[-1][0] - rest,
-        }
+    def look(self) -> None:
+        """Takes what has come, for at most 10 ms."""
+        self._rclpy.spin_once(self.node, timeout_sec=0.01)
 
     def _take(self, message) -> None:
         if not set(self._joints) <= set(message.name):
@@ -210,18 +161,6 @@ def start(command: str, folder: Path, *more: str, rate: float = RATE, ros: tuple
 def start_robot(folder: Path, name: str, *more: str, **options) -> subprocess.Popen:
     out = ["--go", "--json", "--out", str(folder / name)]
     return start("robot", folder, "--task", "identify", *out, *more, **options)
-
-
-def end(process: subprocess.Popen, name: str, folder: Path) -> dict:
-    """What a process of the controller ended with."""
-    out, err = process.communicate(timeout=PATIENCE)
-    log = folder / name / "robot.log"
-    return {
-        "code": process.returncode,
-        "summary": json.loads(out) if out.strip() else None,
-        "err": err,
-        "log": log.read_text() if log.exists() else "",
-    }
 
 
 def finish(twin: subprocess.Popen) -> dict:

@@ -89,17 +89,70 @@ def run_in_namespace(story: str, folder: Path) -> dict:
     return json.loads(done.stdout)
 
 
-class Watch:
-    """What is said on the network."""
+class TwinWatcher:
+    """Somebody who watches a twin, and waits for what happens to it; how it is heard is a child's `look`.
+
+    Attributes:
+        statuses: (time, positions, velocities) of the arm, s, rad and rad/s.
+        poses: of the object; the first two numbers of each are x and y, m.
+    """
+
+    def __init__(self) -> None:
+        self.statuses: list[tuple[float, list[float], list[float]]] = []
+        self.poses: list = []
+
+    def look(self) -> None:
+        """Takes what has come, for at most 10 ms."""
+        raise NotImplementedError
+
+    def until(self, done: Callable[[], bool], what: str) -> None:
+        end = time.monotonic() + PATIENCE
+        while not done():
+            self.look()
+            if time.monotonic() > end:
+                raise TimeoutError(what)
+
+    def until_there(self) -> None:
+        """Until the twin is heard of."""
+        self.until(lambda: bool(self.statuses and self.poses), "the twin")
+
+    def until_pushing(self) -> None:
+        """Until the object has begun to be pushed."""
+        begin = np.array(self.poses[-1][:2])
+        self.until(
+            lambda: bool(np.linalg.norm(np.array(self.poses[-1][:2]) - begin) > MOVED), "a push"
+        )
+
+    def for_seconds(self, seconds: float) -> None:
+        """Through so many of the twin's seconds."""
+        end = self.statuses[-1][0] + seconds
+        self.until(lambda: self.statuses[-1][0] > end, "the twin's time")
+
+    def describe_stop(self, fault: float) -> dict:
+        """How the arm came to rest after a fault, and stayed there; the twin's seconds."""
+        held = np.array(self.statuses[-1][1])
+        away = [
+            row[0] for row in self.statuses if row[0] > fault and np.abs(held - row[1]).max() > NEAR
+        ]
+        rest = max(away, default=fault)
+        before = [row[2] for row in self.statuses if row[0] <= fault][-1]
+        return {
+            "speed_before": float(np.abs(before).max()),
+            "stopped_within": rest - fault,
+            "held_for": self.statuses[-1][0] - rest,
+        }
+
+
+class Watch(TwinWatcher):
+    """What is said on the network, by LCM."""
 
     def __init__(self) -> None:
         from drake import lcmt_iiwa_command, lcmt_iiwa_status, lcmt_planar_manipuland_status
         from pydrake.lcm import DrakeLcm
 
+        super().__init__()
         self.lcm = DrakeLcm(URL)
-        self.statuses: list[tuple[float, list[float], list[float]]] = []
         self.commands: list[list[float]] = []
-        self.poses: list[list[float]] = []
         self.commands_since_status = 0
 
         def take_status(data: bytes) -> None:
@@ -123,37 +176,9 @@ class Watch:
             lambda data: self.poses.append(lcmt_planar_manipuland_status.decode(data).position),
         )
 
-    def until(self, done: Callable[[], bool], what: str) -> None:
-        end = time.monotonic() + PATIENCE
-        while not done():
-            self.lcm.HandleSubscriptions(10)
-            if time.monotonic() > end:
-                raise TimeoutError(what)
-
-    def until_pushing(self) -> None:
-        """Until the object has begun to be pushed."""
-        begin = np.array(self.poses[-1])
-        self.until(lambda: bool(np.linalg.norm(np.array(self.poses[-1]) - begin) > MOVED), "a push")
-
-    def for_seconds(self, seconds: float) -> None:
-        """Through so many of the twin's seconds."""
-        end = self.statuses[-1][0] + seconds
-        self.until(lambda: self.statuses[-1][0] > end, "the twin's time")
-
-    def describe_stop(self, fault: float) -> dict:
-        """How the arm came to rest after a fault, and stayed there; the twin's seconds."""
-        held = np.array(self.statuses[-1][1])
-        away = [
-            row[0] for row in self.statuses if row[0] > fault and np.abs(held - row[1]).max() > NEAR
-        ]
-        rest = max(away, default=fault)
-        return {
-            "speed_before": float(
-                np.abs([row[2] for row in self.statuses if row[0] <= fault][-1]).max()
-            ),
-            "stopped_within": rest - fault,
-            "held_for": self.statuses[-1][0] - rest,
-        }
+    def look(self) -> None:
+        """Takes what has come, for at most 10 ms."""
+        self.lcm.HandleSubscriptions(10)
 
 
 def start(command: str, folder: Path, *more: str, rate: float | None = RATE) -> subprocess.Popen:
@@ -190,7 +215,7 @@ def lose_controller(folder: Path) -> dict:
     """The controller is killed in the middle of a push; begun again it goes on, is interrupted, and then finishes."""
     told = {}
     watch, twin = Watch(), start("twin", folder)
-    watch.until(lambda: bool(watch.statuses and watch.poses), "the twin")
+    watch.until_there()
     killed = start_robot(folder, "killed")
     watch.until_pushing()
     killed.kill()
@@ -217,7 +242,7 @@ def lose_controller(folder: Path) -> dict:
 def lose_terminal(folder: Path) -> dict:
     """The controller's terminal is lost in the middle of a push, as by an ssh connection that breaks."""
     watch, twin = Watch(), start("twin", folder)
-    watch.until(lambda: bool(watch.statuses and watch.poses), "the twin")
+    watch.until_there()
     ours, its = pty.openpty()
     arguments = ["--scenario", str(folder / "scenario.yaml"), "--lcm", URL]
     more = [
@@ -264,7 +289,7 @@ def lose_twin(folder: Path) -> dict:
     alone = start("robot", folder, "--task", "identify")
     told = {"alone": end(alone, "alone", folder)}
     watch, twin = Watch(), start("twin", folder)
-    watch.until(lambda: bool(watch.statuses and watch.poses), "the twin")
+    watch.until_there()
     robot = start_robot(folder, "robot")
     watch.until_pushing()
     twin.kill()
@@ -287,7 +312,7 @@ def record_a_run(folder: Path) -> dict:
     """The controller records a whole run, for Rerun, too, where that is installed."""
     has_rerun = find_spec("rerun") is not None
     watch, twin = Watch(), start("twin", folder)
-    watch.until(lambda: bool(watch.statuses and watch.poses), "the twin")
+    watch.until_there()
     more = ["--task", "identify", "--go", "--json", "--out", str(folder / "robot")]
     more += ["--record", str(folder / "run.mcap")]
     more += ["--rerun", str(folder / "run.rrd")] if has_rerun else []
