@@ -1,0 +1,67 @@
+"""The bench of several objects: rows that are pushed, MuJoCo beside the model, and its tables."""
+
+import numpy as np
+import pytest
+
+from gridpush_drake.bench.scene import STUDY, Job, Options, Score, make_speed_table
+from gridpush_drake.bench.scene_learning import LearnJob, LearnScore, make_learn_table
+from gridpush_drake.bench.scene_rows import (
+    PAIR_FRICTION,
+    PUSHER_FRICTION,
+    RADIUS,
+    draw_row,
+    load_objects,
+    make_mujoco_scene,
+)
+from gridpush_drake.bench.study import Done
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
+from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.identification.prediction import calc_pose_error
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.shapes import rectangle
+
+
+def test_two_blocks_move_in_mujoco_as_in_the_model():
+    """Bodies that bear their own weight: our model's assumption, in a body of six degrees of freedom."""
+    pytest.importorskip("mujoco")
+    obj = GridObject.from_outline(rectangle(0.08, 0.05), max_cells=40)
+    heavy = np.where(obj.p_BC[:, 1] > 0, 3.0, 1.0)
+    params = CellParameters(0.5 * heavy / heavy.sum(), np.full(obj.n, 0.35), PUSHER_FRICTION)
+    scene = Scene(
+        [SceneBody(obj, params), SceneBody(obj, params, (0.083, 0.02, 0.1))], PAIR_FRICTION
+    )
+    push = Push((-0.04 - RADIUS, 0.004), (0.05, 0.0), 1.2, RADIUS)
+    ours = simulate_scene(scene, push)
+    theirs = make_mujoco_scene(scene, push)(np.array([0.0, push.duration]))
+    np.testing.assert_allclose(theirs[0], scene.poses, atol=1e-6)
+    for b in range(2):
+        moved = calc_pose_error(obj, theirs[-1, b], scene.poses[b]).cell
+        error = calc_pose_error(obj, ours.final_poses[b], theirs[-1, b]).cell
+        print(f"block {b}: moved {1e3 * moved:.1f} mm, off by {1e3 * error:.2f} mm")
+        assert moved > 0.02
+        assert error < 0.001
+
+
+def test_a_push_is_drawn_that_moves_all_objects():
+    objects = load_objects(2)
+    scene, push = draw_row(objects, 0)
+    motion = simulate_scene(scene, push)
+    for obj, last, first in zip(objects, motion.final_poses, scene.poses, strict=True):
+        assert calc_pose_error(obj, last, first).cell > 1e-4
+
+
+def test_its_tables():
+    options = Options(counts=(2,))
+    score = Score(2, moved=0.05, last_moved=0.02, error=0.001, worst=0.002, solved=True)
+    learned = LearnScore(2, "model", even=0.01, learned=0.001, held=1.0)
+    compared, learning = STUDY.tabulate(
+        options, Done([(Job(2, 0), score), (LearnJob(2, 0, "model"), learned)])
+    )
+    assert compared.rows[0][:2] == [2, 1]
+    assert learning.rows == make_learn_table([learned]).rows
+    assert learning.rows[0][:3] == ["model", 2, 1]
+    table = make_speed_table((1, 2), 3)
+    assert [row[0] for row in table.rows] == [1, 2]
+    assert all(row[3] > 0 for row in table.rows)
