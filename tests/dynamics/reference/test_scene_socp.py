@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE
-from gridpush_drake.dynamics.kernels.scene.contact_problem import COMPLIANCE, PAIR_COMPLIANCE
+from gridpush_drake.dynamics.kernels.scene.contact_rows import COMPLIANCE, PAIR_COMPLIANCE
 from gridpush_drake.dynamics.kernels.scene.records import (
     FRICTION,
     OTHER_CX,

@@ -20,14 +20,23 @@ body's tau is so treated as the force of one more contact, of compliance -1/sigm
 
     (C S^-1 E + compliance) lam = b - C S^-1 rhs
 
-Modes are found by an active set that starts from those of the step before: contacts that break what
-their mode promises change it, all at once, and one by one should that not end. If neither does, a
-projected Gauss-Seidel method on the same problem, each contact solved exactly in its turn, says
-which modes to start from.
-"""
+(`contact_system`). Modes are found by an active set that starts from those of the step before:
+contacts that break what their mode promises change it. That is fast, and nearly always ends.
 
-from math import sqrt
-from typing import Any, NamedTuple
+Where it does not, the step is taken with a proximal term: tau = sigma (a·xi of the last iterate),
+so that every body is held to the speed that it has by a spring. With D = J S^-1 J^T and u = J xi -
+b, lam_t = beta_+ - beta_- and gamma the slip,
+
+    0 <= u_n = D_nn lam_n + D_nt (beta_+ - beta_-) + q_n           ⟂ lam_n  >= 0
+    0 <= gamma + u_t                                               ⟂ beta_+ >= 0
+    0 <= gamma - u_t                                               ⟂ beta_- >= 0
+    0 <= mu lam_n - beta_+ - beta_-                                ⟂ gamma  >= 0
+
+is a linear complementarity problem which always has a solution, and Lemke's method finds it (S is
+positive definite, so the matrix is copositive: Anitescu and Potra 1997). Its modes start the active
+set anew; if that still does not end, the next iteration goes on from the proximal step itself. What
+is a solution with the term and does not change any more is one without it.
+"""
 
 import numpy as np
 
@@ -38,417 +47,28 @@ from gridpush_drake.dynamics.kernels.contact_modes import (
     STICK,
 )
 from gridpush_drake.dynamics.kernels.scene.compiled import kernel
-from gridpush_drake.dynamics.kernels.scene.records import (
-    FIRST_BODY,
-    FRICTION,
-    OTHER_CX,
-    OTHER_CY,
-    OTHER_NX,
-    OTHER_NY,
-    ROW_CX,
-    ROW_CY,
-    ROW_GAP,
-    ROW_NX,
-    ROW_NY,
-    SECOND_BODY,
-    TIP_VX,
-    TIP_VY,
+from gridpush_drake.dynamics.kernels.scene.complementary_pivoting import solve_complementarity
+from gridpush_drake.dynamics.kernels.scene.contact_rows import (
+    UNKNOWNS,
+    calc_compliance,
+    calc_row_velocity,
+    couple,
+    respond,
 )
-from gridpush_drake.dynamics.kernels.small_matrix import solve_dense
-
-COMPLIANCE = 1e-9
-"""Compliance of the pusher's contacts where there is more than one, as a share of speed/load.
-
-It makes contacts that share a load in more than one way well posed."""
-
-PAIR_COMPLIANCE = 1e-5
-"""Compliance of two bodies' contacts, as a share of speed/load.
-
-Bodies that touch at three places and more would squeeze each other by any force wherever their gaps
-disagree by a rounding error. So soft, a contact that bears the whole load gives way by 10 µm for
-each meter of the push, along the contact; across it, the gap that this leaves is closed again in
-the next step."""
+from gridpush_drake.dynamics.kernels.scene.contact_system import solve_modes
+from gridpush_drake.dynamics.kernels.scene.records import FIRST_BODY, FRICTION, SECOND_BODY
 
 MODE_TOLERANCE = 1e-9
 """Violation of the contact conditions, as a share of load and speed, that counts as none."""
 
-_ALL_AT_ONCE = 8
+_ALL_AT_ONCE = 5
 """Attempts in which all contacts that break their promise change their modes."""
 
-_ONE_BY_ONE = 24
+_ONE_BY_ONE = 5
 """Attempts in which only the worst one does."""
 
-_CONTESTED = 4
-"""Most contacts all of whose modes are tried together."""
-
-UNFIT = 1.0
-"""Violation that is told where no modes were found that fit."""
-
-_SWEEPS = 200
-"""Most sweeps of the Gauss-Seidel method."""
-
-_SETTLED = 1e-12
-"""Change of the contact forces in a sweep, as a share of the load, that ends the method."""
-
-
-class SceneScales(NamedTuple):
-    """What is large in a step.
-
-    Attributes:
-        load: friction with the table that all cells of all bodies can carry, N.
-        speed: of the pusher and of the fastest approach, m/s.
-        tip_speed: of the pusher; `speed` where it stands still, m/s.
-    """
-
-    load: float
-    speed: float
-    tip_speed: float
-
-
-class ContactWork(NamedTuple):
-    """What a linearized step is solved with, for N bodies and R contacts.
-
-    Attributes:
-        inverse: (N, 3, 3) S^-1, body by body.
-        free: (N, 3) S^-1 rhs: the twists without contacts.
-        weight: (N,) sigma; zero of a body that rests.
-        load: (N,) sigma a·xi, N.
-        start: (N, 3) twists without contacts of bodies that keep their speed.
-        rows: (2R+N, 6) J_n and J_t of each contact, three numbers for each of its bodies; then the
-            axis a of each body.
-        ends: (2R+N, 2) the bodies of each row; -1 where there is no second one.
-        asked: (2R+N,) what J_n xi and J_t xi should be.
-        used: (2R+N,) which of them an equation stands for; its column is in `columns`.
-        columns: (2R+N, 6) the columns of E.
-        responses: (2R+N, 6) S^-1 E.
-        W, B: workspace (2R+N, 2R+N) and (2R+N, 1).
-        next_modes: (R,) the modes that the solution speaks for.
-        D: (2R, 2R) workspace of the Gauss-Seidel method: J S^-1 J^T.
-        velocity: (2R,) workspace.
-        swept, swept_modes: (R, 2), (R,) forces and modes that the method found.
-        changes: (R,) how often a contact changed its mode when only the worst did.
-        contested: contacts all of whose modes are tried.
-    """
-
-    inverse: Any
-    free: Any
-    weight: Any
-    load: Any
-    start: Any
-    rows: Any
-    ends: Any
-    asked: Any
-    used: Any
-    columns: Any
-    responses: Any
-    W: Any
-    B: Any
-    next_modes: Any
-    D: Any
-    velocity: Any
-    swept: Any
-    swept_modes: Any
-    changes: Any
-    contested: Any
-
-
-@kernel()
-def make_contact_work(n, room):
-    """Makes the workspace for n bodies and so many contacts."""
-    size = 2 * room + n
-    return ContactWork(
-        inverse=np.zeros((n, 3, 3)),
-        free=np.zeros((n, 3)),
-        weight=np.zeros(n),
-        load=np.zeros(n),
-        start=np.zeros((n, 3)),
-        rows=np.zeros((size, 6)),
-        ends=np.zeros((size, 2), np.int64),
-        asked=np.zeros(size),
-        used=np.zeros(size, np.int64),
-        columns=np.zeros((size, 6)),
-        responses=np.zeros((size, 6)),
-        W=np.zeros((size, size)),
-        B=np.zeros((size, 1)),
-        next_modes=np.zeros(room, np.int64),
-        D=np.zeros((2 * room, 2 * room)),
-        velocity=np.zeros(2 * room),
-        swept=np.zeros((room, 2)),
-        swept_modes=np.zeros(room, np.int64),
-        changes=np.zeros(room, np.int64),
-        contested=np.zeros(_CONTESTED, np.int64),
-    )
-
-
-@kernel(allocates=False)
-def fill_rows(contacts, dt, work):
-    """Fills in J_n, J_t and what they ask for, which stay the same throughout a step."""
-    for r in range(contacts.counts[0]):
-        numbers = contacts.numbers[r]
-        nx = numbers[ROW_NX]
-        ny = numbers[ROW_NY]
-        cx = numbers[ROW_CX]
-        cy = numbers[ROW_CY]
-        normal = work.rows[2 * r]
-        tangent = work.rows[2 * r + 1]
-        # (N, c × N) and (T, c × T), with T = z × N
-        normal[0] = nx
-        normal[1] = ny
-        normal[2] = cx * ny - cy * nx
-        tangent[0] = -ny
-        tangent[1] = nx
-        tangent[2] = cx * nx + cy * ny
-        mx = numbers[OTHER_NX]
-        my = numbers[OTHER_NY]
-        dx = numbers[OTHER_CX]
-        dy = numbers[OTHER_CY]
-        if contacts.ids[r, SECOND_BODY] < 0:
-            mx = 0.0
-            my = 0.0
-        normal[3] = -mx
-        normal[4] = -my
-        normal[5] = -(dx * my - dy * mx)
-        tangent[3] = my
-        tangent[4] = -mx
-        tangent[5] = -(dx * mx + dy * my)
-        vx = numbers[TIP_VX]
-        vy = numbers[TIP_VY]
-        for k in range(2 * r, 2 * r + 2):
-            work.ends[k, 0] = contacts.ids[r, FIRST_BODY]
-            work.ends[k, 1] = contacts.ids[r, SECOND_BODY]
-        work.asked[2 * r] = nx * vx + ny * vy - numbers[ROW_GAP] / dt
-        work.asked[2 * r + 1] = nx * vy - ny * vx
-    first = 2 * contacts.modes.shape[0]
-    for b in range(work.weight.shape[0]):
-        work.ends[first + b, 0] = b
-        work.ends[first + b, 1] = -1
-        work.asked[first + b] = 0.0
-
-
-@kernel(allocates=False)
-def invert_hessians(bodies, H, rhs, xi, awake, eps, work):
-    """Fills in S^-1, S^-1 rhs, the axes and their weights, of the bodies that are awake.
-
-    Args:
-        bodies: `Bodies`.
-        H, rhs: (N, 3, 3), (N, 3) of the linearized step.
-        xi: (N, 3) where it is linearized.
-        awake: (N,) which bodies take part.
-        eps: stiction tolerance, m/s; a body that is slower rests, and its H is regular.
-        work: `ContactWork`.
-
-    Returns:
-        False where a matrix is singular.
-    """
-    first = work.rows.shape[0] - xi.shape[0]
-    for b in range(awake.shape[0]):
-        work.weight[b] = 0.0
-        if not awake[b]:
-            for i in range(3):
-                work.free[b, i] = 0.0
-            continue
-        # The axis, in the metric of lengths in which a turn counts by the body's arm.
-        axis = work.rows[first + b]
-        arm2 = bodies.arm[b] * bodies.arm[b]
-        ux = xi[b, 0]
-        uy = xi[b, 1]
-        w = xi[b, 2]
-        speed2 = ux * ux + uy * uy + arm2 * w * w
-        if speed2 > eps * eps:
-            speed = sqrt(speed2)
-            work.load[b] = bodies.load[b]
-            work.weight[b] = bodies.load[b] / speed
-            axis[0] = ux / speed
-            axis[1] = uy / speed
-            axis[2] = arm2 * w / speed
-        if not _invert(H[b], axis, work.weight[b], work.inverse[b]):
-            return False
-        for i in range(3):
-            row = work.inverse[b, i]
-            work.free[b, i] = row[0] * rhs[b, 0] + row[1] * rhs[b, 1] + row[2] * rhs[b, 2]
-    return True
-
-
-@kernel(allocates=False)
-def _invert(H, axis, weight, inverse):
-    """Fills in (H + weight a a^T)^-1, symmetric (3, 3); returns False where it is singular."""
-    x = axis[0]
-    y = axis[1]
-    z = axis[2]
-    a00 = H[0, 0] + weight * x * x
-    a01 = H[0, 1] + weight * x * y
-    a02 = H[0, 2] + weight * x * z
-    a11 = H[1, 1] + weight * y * y
-    a12 = H[1, 2] + weight * y * z
-    a22 = H[2, 2] + weight * z * z
-    # its adjugate over its determinant
-    c00 = a11 * a22 - a12 * a12
-    c01 = a02 * a12 - a01 * a22
-    c02 = a01 * a12 - a02 * a11
-    c11 = a00 * a22 - a02 * a02
-    c12 = a01 * a02 - a00 * a12
-    c22 = a00 * a11 - a01 * a01
-    determinant = a00 * c00 + a01 * c01 + a02 * c02
-    if not determinant > 0.0:
-        return False
-    scale = 1.0 / determinant
-    inverse[0, 0] = scale * c00
-    inverse[0, 1] = scale * c01
-    inverse[1, 0] = scale * c01
-    inverse[0, 2] = scale * c02
-    inverse[2, 0] = scale * c02
-    inverse[1, 1] = scale * c11
-    inverse[1, 2] = scale * c12
-    inverse[2, 1] = scale * c12
-    inverse[2, 2] = scale * c22
-    return True
-
-
-@kernel(allocates=False)
-def calc_row_velocity(row, i, j, twists):
-    """Multiplies a row of J, of the bodies i and j, with the twists (N, 3)."""
-    mine = twists[i]
-    total = row[0] * mine[0] + row[1] * mine[1] + row[2] * mine[2]
-    if j >= 0:
-        other = twists[j]
-        total += row[3] * other[0] + row[4] * other[1] + row[5] * other[2]
-    return total
-
-
-@kernel(allocates=False)
-def respond(inverse, column, i, j, response):
-    """Fills in H^-1 times a column of E (6,) of the bodies i and j."""
-    for a in range(3):
-        row = inverse[i, a]
-        response[a] = row[0] * column[0] + row[1] * column[1] + row[2] * column[2]
-        if j >= 0:
-            row = inverse[j, a]
-            response[3 + a] = row[0] * column[3] + row[1] * column[4] + row[2] * column[5]
-
-
-@kernel(allocates=False)
-def couple(row, i, j, response, k, m):
-    """Multiplies a row of C, of the bodies i and j, with a response of the bodies k and m."""
-    total = 0.0
-    # the part of each body that the two have in common
-    if i == k:
-        total += row[0] * response[0] + row[1] * response[1] + row[2] * response[2]
-    elif i == m:
-        total += row[0] * response[3] + row[1] * response[4] + row[2] * response[5]
-    if j >= 0:
-        if j == k:
-            total += row[3] * response[0] + row[4] * response[1] + row[5] * response[2]
-        elif j == m:
-            total += row[3] * response[3] + row[4] * response[4] + row[5] * response[5]
-    return total
-
-
-@kernel(allocates=False)
-def calc_compliance(contacts, scales):
-    """Calculates the compliance of the pusher's contacts and of two bodies', (m/s)/N.
-
-    That of two bodies goes with the pusher's speed, which does not hang on where the bodies are.
-    """
-    several = contacts.counts[0] > 1
-    finger = COMPLIANCE * scales.speed / scales.load if several else 0.0
-    return finger, PAIR_COMPLIANCE * scales.tip_speed / scales.load
-
-
-@kernel(allocates=False)
-def build_contact_matrix(contacts, compliance, work):
-    """Fills in W = C S^-1 E + compliance for the contacts' modes, and S^-1 E.
-
-    The axes of the bodies that move come last.
-
-    Returns:
-        The size of W.
-    """
-    size = 0
-    for r in range(contacts.counts[0]):
-        mode = contacts.modes[r]
-        if mode == SEPARATE:
-            continue
-        slide = 0.0
-        if mode == SLIDE_PLUS:
-            slide = contacts.numbers[r, FRICTION]
-        elif mode == SLIDE_MINUS:
-            slide = -contacts.numbers[r, FRICTION]
-        # a sliding contact's friction goes with its normal force
-        work.used[size] = 2 * r
-        for a in range(6):
-            work.columns[size, a] = work.rows[2 * r, a] + slide * work.rows[2 * r + 1, a]
-        size += 1
-        if mode == STICK:
-            work.used[size] = 2 * r + 1
-            for a in range(6):
-                work.columns[size, a] = work.rows[2 * r + 1, a]
-            size += 1
-    # the bodies' axes, each with its tau
-    n = work.weight.shape[0]
-    first = work.rows.shape[0] - n
-    forces = size
-    for b in range(n):
-        if work.weight[b] > 0.0:
-            work.used[size] = first + b
-            for a in range(3):
-                work.columns[size, a] = work.rows[first + b, a]
-            size += 1
-    # S^-1 E, column by column, and W
-    for q in range(size):
-        ends = work.ends[work.used[q]]
-        respond(work.inverse, work.columns[q], ends[0], ends[1], work.responses[q])
-    for p in range(size):
-        row = work.rows[work.used[p]]
-        ends = work.ends[work.used[p]]
-        for q in range(size):
-            others = work.ends[work.used[q]]
-            work.W[p, q] = couple(row, ends[0], ends[1], work.responses[q], others[0], others[1])
-        if p < forces:
-            work.W[p, p] += compliance[0 if ends[1] < 0 else 1]
-        else:
-            work.W[p, p] -= 1.0 / work.weight[ends[0]]
-    return size
-
-
-@kernel(allocates=False)
-def _solve_modes(contacts, xi, compliance, work):
-    """Solves the linearized step for the contacts' modes; False where it is singular."""
-    lam = contacts.lam
-    size = build_contact_matrix(contacts, compliance, work)
-    # b - C S^-1 rhs
-    for p in range(size):
-        used = work.used[p]
-        ends = work.ends[used]
-        free = calc_row_velocity(work.rows[used], ends[0], ends[1], work.free)
-        work.B[p, 0] = work.asked[used] - free
-    if not solve_dense(work.W, work.B, size, 1):
-        return False
-    # xi = S^-1 (rhs + E lam), and the forces by contact
-    for b in range(xi.shape[0]):
-        for a in range(3):
-            xi[b, a] = work.free[b, a]
-    for r in range(contacts.counts[0]):
-        lam[r, 0] = 0.0
-        lam[r, 1] = 0.0
-    for p in range(size):
-        used = work.used[p]
-        force = work.B[p, 0]
-        i = work.ends[used, 0]
-        j = work.ends[used, 1]
-        response = work.responses[p]
-        for a in range(3):
-            xi[i, a] += response[a] * force
-            if j >= 0:
-                xi[j, a] += response[3 + a] * force
-        r = used // 2
-        if r >= contacts.counts[0]:
-            continue  # a body's axis
-        lam[r, used % 2] = force
-        if contacts.modes[r] == SLIDE_PLUS:
-            lam[r, 1] = contacts.numbers[r, FRICTION] * force
-        elif contacts.modes[r] == SLIDE_MINUS:
-            lam[r, 1] = -contacts.numbers[r, FRICTION] * force
-    return True
+_SLIGHT = 1e-11
+"""Force of a contact, as a share of the load, that is none; and distance from its cone."""
 
 
 @kernel(allocates=False)
@@ -510,7 +130,7 @@ def _improve(contacts, xi, scales, compliance, work):
     """Solves the step for ever better modes; returns the violation that is left."""
     worst = np.inf
     for attempt in range(_ALL_AT_ONCE + _ONE_BY_ONE):
-        if not _solve_modes(contacts, xi, compliance, work):
+        if not solve_modes(contacts, xi, compliance, work):
             return np.inf
         worst, contact = check_modes(contacts, xi, scales, work)
         if worst <= MODE_TOLERANCE:
@@ -521,53 +141,7 @@ def _improve(contacts, xi, scales, compliance, work):
                 contacts.modes[r] = work.next_modes[r]
         else:
             contacts.modes[contact] = work.next_modes[contact]
-            work.changes[contact] += 1
     return worst
-
-
-@kernel(allocates=False)
-def _enumerate(contacts, xi, scales, compliance, work):
-    """Tries all modes of the contacts that changed theirs most often, and all others as they are.
-
-    Returns:
-        The violation that is left by the best modes, which it leaves to the contacts.
-    """
-    count = contacts.counts[0]
-    # those that changed most often
-    chosen = 0
-    while chosen < _CONTESTED:
-        most = 0
-        for r in range(count):
-            if work.changes[r] > work.changes[most]:
-                most = r
-        if work.changes[most] == 0:
-            break
-        work.changes[most] = 0
-        work.contested[chosen] = most
-        chosen += 1
-    # every combination of their modes
-    best = np.inf
-    best_choice = 0
-    for choice in range(4**chosen):
-        _choose(contacts, work.contested, chosen, choice)
-        if not _solve_modes(contacts, xi, compliance, work):
-            continue
-        worst, _ = check_modes(contacts, xi, scales, work)
-        if worst <= MODE_TOLERANCE:
-            return worst
-        if worst < best:
-            best = worst
-            best_choice = choice
-    _choose(contacts, work.contested, chosen, best_choice)
-    return best
-
-
-@kernel(allocates=False)
-def _choose(contacts, contested, chosen, choice):
-    """Gives contested contacts the modes that the digits of a number to the base 4 stand for."""
-    for k in range(chosen):
-        contacts.modes[contested[k]] = choice % 4
-        choice //= 4
 
 
 @kernel(allocates=False)
@@ -588,93 +162,126 @@ def _fill_start(work):
 
 
 @kernel(allocates=False)
-def _sweep(contacts, compliance, load, work):
-    """Finds modes and forces by the projected Gauss-Seidel method, and writes them to the contacts.
-
-    Every body is held to the speed along its axis that it had, by a spring: a proximal term.
-    """
-    lam = contacts.lam
-    D = work.D
-    count = contacts.counts[0]
-    # J S^-1 J^T, and the velocities without contact forces, as if every body kept its speed.
-    for q in range(2 * count):
-        ends = work.ends[q]
-        respond(work.inverse, work.rows[q], ends[0], ends[1], work.responses[q])
-        lam[q // 2, q % 2] = 0.0
-        work.velocity[q] = (
-            calc_row_velocity(work.rows[q], ends[0], ends[1], work.start) - work.asked[q]
-        )
-    for p in range(2 * count):
-        ends = work.ends[p]
-        for q in range(2 * count):
-            others = work.ends[q]
-            D[p, q] = couple(
-                work.rows[p], ends[0], ends[1], work.responses[q], others[0], others[1]
-            )
-        D[p, p] += compliance[0 if ends[1] < 0 else 1]
-    for _ in range(_SWEEPS):
-        change = 0.0
-        for r in range(count):
-            n = 2 * r
-            t = n + 1
-            # The velocities without this contact's own forces.
-            normal = work.velocity[n] - D[n, n] * lam[r, 0] - D[n, t] * lam[r, 1]
-            tangential = work.velocity[t] - D[t, n] * lam[r, 0] - D[t, t] * lam[r, 1]
-            mode, new_n, new_t = _solve_contact(
-                D[n, n], D[n, t], D[t, t], normal, tangential, contacts.numbers[r, FRICTION]
-            )
-            contacts.modes[r] = mode
-            dn = new_n - lam[r, 0]
-            dt = new_t - lam[r, 1]
-            lam[r, 0] = new_n
-            lam[r, 1] = new_t
-            change = max(change, abs(dn), abs(dt))
-            for p in range(2 * count):
-                work.velocity[p] += D[p, n] * dn + D[p, t] * dt
-        if change <= _SETTLED * load:
-            return
+def _include(contacts, work):
+    """Chooses the contacts that take part: those that touch, or should; returns their number."""
+    count = 0
+    for r in range(contacts.counts[0]):
+        if contacts.modes[r] != SEPARATE or work.next_modes[r] != SEPARATE:
+            work.included[count] = r
+            count += 1
+    return count
 
 
 @kernel(allocates=False)
-def _solve_contact(nn, nt, tt, normal, tangential, mu):
-    """Solves one contact by itself: velocity = (normal, tangential) + [[nn, nt], [nt, tt]] lam.
+def _include_more(contacts, xi, count, scales, work):
+    """Adds the contacts in which two bodies approach each other; returns the new number."""
+    more = count
+    for r in range(contacts.counts[0]):
+        if contacts.modes[r] != SEPARATE:
+            continue
+        ends = work.ends[2 * r]
+        speed = calc_row_velocity(work.rows[2 * r], ends[0], ends[1], xi)
+        known = False
+        for c in range(count):
+            known = known or work.included[c] == r
+        if not known and work.asked[2 * r] - speed > MODE_TOLERANCE * scales.speed:
+            work.included[more] = r
+            more += 1
+    return more
+
+
+@kernel(allocates=False)
+def _fill_pivoting(contacts, count, scales, compliance, work):
+    """Fills in the complementarity problem of the proximal step, in units of speed and load.
+
+    Args:
+        contacts: `Contacts`.
+        count: number of those that are included.
+        scales: `SceneScales`.
+        compliance: of `calc_compliance`.
+        work: `ContactWork`.
 
     Returns:
-        The mode, lam_n and lam_t.
+        Its size.
     """
-    if normal >= 0.0:
-        return SEPARATE, 0.0, 0.0
-    determinant = nn * tt - nt * nt
-    if determinant > 0.0:
-        lam_n = (-tt * normal + nt * tangential) / determinant
-        lam_t = (nt * normal - nn * tangential) / determinant
-        if abs(lam_t) <= mu * lam_n:
-            return STICK, lam_n, lam_t
-    # It slides against the slip that there would be without friction; or, if that does not fit, the
-    # other way.
-    sign = -1.0 if tangential - nt * normal / nn > 0.0 else 1.0
-    effective = nn + sign * mu * nt
-    if effective <= 0.0:
-        sign = -sign
-        effective = nn + sign * mu * nt
-    lam_n = -normal / effective
-    mode = SLIDE_PLUS if sign > 0.0 else SLIDE_MINUS
-    return mode, lam_n, sign * mu * lam_n
+    table = work.pivoting.table
+    size = UNKNOWNS * count
+    unit = scales.load / scales.speed
+    # nothing yet but d, which is one everywhere
+    for i in range(size):
+        for c in range(size + 2):
+            table[i, c] = 0.0
+        table[i, size] = 1.0
+    # S^-1 J^T
+    for c in range(count):
+        for q in range(2 * work.included[c], 2 * work.included[c] + 2):
+            ends = work.ends[q]
+            respond(work.inverse, work.rows[q], ends[0], ends[1], work.responses[q])
+    for c in range(count):
+        r = work.included[c]
+        first = UNKNOWNS * c
+        i = work.ends[2 * r, 0]
+        j = work.ends[2 * r, 1]
+        for k in range(2):
+            # the normal velocity, then the slip
+            p = 2 * r + k
+            row = work.rows[p]
+            line = table[first + k]
+            for d in range(count):
+                other = work.included[d]
+                column = UNKNOWNS * d
+                ends = work.ends[2 * other]
+                normal = couple(row, i, j, work.responses[2 * other], ends[0], ends[1])
+                tangential = couple(row, i, j, work.responses[2 * other + 1], ends[0], ends[1])
+                line[column] = unit * normal
+                line[column + 1] = unit * tangential
+            line[first + k] += unit * compliance[0 if j < 0 else 1]
+            for d in range(count):
+                line[UNKNOWNS * d + 2] = -line[UNKNOWNS * d + 1]
+            velocity = calc_row_velocity(row, i, j, work.start) - work.asked[p]
+            line[size + 1] = velocity / scales.speed
+        # the slip the other way, gamma in both, and the cone
+        for column in range(size):
+            table[first + 2, column] = -table[first + 1, column]
+        table[first + 2, size + 1] = -table[first + 1, size + 1]
+        table[first + 1, first + 3] = 1.0
+        table[first + 2, first + 3] = 1.0
+        table[first + 3, first] = contacts.numbers[r, FRICTION]
+        table[first + 3, first + 1] = -1.0
+        table[first + 3, first + 2] = -1.0
+    return size
 
 
 @kernel(allocates=False)
-def _take_sweep(contacts, xi, work):
-    """Fills in the twists that go with the forces which the Gauss-Seidel method found."""
+def _read_pivoting(contacts, xi, count, scales, work):
+    """Reads modes, forces and twists from the solution of the complementarity problem."""
+    z = work.pivoting.z
     for b in range(xi.shape[0]):
         for a in range(3):
             xi[b, a] = work.start[b, a]
+    # none touches but those that take part and are pressed
     for r in range(contacts.counts[0]):
+        contacts.modes[r] = SEPARATE
+        contacts.lam[r, 0] = 0.0
+        contacts.lam[r, 1] = 0.0
+    for c in range(count):
+        r = work.included[c]
+        normal = z[UNKNOWNS * c]
+        tangential = z[UNKNOWNS * c + 1] - z[UNKNOWNS * c + 2]
+        if normal <= _SLIGHT:
+            mode = SEPARATE
+        elif contacts.numbers[r, FRICTION] * normal - abs(tangential) > _SLIGHT:
+            mode = STICK
+        else:
+            mode = SLIDE_PLUS if tangential > 0.0 else SLIDE_MINUS
+        contacts.modes[r] = mode
+        contacts.lam[r, 0] = normal * scales.load
+        contacts.lam[r, 1] = tangential * scales.load
+        # xi = start + S^-1 J^T lam
         for k in range(2):
             force = contacts.lam[r, k]
             ends = work.ends[2 * r + k]
-            column = work.rows[2 * r + k]
             response = work.responses[2 * r + k]
-            respond(work.inverse, column, ends[0], ends[1], response)
             for a in range(3):
                 xi[ends[0], a] += response[a] * force
                 if ends[1] >= 0:
@@ -682,11 +289,28 @@ def _take_sweep(contacts, xi, work):
 
 
 @kernel(allocates=False)
+def _take_proximal_step(contacts, xi, scales, compliance, work):
+    """Finds twists, forces and modes of the proximal step; returns False where it does not."""
+    _fill_start(work)
+    # Most contacts are far from touching: they come in only where they are broken without.
+    count = _include(contacts, work)
+    for _ in range(contacts.counts[0] + 1):
+        size = _fill_pivoting(contacts, count, scales, compliance, work)
+        if not solve_complementarity(work.pivoting, size):
+            return False
+        _read_pivoting(contacts, xi, count, scales, work)
+        more = _include_more(contacts, xi, count, scales, work)
+        if more == count:
+            break
+        count = more
+    return True
+
+
+@kernel(allocates=False)
 def solve_contacts(contacts, xi, scales, work):
     """Solves the linearized step, with modes that fit it.
 
-    Where no modes are found that do, it gives the solution of the Gauss-Seidel method: that of the
-    step with a proximal term, from which the next iteration goes on.
+    Where no modes are found that do, it gives the solution of the step with a proximal term.
 
     Args:
         contacts: `Contacts`, modes to begin with in, modes and forces out.
@@ -699,27 +323,15 @@ def solve_contacts(contacts, xi, scales, work):
     """
     compliance = calc_compliance(contacts, scales)
     worst = _improve(contacts, xi, scales, compliance, work)
-    count = contacts.counts[0]
-    if worst <= MODE_TOLERANCE or count == 0:
+    if worst <= MODE_TOLERANCE or contacts.counts[0] == 0:
         return worst
     # Other modes to start from.
-    _fill_start(work)
-    _sweep(contacts, compliance, scales.load, work)
-    for r in range(count):
-        work.swept_modes[r] = contacts.modes[r]
-        work.swept[r, 0] = contacts.lam[r, 0]
-        work.swept[r, 1] = contacts.lam[r, 1]
-        work.changes[r] = 0
+    if not _take_proximal_step(contacts, xi, scales, compliance, work):
+        return np.inf
     worst = _improve(contacts, xi, scales, compliance, work)
     if worst <= MODE_TOLERANCE:
         return worst
-    worst = _enumerate(contacts, xi, scales, compliance, work)
-    if worst <= MODE_TOLERANCE:
-        return worst
-    # None fit: the next iteration goes on from what the sweeps found.
-    for r in range(count):
-        contacts.modes[r] = work.swept_modes[r]
-        contacts.lam[r, 0] = work.swept[r, 0]
-        contacts.lam[r, 1] = work.swept[r, 1]
-    _take_sweep(contacts, xi, work)
-    return min(worst, UNFIT)
+    # None fit: the next iteration goes on from the proximal step.
+    _take_proximal_step(contacts, xi, scales, compliance, work)
+    worst, _ = check_modes(contacts, xi, scales, work)
+    return worst

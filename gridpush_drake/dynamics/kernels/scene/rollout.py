@@ -13,7 +13,7 @@ from gridpush_drake.dynamics.kernels.contact import GAP, find_contacts
 from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
 from gridpush_drake.dynamics.kernels.scene.compiled import kernel
-from gridpush_drake.dynamics.kernels.scene.contact_problem import SceneScales
+from gridpush_drake.dynamics.kernels.scene.contact_rows import SceneScales
 from gridpush_drake.dynamics.kernels.scene.contacts import find_scene_contacts, take_edges
 from gridpush_drake.dynamics.kernels.scene.records import (
     FIRST_BODY,
@@ -122,7 +122,9 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
         moving = awake > 0 and closing > 0.0
         if moving:
             _guess_twists(state, contacts, disc, h, xi, work)
-            status, iterations = solve_scene_step(bodies, contacts, dt, scales, eps, xi, work)
+            status, iterations = solve_scene_step(
+                bodies, contacts, awake, dt, scales, eps, xi, work
+            )
             if differentiate:
                 fill_step_derivative(
                     bodies,

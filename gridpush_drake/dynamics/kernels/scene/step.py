@@ -23,12 +23,13 @@ import numpy as np
 
 from gridpush_drake.dynamics.kernels.isotropic_friction import add_isotropic
 from gridpush_drake.dynamics.kernels.scene.compiled import kernel
-from gridpush_drake.dynamics.kernels.scene.contact_problem import (
+from gridpush_drake.dynamics.kernels.scene.contact_problem import solve_contacts
+from gridpush_drake.dynamics.kernels.scene.contact_rows import (
     fill_rows,
-    invert_hessians,
     make_contact_work,
-    solve_contacts,
+    order_unknowns,
 )
+from gridpush_drake.dynamics.kernels.scene.contact_system import invert_hessians
 from gridpush_drake.dynamics.kernels.scene.records import (
     FIRST_BODY,
     IDENTITY,
@@ -306,12 +307,13 @@ def _set_zero(values):
 
 
 @kernel(allocates=False)
-def solve_scene_step(bodies, contacts, dt, scales, eps, xi, work):
+def solve_scene_step(bodies, contacts, count, dt, scales, eps, xi, work):
     """Solves one step of the bodies that are awake, from the guess in `xi`.
 
     Args:
         bodies: `Bodies`.
         contacts: `Contacts`; modes to begin with in, modes and forces out.
+        count: number of bodies that are awake.
         dt: the step, s.
         scales: `SceneScales`.
         eps: stiction tolerance, m/s.
@@ -322,6 +324,7 @@ def solve_scene_step(bodies, contacts, dt, scales, eps, xi, work):
         (status, iterations).
     """
     fill_rows(contacts, dt, work.contact)
+    order_unknowns(contacts, work.order, count, work.contact)
     status, iterations = _iterate(bodies, contacts, scales, eps, xi, work, NEWTON_LIMIT)
     if status == CONVERGED:
         return status, iterations

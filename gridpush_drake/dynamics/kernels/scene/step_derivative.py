@@ -24,10 +24,10 @@ import numpy as np
 from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, SLIDE_PLUS, STICK
 from gridpush_drake.dynamics.kernels.isotropic_friction import fill_cell_forces
 from gridpush_drake.dynamics.kernels.scene.compiled import kernel
-from gridpush_drake.dynamics.kernels.scene.contact_problem import (
-    PAIR_COMPLIANCE,
+from gridpush_drake.dynamics.kernels.scene.contact_rows import PAIR_COMPLIANCE, calc_compliance
+from gridpush_drake.dynamics.kernels.scene.contact_system import (
     build_contact_matrix,
-    calc_compliance,
+    solve_banded,
 )
 from gridpush_drake.dynamics.kernels.scene.contact_terms import (
     APPROACH,
@@ -58,7 +58,6 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     ROW_NY,
     SECOND_BODY,
 )
-from gridpush_drake.dynamics.kernels.small_matrix import solve_dense
 
 _DELTA = 1e-30
 """Imaginary step of the derivatives. Its square vanishes beside every number here."""
@@ -160,11 +159,10 @@ def fill_step_derivative(bodies, state, disc, contacts, h, dt, scales, xi, awake
     for row in range(size):
         for column in range(columns):
             V[row, column] = 0.0
-    row = 0
     for r in range(contacts.counts[0]):
         if contacts.modes[r] != SEPARATE:
+            row = work.place[r]
             _add_contact(bodies, state, disc, contacts, r, row, h, dt, scales, xi, derivative)
-            row += 2 if contacts.modes[r] == STICK else 1
 
     # First the response without contacts, S^-1 F, then that of the contact forces.
     for b in range(n):
@@ -188,7 +186,7 @@ def fill_step_derivative(bodies, state, disc, contacts, h, dt, scales, xi, awake
                     value -= C[3 + a] * F[3 * j + a, column]
             V[p, column] = value
     # The contact forces' derivatives, and with them the twists'.
-    if not solve_dense(work.W, V, size, columns):
+    if not solve_banded(work.W, V, work.right, size, columns):
         for row in range(3 * n):
             for column in range(columns):
                 F[row, column] = 0.0
