@@ -1,6 +1,7 @@
 """`gridpush bench speed`: how fast pushes are simulated and differentiated, and objects identified.
 
-Timing on one core: by the clock on the wall, and of identification by that of the processor.
+Timing on one core: by the clock on the wall, and of identification and decisions by that of the
+processor.
 """
 
 import os
@@ -24,13 +25,15 @@ from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.study import MASKS, Study, StudyOptions, option
 from gridpush_drake.bench.table import MS, Table, Value
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
-from gridpush_drake.dynamics.push import Push, make_times_with
+from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
+from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 
@@ -166,6 +169,21 @@ FEW = 25
 IDENTIFY_REPETITIONS = 5
 """How often an identification from fewer pushes is timed."""
 
+DRAWN_LOG = (132, 6)
+"""Number of cells and of pushes of the log from whose posterior models are drawn."""
+
+DRAWN_PUSHES = 100
+"""Number of pushes that are simulated with every model that is drawn."""
+
+DRAWN_LENGTH = 0.1
+"""Length of these pushes, m."""
+
+GOALS = 20
+"""Number of goals for each of which one push is decided on."""
+
+GOAL_REACH = (0.15, 0.15, 1.0)
+"""How far off a goal is at most, along x and y, m, and in its angle, rad."""
+
 Announce = Callable[[str], None]
 """Function that is called with what begins."""
 
@@ -180,6 +198,7 @@ class Options(StudyOptions):
         mujoco: whether MuJoCo is run beside, where it is installed.
         sizes: numbers of cells for the cost against the number of cells.
         logs: numbers of cells and pushes of the logs that are identified.
+        draws: number of models that are drawn from a posterior.
     """
 
     data: Path | None = option(None, **MASKS)
@@ -187,6 +206,7 @@ class Options(StudyOptions):
     mujoco: bool = option(True, "Run MuJoCo beside, where it is installed.")
     sizes: tuple[int, ...] = SIZES
     logs: tuple[tuple[int, int], ...] = LOGS
+    draws: int = option(1000, "Models drawn from a posterior.", least=1)
 
 
 def measure_all(options: Options, report: Report | None) -> list[Table]:
@@ -197,13 +217,14 @@ def measure_all(options: Options, report: Report | None) -> list[Table]:
         report: called with what begins, as of jobs.
     """
     obj = load_hammer(options.data)
-    steps = len(_make_simulations(obj)) + len(options.sizes) + len(options.logs) + 1
+    steps = len(_make_simulations(obj)) + len(options.sizes) + len(options.logs) + 3
     announce = count_steps(report, steps + int(options.mujoco))
     with one_core() as pinned:
         tables = [
             _measure_push(obj, options.repetitions, options.mujoco, pinned, announce),
             _measure_sizes(options.sizes, options.repetitions, announce),
             _measure_identification(options.logs, announce),
+            _measure_decisions(obj, options.draws, announce),
         ]
         announce("start-up")
         tables.append(_measure_start_up())
@@ -396,6 +417,57 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
     return Table("Identification", columns, rows, [note])
 
 
+def _measure_decisions(obj: GridObject, draws: int, announce: Announce) -> Table:
+    announce("decisions on the next push")
+    rng = np.random.default_rng(0)
+    params = CellParameters.random(obj, seed=0)
+    goals = rng.uniform(-1.0, 1.0, (GOALS, 3)) * GOAL_REACH
+    still = np.zeros(3)
+    optimize_contact(obj, params, still, goals[0])
+    times = [
+        measure(partial(optimize_contact, obj, params, still, goal), 1, 0, process_time).median
+        for goal in goals
+    ]
+    low, median, high = np.quantile(times, [0.25, 0.5, 0.75])
+    decision = Timing(float(median), float(low), float(high))
+
+    announce(f"{draws} models, {DRAWN_PUSHES} pushes")
+    cells, count = DRAWN_LOG
+    learned, log = make_bench_log(cells, count)
+    models = identify(learned, log).samples(draws)
+    batch = PushBatch(learned, _draw_pushes(learned, rng), QUASI_STATIC)
+    batch.simulate(models[0])
+    whole = measure(lambda: [batch.simulate(model) for model in models], 1, 0, process_time).median
+    each = whole / (draws * DRAWN_PUSHES)
+    rows: list[list[Value]] = [
+        ["where and how to push next, by gradient", *(MS * seconds for seconds in decision)],
+        [f"{DRAWN_PUSHES} pushes by each of {draws} drawn models", MS * whole, None, None],
+        ["one of these pushes", MS * each, None, None],
+    ]
+    notes = [
+        f"Processor time. The decision is on one push of the {obj.name}, {obj.n} cells; median and "
+        f"quartiles over {GOALS} goals.",
+        f"The drawn models are of a bar of {learned.n} cells, from the posterior after {count} "
+        f"pushes. Each push is {DRAWN_LENGTH * 100:g} cm long, in steps of 1 mm.",
+    ]
+    return Table("Decisions", ("what", "median, ms", "25 %, ms", "75 %, ms"), rows, notes)
+
+
+def _draw_pushes(obj: GridObject, rng: np.random.Generator) -> list[BatchPush]:
+    """Draws the pushes that every drawn model is tried on."""
+    pushes = []
+    for _ in range(DRAWN_PUSHES):
+        place = rng.uniform(0, obj.edges.perimeter)
+        angle = rng.uniform(-POKE_SLANT, POKE_SLANT)
+        push = Push.on_outline(
+            obj, place, angle, DRAWN_LENGTH, radius=POKE_RADIUS, speed=POKE_SPEED
+        )
+        times = make_path_times(push, "quasi_static")
+        last = np.array([len(times) - 1])
+        pushes.append(BatchPush(push, np.zeros(3), times, last, None))
+    return pushes
+
+
 def _simulate_singly(obj: GridObject, params: CellParameters, timed: Sequence[TimedPush]) -> None:
     for one in timed:
         _ = one.simulate(obj, params, QUASI_STATIC, gradients="mass", record=one.rows).jacobian
@@ -504,7 +576,7 @@ def _describe_scene(obj: GridObject, params: CellParameters, push: Push) -> str:
 STUDY = Study(
     name="speed",
     help="Time a push, its gradient, MuJoCo beside, the cost against the number of cells, "
-    "identification and start-up.",
+    "identification, decisions and start-up.",
     options=Options,
     measure=measure_all,
 )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.first_compilation import have_rollouts_compiled
 from gridpush_drake.dynamics.kernels.contact import Edges
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
-from gridpush_drake.dynamics.kernels.inputs import Body, Load, Pushes, Scheme, Steps, make_steps
+from gridpush_drake.dynamics.kernels.inputs import Body, Load, Pushes, Scheme, Steps, make_record
 from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
 from gridpush_drake.dynamics.kernels.step_memory import make_memory
 from gridpush_drake.dynamics.kernels.step_start import make_state
@@ -62,7 +62,7 @@ def run_kernel(
         The record.
     """
     have_rollouts_compiled()
-    record = make_steps(len(dts))
+    record = make_record(len(dts))
     prepared = prepare_rollout(obj, params, physics, table, ahead)
     if memory is None:
         memory = make_memory()

@@ -36,9 +36,10 @@ class Jacobian:
 
     Attributes:
         steps: (R,) the steps the rows belong to.
-        mass: (R, 3, n) by the cells' masses, 1/kg.
+        mass: (R, 3, n) by the cells' masses, 1/kg; (R, 3, 0) where only those by the push were
+            asked for.
         friction: (R, 3, n) by the cells' friction coefficients; (R, 3, 0) where only those by mass
-            were asked for.
+            or by the push were asked for.
         contact_friction: (R, 3) by the pusher's friction coefficient.
         start: (R, 3, 2) by the place (x, y) in W where the push begins, the path moved with it,
             1/m.
@@ -168,6 +169,8 @@ class RawJacobian:
         start_tangent: (2,) unit tangent of the outline where the push begins; None where its start
             does not move along the outline.
         shifted: whether the columns are by m_i already.
+        by_cells: whether derivatives by the cells are wanted. Where they are not, and loads do not
+            shift, the kernel made no columns of them.
     """
 
     steps: IntArray
@@ -180,6 +183,7 @@ class RawJacobian:
     inertial: bool
     start_tangent: Array | None
     shifted: bool = False
+    by_cells: bool = True
 
     @classmethod
     def of_parameters(
@@ -192,6 +196,7 @@ class RawJacobian:
         J: Array,
         shifted: bool,
         start_tangent: Array | None = None,
+        by_cells: bool = True,
     ) -> "RawJacobian":
         """Makes it of an object, its parameters, the physics, and what the kernel filled in."""
         return cls(
@@ -205,12 +210,18 @@ class RawJacobian:
             inertial=physics.inertial,
             start_tangent=start_tangent,
             shifted=shifted,
+            by_cells=by_cells,
         )
+
+    @property
+    def cell_columns(self) -> int:
+        """How many of the kernel's columns are by cells; they come first."""
+        return len(self.mass) if self.by_cells or self.shifted else 0
 
     @property
     def other(self) -> Array:
         """(R, 3, OTHER) the columns after those of the cells' frictions."""
-        n = len(self.mass)
+        n = self.cell_columns
         return self.J[..., n : n + columns.OTHER]
 
     def calc_mass(self) -> Array:
@@ -235,15 +246,23 @@ class RawJacobian:
 
     def expand(self) -> Jacobian:
         """Applies the chain rule."""
-        n = len(self.mass)
+        n = self.cell_columns
         other = self.other
         load = self.J[..., :n]
+        nothing = np.empty((*self.J.shape[:2], 0))
+        mass = self.calc_mass() if self.by_cells else nothing
         more = self.J[..., n + columns.OTHER :]
+        if not self.by_cells:
+            friction = nothing
+        elif self.shifted:
+            friction = more[..., 1:]
+        else:
+            friction = load * (self.mass * self.gravity)
         start = other[..., columns.START_X : columns.START_Y + 1]
         return Jacobian(
             steps=self.steps,
-            mass=self.calc_mass(),
-            friction=more[..., 1:] if self.shifted else load * (self.mass * self.gravity),
+            mass=mass,
+            friction=friction,
             contact_friction=other[..., columns.CONTACT_FRICTION],
             start=start,
             direction=other[..., columns.DIRECTION],

@@ -46,8 +46,11 @@ MOVED_MOST = 2.0
 OVERLAP_TOLERANCE = 1e-4
 """Overlap of pusher and outline at the beginning that a motion's status does not mention, m."""
 
-GRADIENTS = (False, True, "mass", "paper")
+GRADIENTS = (False, True, "mass", "push", "paper")
 """What `simulate` may be asked to differentiate."""
+
+EXACT = (True, "mass", "push")
+"""Those of them that ask for columns of the exact Jacobian."""
 
 
 def simulate(
@@ -56,7 +59,7 @@ def simulate(
     push: Push | ForcePush,
     pose: ArrayLike = (0.0, 0.0, 0.0),
     dt: float | None = None,
-    gradients: bool | Literal["mass", "paper"] = False,
+    gradients: bool | Literal["mass", "push", "paper"] = False,
     *,
     physics: Physics | None = None,
     regime: Regime | None = None,
@@ -80,8 +83,9 @@ def simulate(
             pusher moves at most `DEFAULT_TIP_STEP` a step and, in the inertial regime, at most
             `DEFAULT_DT`.
         gradients: True adds the exact Jacobian of every recorded pose; "mass" leaves out the cells'
-            frictions, which is quicker where loads shift; "paper" the paper's closed form, of each
-            step by itself.
+            frictions, which is quicker where loads shift; "push" leaves out all that is by cells,
+            which is quicker where they do not; "paper" the paper's closed form, of each step by
+            itself.
         physics: friction law, regime, spin, gravity and tolerances; `Physics()` by default.
         regime: takes the place of the one in `physics`. "auto", the default, is "inertial" where
             the push is fast (see `physics.FAST_PUSH`), is a force or has a `velocity` before it,
@@ -130,8 +134,9 @@ def simulate(
             "gradients: 'paper' knows no shifting loads; expected a push_height of 0 and no table"
         )
     J = np.empty((0, 3, 0))
-    if gradients in (True, "mass"):
-        width = count_columns(obj.n, shifted, with_friction=gradients is True)
+    if gradients in EXACT:
+        by_cells = shifted or gradients != "push"
+        width = count_columns(obj.n if by_cells else 0, shifted, with_friction=gradients is True)
         J = np.empty((len(rows), 3, width))
 
     load = _make_load(push, times)
@@ -152,7 +157,7 @@ def simulate(
         result.velocities[1:] *= (dts / np.diff(times))[:, None]
 
     jacobian: Jacobian | RawJacobian | None = None
-    if gradients in (True, "mass"):
+    if gradients in EXACT:
         jacobian = RawJacobian.of_parameters(
             obj,
             params,
@@ -161,6 +166,7 @@ def simulate(
             J=J,
             shifted=shifted,
             start_tangent=push.start_tangent if isinstance(push, Push) else None,
+            by_cells=gradients != "push",
         )
     elif gradients == "paper":
         jacobian = calc_paper_jacobian(obj, params, result, dts, rows, used)
@@ -383,7 +389,7 @@ def _check_combination(
                 "friction: the quasi-static regime needs some friction with the support"
             )
     known = physics.law.gradients
-    if (True if gradients == "mass" else gradients) not in known:
+    if (True if gradients in EXACT else gradients) not in known:
         words = ", ".join(map(repr, known))
         raise SimulationError(
             f"gradients is {gradients!r}; "

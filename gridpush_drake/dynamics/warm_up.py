@@ -64,6 +64,7 @@ def find_columns_signature() -> tuple[numba.types.Type, ...]:
     number = 0.0
     records = {
         "columns": Columns(*[matrix] * len(Columns._fields)),
+        "n": 1,
         "body": Body(matrix, vector, *[number] * (len(Body._fields) - 2)),
         "inertial": True,
         "maps": PoseMaps(*[matrix] * len(PoseMaps._fields)),

@@ -12,14 +12,17 @@ from tests.helpers.made_identifications import make_block
 
 
 def test_measures_everything():
-    push, sizes, identification, start_up = STUDY.run(
-        repetitions=3, sizes=(4, 400, 900), logs=((16, 3),), mujoco=False
+    push, sizes, identification, decisions, start_up = STUDY.run(
+        repetitions=3, sizes=(4, 400, 900), logs=((16, 3),), draws=2, mujoco=False
     )
     assert push.rows[0][0] == "inertial"
     assert [row[0] for row in sizes.rows] == [4, 400, 900]
     assert "slope" in sizes.notes[-1]
     assert [row[:2] for row in identification.rows] == [[16, 3]]
     assert all(value > 0 for value in identification.rows[0][2:])
+    assert all(row[1] > 0 for row in decisions.rows)
+    # a push by a drawn model is one of a hundred by each of two
+    assert decisions.rows[1][1] == pytest.approx(200 * decisions.rows[2][1])
     assert len(start_up.rows) == 3
 
 
@@ -40,5 +43,5 @@ def test_the_command(capsys, tmp_path):
         capsys, "bench", "speed", "--repetitions", "3", "--no-mujoco", "--out", out, "--json"
     )
     assert outcome.code == 0, outcome.err
-    assert len(json.loads(outcome.out)["tables"]) == 4
+    assert len(json.loads(outcome.out)["tables"]) == 5
     assert out.read_text().startswith("### One push")

@@ -1,6 +1,7 @@
 """`simulate` and `simulate_batch`: arguments, reproducibility, what they return."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -325,3 +326,21 @@ def test_make_path_times_keeps_samples_when_inertial_and_cuts_evenly_by_length_w
     assert np.diff(times).max() <= 0.01 + 1e-12
     tip = push.tip_at(make_path_times(push, "quasi_static"))
     np.testing.assert_allclose(np.abs(np.diff(tip, axis=0)).sum(axis=1), 0.0305 / 31, rtol=1e-9)
+
+
+@pytest.mark.parametrize("regime", ["inertial", "quasi_static"])
+@pytest.mark.parametrize("height", [0.0, 0.01])
+def test_derivatives_by_the_push_alone_are_those_of_the_whole_jacobian(obj, params, regime, height):
+    high = replace(params, push_height=height)
+    push = Push.on_outline(obj, 0.03, 0.7, 0.05, radius=0.01, speed=0.1)
+    options = {"regime": regime, "record": [10, -1]}
+    whole = simulate(obj, high, push, gradients=True, **options)
+    short = simulate(obj, high, push, gradients="push", **options)
+    assert np.array_equal(short.poses, whole.poses)
+    assert short.jacobian.mass.shape == short.jacobian.friction.shape == (2, 3, 0)
+    for name in ("contact_friction", "start", "direction", "length", "pose", "contact_location"):
+        expected = getattr(whole.jacobian, name)
+        assert np.abs(expected).max() > 0.0
+        assert getattr(short.jacobian, name) == pytest.approx(expected, rel=1e-12, abs=1e-13)
+    if height > 0.0:
+        assert short.jacobian.push_height == pytest.approx(whole.jacobian.push_height, rel=1e-12)

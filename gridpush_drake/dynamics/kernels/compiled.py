@@ -73,7 +73,7 @@ NOTICE = "gridpush: compiling kernels (once a machine, takes up to a minute) ...
 
 
 def kernel(
-    *, allocates: bool = True, fast_sums: bool = False
+    *, allocates: bool = True, fast_sums: bool = False, inlined: bool = False
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Compiles a function on its first call; without the GIL, with division as in C.
 
@@ -84,6 +84,8 @@ def kernel(
             does neither need not count references, which costs more than the rest of a small
             function.
         fast_sums: whether sums may be reordered and divisions by the same number shared.
+        inlined: whether its code becomes part of every kernel that calls it. To hand over a record
+            of arrays costs more than a small function does; but each call makes the caller larger.
 
     Returns:
         The decorator.
@@ -95,6 +97,7 @@ def kernel(
             KernelCache(function),
             counts_references=allocates,
             called_from_python=not function.__name__.startswith("_"),
+            inlined=inlined,
             nogil=True,
             error_model="numpy",
             fastmath=set(FAST_SUMS) if fast_sums else False,

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.walk_round import calc_distance2
 
 MAX_CONTACTS = 2
 """Contacts that a step can have."""
@@ -38,6 +39,15 @@ _STRAIGHT = 1e-9
 It is then convex as seen from outside, and reflex from inside."""
 
 
+_SKIN = 0.5
+"""How far the disc may move before the edges near it are chosen anew, in its radii.
+
+Below 1: a disc that was outside then cannot have come in by more than its radius since."""
+
+_SAFETY = 1e-9
+"""Share by which edges are chosen from farther away than they must be, for rounding's sake."""
+
+
 class Edges(NamedTuple):
     """The outline's directed edges, the object on their left.
 
@@ -54,6 +64,80 @@ class Edges(NamedTuple):
     previous: Any
 
 
+class NearEdges(NamedTuple):
+    """The few edges that the disc can touch before it has moved far, see `find_contacts_near`.
+
+    Attributes:
+        chosen: (E,) indices of these edges, ascending, in the first `size[0]` places.
+        size: (1,) their number; -1 where the disc was inside the outline, so that all count.
+        place: (3,) center of the disc, m, when they were chosen, and how far from it they are at
+            most, m; below 0 before the first choice.
+    """
+
+    chosen: Any
+    size: Any
+    place: Any
+
+
+@kernel()
+def make_near_edges(edges):
+    """Makes the record of the edges near the disc, with nothing chosen yet."""
+    near = NearEdges(
+        chosen=np.zeros(edges.ax.shape[0], np.int64),
+        size=np.zeros(1, np.int64),
+        place=np.zeros(3),
+    )
+    near.place[2] = -1.0
+    return near
+
+
+@kernel(allocates=False)
+def _choose_near_edges(edges, near, tx, ty, limit):
+    """Chooses the edges within `limit` of the disc's center, m, or all if that is inside."""
+    reach2 = limit * limit * (1.0 + _SAFETY)
+    size = 0
+    inside = False
+    for i in range(edges.ax.shape[0]):
+        ax = edges.ax[i]
+        ay = edges.ay[i]
+        bx = edges.bx[i]
+        by = edges.by[i]
+        if calc_distance2(ax, ay, bx, by, tx, ty) <= reach2:
+            near.chosen[size] = i
+            size += 1
+        # by how often a ray crosses the outline
+        if (ay > ty) != (by > ty) and tx < ax + (ty - ay) / (by - ay) * (bx - ax):
+            inside = not inside
+    near.size[0] = -1 if inside else size
+    near.place[0] = tx
+    near.place[1] = ty
+    near.place[2] = limit
+
+
+@kernel(allocates=False)
+def find_contacts_near(edges, near, tx, ty, radius, reach, contacts):
+    """Finds what `find_contacts` finds, number for number, but looks at the edges near the disc.
+
+    They are chosen anew when the disc has moved away from where it was. Until then every edge that
+    is near enough to touch, or to say whether the disc's center is inside, is among them.
+
+    Args:
+        near: `NearEdges` of these edges, kept from call to call.
+
+    The other arguments, and what is returned, are those of `find_contacts`.
+    """
+    dx = tx - near.place[0]
+    dy = ty - near.place[1]
+    spare = near.place[2] - radius - reach
+    if spare < 0.0 or dx * dx + dy * dy > min(spare, _SKIN * radius) ** 2:
+        _choose_near_edges(edges, near, tx, ty, radius + reach + _SKIN * radius)
+    size = near.size[0]
+    count = _find_contacts_among(edges, near.chosen, size, tx, ty, radius, reach, contacts)
+    if count < 0:
+        count = find_contacts(edges, tx, ty, radius, reach, contacts)
+    return count
+
+
 @kernel(allocates=False)
 def find_contacts(edges, tx, ty, radius, reach, contacts):
     """Finds the at most two contacts whose gap is within `reach`.
@@ -67,6 +151,17 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
 
     Returns:
         The number of contacts.
+    """
+    return _find_contacts_among(edges, edges.previous, -1, tx, ty, radius, reach, contacts)
+
+
+@kernel(allocates=False, inlined=True)
+def _find_contacts_among(edges, chosen, size, tx, ty, radius, reach, contacts):
+    """Finds contacts among the first `size` of the chosen edges; among all if `size` is negative.
+
+    Returns:
+        As `find_contacts`; -1 where a reflex vertex is nearest and not all edges were looked at:
+        the edge by which the disc would leave may then be far away.
     """
     ax = edges.ax
     ay = edges.ay
@@ -83,7 +178,9 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
     count = 0
     limit = radius + reach
     limit2 = limit * limit
-    for i in range(ax.shape[0]):
+    whole = size < 0
+    for n in range(ax.shape[0] if whole else size):
+        i = n if whole else chosen[n]
         ex = bx[i] - ax[i]
         ey = by[i] - ay[i]
         rx = tx - ax[i]
@@ -159,6 +256,8 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
             continue
         count = min(count + 1, MAX_CONTACTS)
 
+    if nearest == _REFLEX_VERTEX and not whole:
+        return -1
     if inside_edge >= 0 and nearest in (inside_edge, _REFLEX_VERTEX):
         count = _contact_from_inside(ax, ay, bx, by, inside_edge, tx, ty, radius, contacts)
     return count
@@ -191,16 +290,38 @@ def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
     Returns:
         The number of contacts.
     """
+    sx, sy = _slide_along(contacts, tx, ty, dx, dy)
+    count = find_contacts(edges, sx, sy, radius, reach, ahead)
+    _carry_gaps_back(edges, tx, ty, radius, ahead, count)
+    return count
+
+
+@kernel(allocates=False, inlined=True)
+def look_ahead_near(edges, near, tx, ty, dx, dy, radius, reach, contacts, ahead):
+    """Finds what `look_ahead` finds, among the edges near the disc, see `find_contacts_near`."""
+    sx, sy = _slide_along(contacts, tx, ty, dx, dy)
+    count = find_contacts_near(edges, near, sx, sy, radius, reach, ahead)
+    _carry_gaps_back(edges, tx, ty, radius, ahead, count)
+    return count
+
+
+@kernel(allocates=False, inlined=True)
+def _slide_along(contacts, tx, ty, dx, dy):
+    """Moves the disc's center by what (dx, dy) has along the outline: t + T (T·(dx, dy))."""
+    nx = contacts[0, NX]
+    ny = contacts[0, NY]
+    slide = nx * dy - ny * dx
+    return tx - slide * ny, ty + slide * nx
+
+
+@kernel(allocates=False, inlined=True)
+def _carry_gaps_back(edges, tx, ty, radius, ahead, count):
+    """Sets the gaps of contacts that were found further on to those of the disc where it is."""
     ax = edges.ax
     ay = edges.ay
     bx = edges.bx
     by = edges.by
     previous = edges.previous
-    nx = contacts[0, NX]
-    ny = contacts[0, NY]
-    # T·(dx, dy), and the contacts at t + T (T·(dx, dy)).
-    slide = nx * dy - ny * dx
-    count = find_contacts(edges, tx - slide * ny, ty + slide * nx, radius, reach, ahead)
     for c in range(count):
         i = int(ahead[c, FEATURE])
         if ahead[c, BEND] > 0.0:
@@ -214,10 +335,9 @@ def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
             ahead[c, GAP] = (
                 ahead[c, NX] * (ahead[c, CX] - tx) + ahead[c, NY] * (ahead[c, CY] - ty) - radius
             )
-    return count
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _measure_gap(ax, ay, bx, by, i, tx, ty, radius, contacts, row):
     """Sets the row's gap, and its direction, to those of the disc and edge i if that is nearer."""
     ex = bx[i] - ax[i]
@@ -250,7 +370,7 @@ def _contact_from_inside(ax, ay, bx, by, i, tx, ty, radius, contacts):
     return 1
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _write_contact(contacts, row, nx, ny, cx, cy, gap, bend, feature):
     """Fills in a row; the gap's direction is the normal."""
     contacts[row, NX] = nx

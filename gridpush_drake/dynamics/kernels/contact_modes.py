@@ -9,7 +9,8 @@ where it slides), the modes that are right solve
 
 where C has the rows J_n of touching and J_t of sticking contacts, with lam_n >= 0 where a contact
 touches, no approach where it does not, |lam_t| <= mu lam_n where it sticks, and slip against lam_t
-where it slides. The last step's modes are tried first, then all.
+where it slides. The last step's modes are tried first, then all. One contact by itself, as nearly
+always, is solved in closed form (`_solve_one_contact`).
 """
 
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact import CX, CY, GAP, NX, NY
-from gridpush_drake.dynamics.kernels.small_matrix import solve_dense
+from gridpush_drake.dynamics.kernels.small_matrix import apply_row, solve_dense
 
 SEPARATE, STICK, SLIDE_PLUS, SLIDE_MINUS = range(4)
 """Contact modes; `SLIDE_PLUS` has lam_t = + mu_c lam_n."""
@@ -82,7 +83,7 @@ class Unknowns(NamedTuple):
     modes: Any
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def calc_compliance(touch, scales):
     """Calculates the compliance of the contacts, (m/s)/N."""
     return COMPLIANCE * scales.speed / scales.load if touch.n_contacts > 1 else 0.0
@@ -173,15 +174,13 @@ def relax_jam(contacts, X, columns):
 
 
 @kernel(allocates=False)
-def _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
-    """Solves the linearized step into xi and lam, for the modes in `unknowns`.
+def _solve_contacts(H, rhs, touch, compliance, K, X, unknowns):
+    """Solves the linearized step into xi and lam, for any modes, by elimination.
 
     Returns:
-        The worst violation of what the modes promise, as a share of load and speed.
+        Whether there is a solution.
     """
     contacts, count, vpx, vpy, mu, dt = touch
-    load = scales.load
-    speed = scales.speed
     xi, lam, modes = unknowns
     size = build_contact_system(H, touch, modes, compliance, K)
     for i in range(3):
@@ -202,13 +201,136 @@ def _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
     if size == 7:
         relax_jam(contacts, X, 1)
     if not solve_dense(K, X, size, 1):
-        return np.inf
+        return False
     for i in range(3):
         xi[i] = X[i, 0]
 
+    # The forces; where a contact slides, the tangential one follows the normal one.
+    row = 3
+    for c in range(count):
+        lam[c, 0] = lam[c, 1] = 0.0
+        if modes[c] == SEPARATE:
+            continue
+        lam[c, 0] = X[row, 0]
+        row += 1
+        if modes[c] == STICK:
+            lam[c, 1] = X[row, 0]
+            row += 1
+        elif modes[c] == SLIDE_PLUS:
+            lam[c, 1] = mu * lam[c, 0]
+        else:
+            lam[c, 1] = -mu * lam[c, 0]
+    return True
+
+
+@kernel(allocates=False, inlined=True)
+def _solve_one_contact(H, rhs, touch, unknowns):
+    """Solves the linearized step into xi and lam, where one contact sticks or slides.
+
+    With z = (c_y, -c_x, 1), the twist of a turn about the contact c, and the velocity v of the
+    contact, every twist is xi = (v, 0) + w z. A force at the contact does no work on z, so that
+
+        stick:  v is the pusher's (its normal part less gap/dt), and z^T (H xi - rhs) = 0 gives w
+        slide:  N·v is so, T·v = p is free; the force is along N ± mu T, so that besides
+                (T -+ mu N, 0)^T (H xi - rhs) = 0
+
+    and the force is the first two rows of H xi - rhs.
+
+    Returns:
+        Whether there is a solution.
+    """
+    contacts = touch.contacts
+    xi, lam, modes = unknowns
+    vpx = touch.vpx
+    vpy = touch.vpy
+    nx = contacts[0, NX]
+    ny = contacts[0, NY]
+    cx = contacts[0, CX]
+    cy = contacts[0, CY]
+    # H z, and z^T H z
+    hz0 = apply_row(H, 0, cy, -cx, 1.0)
+    hz1 = apply_row(H, 1, cy, -cx, 1.0)
+    hz2 = apply_row(H, 2, cy, -cx, 1.0)
+    zhz = cy * hz0 - cx * hz1 + hz2
+    closing = nx * vpx + ny * vpy - contacts[0, GAP] / touch.dt
+    along = 0.0
+    slope = 0.0
+    if modes[0] == STICK:
+        along = nx * vpy - ny * vpx
+    elif modes[0] == SLIDE_PLUS:
+        slope = touch.mu
+    else:
+        slope = -touch.mu
+    vx = nx * closing - ny * along
+    vy = ny * closing + nx * along
+    # rhs - H (v, 0), as far as v is known
+    q0 = rhs[0] - H[0, 0] * vx - H[0, 1] * vy
+    q1 = rhs[1] - H[1, 0] * vx - H[1, 1] * vy
+    q2 = rhs[2] - H[2, 0] * vx - H[2, 1] * vy
+    zq = cy * q0 - cx * q1 + q2
+    if modes[0] == STICK:
+        if zhz == 0.0:
+            return False
+        w = zq / zhz
+    else:
+        # H (T, 0), and y = T -+ mu N
+        ht0 = -ny * H[0, 0] + nx * H[0, 1]
+        ht1 = -ny * H[1, 0] + nx * H[1, 1]
+        ht2 = -ny * H[2, 0] + nx * H[2, 1]
+        yx = -ny - slope * nx
+        yy = nx - slope * ny
+        zht = cy * ht0 - cx * ht1 + ht2
+        yhz = yx * hz0 + yy * hz1
+        yht = yx * ht0 + yy * ht1
+        yq = yx * q0 + yy * q1
+        # [[z^T H z, z^T H T], [y^T H z, y^T H T]] (w, p) = (z^T q, y^T q)
+        determinant = zhz * yht - zht * yhz
+        if determinant == 0.0:
+            return False
+        w = (zq * yht - zht * yq) / determinant
+        p = (zhz * yq - yhz * zq) / determinant
+        vx -= p * ny
+        vy += p * nx
+        q0 -= p * ht0
+        q1 -= p * ht1
+    xi[0] = vx + w * cy
+    xi[1] = vy - w * cx
+    xi[2] = w
+    # the force, H xi - rhs
+    fx = w * hz0 - q0
+    fy = w * hz1 - q1
+    if modes[0] == STICK:
+        lam[0, 0] = nx * fx + ny * fy
+        lam[0, 1] = nx * fy - ny * fx
+    else:
+        dx = nx - slope * ny
+        dy = ny + slope * nx
+        lam[0, 0] = (dx * fx + dy * fy) / (1.0 + slope * slope)
+        lam[0, 1] = slope * lam[0, 0]
+    return True
+
+
+@kernel(allocates=False, inlined=True)
+def _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
+    """Solves the linearized step into xi and lam, for the modes in `unknowns`.
+
+    Returns:
+        The worst violation of what the modes promise, as a share of load and speed; infinite where
+        there is no solution.
+    """
+    contacts, count, vpx, vpy, mu, dt = touch
+    load = scales.load
+    speed = scales.speed
+    xi, lam, modes = unknowns
+    if count == 1 and modes[0] != SEPARATE:
+        solved = _solve_one_contact(H, rhs, touch, unknowns)
+    else:
+        solved = _solve_contacts(H, rhs, touch, compliance, K, X, unknowns)
+    if not solved:
+        return np.inf
+
     # How far the solution is from what its modes promise.
     worst = 0.0
-    row = 3
     for c in range(count):
         mode = modes[c]
         nx = contacts[c, NX]
@@ -217,31 +339,24 @@ def _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
         cy = contacts[c, CY]
         slip_x = xi[0] - xi[2] * cy - vpx
         slip_y = xi[1] + xi[2] * cx - vpy
-        lam[c, 0] = lam[c, 1] = 0.0
         if mode == SEPARATE:
             # The pusher must not approach.
             worst = max(worst, -(nx * slip_x + ny * slip_y + contacts[c, GAP] / dt) / speed)
             continue
-        normal = X[row, 0]
-        row += 1
         # It must not pull; where it sticks, stay in the cone; where it slides, oppose the slip.
+        normal = lam[c, 0]
         worst = max(worst, -normal / load)
-        lam[c, 0] = normal
         slip = nx * slip_y - ny * slip_x
         if mode == STICK:
-            lam[c, 1] = X[row, 0]
-            row += 1
             worst = max(worst, (abs(lam[c, 1]) - mu * normal) / load)
         elif mode == SLIDE_PLUS:
-            lam[c, 1] = mu * normal
             worst = max(worst, slip / speed)
         else:
-            lam[c, 1] = -mu * normal
             worst = max(worst, -slip / speed)
     return worst
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def solve_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
     """Enumerates the contact modes of a linearized step, those in `unknowns` first.
 
@@ -256,24 +371,23 @@ def solve_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
     """
     modes = unknowns.modes
     count = touch.n_contacts
-    worst = _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns)
-    if worst <= _MODE_TOLERANCE or count == 0:
-        return worst
-
-    # The last step's modes do not fit: try all, and keep the best should none fit.
-    best = worst if worst == worst else np.inf  # NaN is no bound
+    choices = 4 if count == 1 else 16
+    best = np.inf
     best0 = modes[0]
     best1 = modes[1]
-    for choice in range(4 if count == 1 else 16):
-        modes[0] = (choice + STICK) % 4
-        modes[1] = choice // 4
+    # First the last step's modes. If they do not fit, all in turn; if none does, the best of all.
+    for attempt in range(choices + 2):
+        if attempt > choices:
+            modes[0] = best0
+            modes[1] = best1
+        elif attempt > 0:
+            modes[0] = (attempt - 1 + STICK) % 4
+            modes[1] = (attempt - 1) // 4
         worst = _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns)
-        if worst <= _MODE_TOLERANCE:
-            return worst
-        if worst < best:
+        if worst <= _MODE_TOLERANCE or count == 0 or attempt > choices:
+            break
+        if worst < best:  # which NaN never is
             best = worst
             best0 = modes[0]
             best1 = modes[1]
-    modes[0] = best0
-    modes[1] = best1
-    return _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns)
+    return worst

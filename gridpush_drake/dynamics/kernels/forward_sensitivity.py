@@ -69,7 +69,7 @@ def start_columns(Q, n, state):
 
     Args:
         Q: (9, n + OTHER) zeros; rows 0-2 are s, 3-5 v.
-        n: number of cells.
+        n: number of columns of cells.
         state: `State` at the beginning.
     """
     c = state.c
@@ -90,7 +90,7 @@ def start_columns(Q, n, state):
 
 @kernel(allocates=False)
 def step_columns(
-    columns, body, inertial, maps, derivative, xi, start, path_length, point, new_x, new_y, H2
+    columns, n, body, inertial, maps, derivative, xi, start, path_length, point, new_x, new_y, H2
 ):
     """Carries every column over one step: (s, v)' = Z (s, v, f) + what acts on a column directly.
 
@@ -100,6 +100,7 @@ def step_columns(
 
     Args:
         columns: updated; the cells' f in Q is that of the step.
+        n: number of columns of cells, which come first; 0 where only those of the push are wanted.
         body: `Body`.
         inertial: the regime.
         maps: `PoseMaps`.
@@ -111,7 +112,6 @@ def step_columns(
         new_x, new_y: velocity of the center of mass after the step, in the new body frame, m/s.
         H2: (2, 3) of the friction's Hessian its first two rows; used where loads shift.
     """
-    n = body.cells.shape[1]
     Q, N, Z, B = columns
 
     # What all columns have in common: (s, v)' = Z (s, v, f).

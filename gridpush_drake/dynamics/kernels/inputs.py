@@ -120,9 +120,8 @@ class Steps(NamedTuple):
     statuses: NDArray[np.int64]
 
 
-@kernel()
-def make_steps(steps):
-    """Makes an unfilled record of so many steps."""
+def make_record(steps: int) -> Steps:
+    """Makes an unfilled record of so many steps; compiled code calls `make_steps`."""
     return Steps(
         poses=np.empty((steps + 1, 3)),
         twists=np.empty((steps, 3)),
@@ -135,6 +134,11 @@ def make_steps(steps):
         tips=np.empty(steps, np.bool_),
         statuses=np.empty((steps, 2), np.int64),
     )
+
+
+make_steps = kernel()(make_record)
+"""`make_record` for compiled code. To hand the arrays over to Python would take longer than to make
+them there."""
 
 
 @kernel()

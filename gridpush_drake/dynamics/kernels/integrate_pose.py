@@ -17,6 +17,22 @@ _SMALL_ANGLE = 1e-4
 """Turn in a step below which sin(phi)/phi and the like are taken from their series, rad."""
 
 
+_SERIES_ANGLE = 0.05
+"""Angle up to which the series of `calc_turn` are exact to rounding, rad."""
+
+
+@kernel(allocates=False, inlined=True)
+def calc_turn(angle):
+    """Calculates cosine and sine of an angle, by their series where it is as small as in a step."""
+    if not abs(angle) < _SERIES_ANGLE:
+        return cos(angle), sin(angle)
+    x = angle * angle
+    # the next terms are below 1e-19 of what is there
+    c = 1.0 - x / 2.0 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0)))
+    s = angle * (1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0))))
+    return c, s
+
+
 class PoseMaps(NamedTuple):
     """How variations pass through the displacement of a step, (3, 3) each.
 
@@ -29,7 +45,7 @@ class PoseMaps(NamedTuple):
     L: Any
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def calc_displacement_maps(xi, dt, inertial, a, cx, cy, maps):
     """Calculates the displacement of a step, and how variations pass through it.
 
@@ -50,8 +66,7 @@ def calc_displacement_maps(xi, dt, inertial, a, cx, cy, maps):
     uy = xi[1]
     w = xi[2]
     phi = w * dt
-    c = cos(phi)
-    s = sin(phi)
+    c, s = calc_turn(phi)
     A[2, 0] = A[2, 1] = G[2, 0] = G[2, 1] = L[2, 0] = L[2, 1] = 0.0
     A[2, 2] = 1.0
     G[2, 2] = dt
@@ -60,8 +75,7 @@ def calc_displacement_maps(xi, dt, inertial, a, cx, cy, maps):
         # v_com in the frame of the twist; it goes straight for dt, while B turns about it.
         com_x = ux - w * cy
         com_y = uy + w * cx
-        ca = cos(a)
-        sa = sin(a)
+        ca, sa = calc_turn(a)
         d0 = dt * (ca * com_x - sa * com_y) + cx - (c * cx - s * cy)
         d1 = dt * (sa * com_x + ca * com_y) + cy - (s * cx + c * cy)
         # from the frame of the twist to the new body frame

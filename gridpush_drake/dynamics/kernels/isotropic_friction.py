@@ -55,7 +55,7 @@ def make_isotropic(k, arm, spin):
     return Isotropic(k=k, spin=np.array([kappa2, spin_load, spin_arm]))
 
 
-@kernel(allocates=False, fast_sums=True)
+@kernel(allocates=False, fast_sums=True, inlined=True)
 def accumulate_isotropic(px, py, k, kappa2, eps2, ux, uy, w):
     """Sums over the cells what gradient and Hessian of Psi are made of, in one pass.
 
@@ -94,7 +94,7 @@ def accumulate_isotropic(px, py, k, kappa2, eps2, ux, uy, w):
     return A0, Ax, Ay, A2, Bxx, Bxy, Bxw, Byy, Byw, Bww
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def add_isotropic(px, py, k, kappa2, spin_load, eps, xi, majorize, g, H):
     """Adds gradient and Hessian of Psi at `xi` to g (3,) and H (3, 3).
 
@@ -156,7 +156,7 @@ def fill_cell_forces(px, py, spin, eps2, xi, f):
         f2[i] = (x * vy - y * vx + kappa2 * w) * inverse + spin_torque
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def add_symmetric(H, scale, xx, xy, xw, yy, yw, ww):
     """Adds scale times a symmetric matrix, given by its upper triangle, to H (3, 3)."""
     H[0, 0] += scale * xx
@@ -197,18 +197,18 @@ def renew_spin_load(law):
         law.spin[1] = law.spin[2] * total
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known):
     """Isotropic friction does not ask how the body moved."""
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _add_derivatives(law, cells, eps, xi, majorize, g, H):
     """Adds gradient and Hessian, see `add_isotropic`."""
     add_isotropic(cells[0], cells[1], law.k, law.spin[0], law.spin[1], eps, xi, majorize, g, H)
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _can_majorize(law):
     """Every sum of norms has a quadratic that touches it from above."""
     return True

@@ -8,8 +8,8 @@ they are needed. What stands here is not documented, and any version of Numba ma
 * how the result of a compilation is taken apart and put together again (`reduce_result`,
   `rebuild_result`, `can_be_kept`), and Numba's pickle for it (`dump`);
 * the machine that code is made for (`describe_machine`, `get_codegen`);
-* three options of `njit`: `_nrt`, `no_cpython_wrapper` and `no_cfunc_wrapper` (`make_dispatcher`,
-  `BORROWED`);
+* four options of `njit`: `_nrt`, `no_cpython_wrapper`, `no_cfunc_wrapper` and `forceinline`
+  (`make_dispatcher`, `BORROWED`);
 * `compile` of a dispatcher (`compile_for`), and `instance_class` of a named tuple's type
   (`get_record_class`).
 
@@ -45,7 +45,12 @@ NO_PYTHON = "no_cpython_wrapper"
 NO_C = "no_cfunc_wrapper"
 """Option that leaves out the form of a function that C calls."""
 
-BORROWED: Any = {NO_REFERENCES: False}
+INLINED = "forceinline"
+"""Option that makes a function's code part of every function that calls it.
+
+A function for which it is not set takes it from whichever function has it compiled first."""
+
+BORROWED: Any = {NO_REFERENCES: False, INLINED: True}
 """Options of an `overload` that passes on what its caller holds."""
 
 
@@ -81,6 +86,7 @@ def make_dispatcher(
     *,
     counts_references: bool,
     called_from_python: bool,
+    inlined: bool = False,
     **options: Any,
 ) -> Callable[..., Any]:
     """Makes a function one that is compiled on its first call.
@@ -90,6 +96,7 @@ def make_dispatcher(
         cache: where what is compiled is kept.
         counts_references: whether it counts references to arrays, as one must that makes some.
         called_from_python: whether Python can call it, and not compiled code alone.
+        inlined: whether its code becomes part of every function that calls it.
         options: further options of `numba.njit`, documented ones.
 
     Returns:
@@ -99,13 +106,14 @@ def make_dispatcher(
         NumbaError: the installed Numba is built differently.
     """
     known = _take(_import("numba.core.cpu"), "CPUTargetOptions", "numba.core.cpu")
-    for name in (NO_REFERENCES, NO_PYTHON, NO_C):
+    for name in (NO_REFERENCES, NO_PYTHON, NO_C, INLINED):
         _take(known, name, "numba.core.cpu.CPUTargetOptions")
     all_options: dict[str, Any] = {
         **options,
         NO_REFERENCES: counts_references,
         NO_PYTHON: not called_from_python,
         NO_C: True,
+        INLINED: inlined,
     }
     dispatcher: Any = numba.njit(**all_options)(function)
     if dispatcher is function:

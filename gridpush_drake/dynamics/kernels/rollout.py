@@ -24,7 +24,9 @@ from gridpush_drake.dynamics.kernels.contact import (
     NX,
     NY,
     find_contacts,
-    look_ahead,
+    find_contacts_near,
+    look_ahead_near,
+    make_near_edges,
 )
 from gridpush_drake.dynamics.kernels.contact_modes import (
     SEPARATE,
@@ -90,7 +92,7 @@ def rollout(
         row_of_step: (T+1,) row of J that records this step, -1 for none.
         record: `Steps`, filled.
         J: (rows, 3, width) filled, see `forward_sensitivity`; without columns where no derivative
-            is wanted.
+            is wanted. With OTHER columns those of the cells are left out; loads must not shift.
         memory: (MEMORY_SIZE,) of the step before, updated; see `step_memory`.
     """
     n = body.cells.shape[1]
@@ -109,6 +111,7 @@ def rollout(
     last_twist = np.zeros(3)
     unknowns = Unknowns(xi=np.zeros(3), lam=np.zeros((2, 2)), modes=np.zeros(2, np.int64))
     xi, lam, modes = unknowns
+    near = make_near_edges(edges)
     found = np.zeros((2, COLUMNS))
     contacts = np.zeros((2, COLUMNS))
     work = make_step_work()
@@ -117,6 +120,7 @@ def rollout(
         F=np.zeros((7, 7)), Y=np.zeros((3, 3)), D=np.zeros((3, 7)), E=np.zeros((3, 8))
     )
     width = J.shape[2]
+    cell_columns = min(n, max(width - OTHER, 0))
     rows = F_ROW + 2 if support.active else F_ROW
     columns = Columns(
         Q=np.zeros((rows, width)),
@@ -133,7 +137,7 @@ def rollout(
         record.poses[0, i] = pose[i]
         record.velocities[0, i] = velocity[i]
     if differentiate:
-        start_columns(columns.Q, n, state)
+        start_columns(columns.Q, cell_columns, state)
         record_columns(J, row_of_step[0], columns.Q, state.c, state.s)
     moving_steps = recall(memory, xi, last_twist, modes, loads.tilt, loads.friction)
 
@@ -149,7 +153,7 @@ def rollout(
         body_speed = _calc_body_speed(state, body.gyration_radius) if inertial else 0.0
         reach = _REACH * (pusher_speed + body_speed) * dt
         count, record.gaps[t] = _find_step_contacts(
-            edges, load.radius, scheme.ahead, start, reach, found, contacts
+            edges, near, load.radius, scheme.ahead, start, reach, found, contacts
         )
         if inertial:
             _bound_recovery(contacts, count, RECOVERY_SPEED * dt)
@@ -226,7 +230,9 @@ def rollout(
         # The columns of the derivative go over the step before the state does: they need the old
         # one. Rows 6 to 8 of Q are the forces f that act on the step's equations.
         if differentiate:
-            if not support.active:
+            if cell_columns == 0:
+                pass  # no friction varies
+            elif not support.active:
                 fill_load_derivatives(law, body.cells, eps, xi, columns.Q[6:])
             elif moving_steps > 0:
                 columns.Q[6:F_ROW, n:] = 0.0
@@ -235,6 +241,7 @@ def rollout(
                 add_load_variations(loads, columns.Q)
             step_columns(
                 columns,
+                cell_columns,
                 body,
                 inertial,
                 maps,
@@ -371,7 +378,7 @@ def _find_friction(touch, unknowns, work, loads):
             friction[1] += contacts[j, NY] * lam[j, 0] + contacts[j, NX] * lam[j, 1]
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _calc_body_speed(state, arm):
     """Adds the center of mass's speed and that of turning about it at an arm's distance, m/s."""
     return sqrt(state.com_vx * state.com_vx + state.com_vy * state.com_vy) + arm * abs(
@@ -379,8 +386,8 @@ def _calc_body_speed(state, arm):
     )
 
 
-@kernel(allocates=False)
-def _find_step_contacts(edges, radius, ahead, start, reach, found, contacts):
+@kernel(allocates=False, inlined=True)
+def _find_step_contacts(edges, near, radius, ahead, start, reach, found, contacts):
     """Fills in the contacts at the beginning, `found`, and those that the step sees, `contacts`.
 
     Returns:
@@ -388,13 +395,15 @@ def _find_step_contacts(edges, radius, ahead, start, reach, found, contacts):
     """
     if radius <= 0.0:
         return 0, np.inf
-    count = find_contacts(edges, start.tx, start.ty, radius, reach, found)
+    count = find_contacts_near(edges, near, start.tx, start.ty, radius, reach, found)
     if count == 0:
         return 0, np.inf
     if ahead > 0.0:
         dx = start.h * start.rx
         dy = start.h * start.ry
-        count = look_ahead(edges, start.tx, start.ty, dx, dy, radius, reach, found, contacts)
+        count = look_ahead_near(
+            edges, near, start.tx, start.ty, dx, dy, radius, reach, found, contacts
+        )
     else:
         for j in range(found.shape[0]):
             for column in range(COLUMNS):
@@ -402,7 +411,7 @@ def _find_step_contacts(edges, radius, ahead, start, reach, found, contacts):
     return count, found[0, GAP]
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _bound_recovery(contacts, count, depth):
     """Takes contacts that overlap by more than `depth`, m, to do so by that alone."""
     for j in range(count):
@@ -411,7 +420,7 @@ def _bound_recovery(contacts, count, depth):
             contacts[j, GX] = contacts[j, GY] = 0.0
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _calc_closing_speed(touch):
     """Calculates the fastest approach of pusher and outline, m/s; zero if they part."""
     closing = 0.0
@@ -424,7 +433,7 @@ def _calc_closing_speed(touch):
     return closing
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _fill_drive(body, inertial, start, point, work, force_acceleration):
     """Fills in H0, the drive, and the acceleration (3,) that the applied force alone would give.
 
@@ -472,7 +481,7 @@ def _fill_drive(body, inertial, start, point, work, force_acceleration):
     return force_speed, drive_size
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _guess_twist(xi, last_twist, moving_steps, start, moves, body):
     """Guesses the twist: extrapolated, as it was, the body's own if it moves, or the pusher's."""
     if moving_steps >= MOVING:
@@ -508,7 +517,7 @@ def _differentiate_step(touch, scales, unknowns, work, found, start, derivative)
         derivative.E[:] = 0.0
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _record_contacts(record, t, touch, unknowns, start, x, y):
     """Records modes, forces and points of the contacts in step t.
 
@@ -534,7 +543,7 @@ def _record_contacts(record, t, touch, unknowns, start, x, y):
         points[t, j, 1] = y + step_s * cx + step_c * cy
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _record_state(record, t, state):
     """Records the pose, and the velocity of B's origin in W."""
     c = state.c

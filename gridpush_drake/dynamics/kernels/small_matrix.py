@@ -3,7 +3,7 @@
 from gridpush_drake.dynamics.kernels.compiled import kernel
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def apply_row(M, i, x, y, z):
     """Multiplies row i of a matrix of three columns with the vector (x, y, z)."""
     return M[i, 0] * x + M[i, 1] * y + M[i, 2] * z

@@ -94,7 +94,7 @@ def make_step_work():
     )
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _calc_residual(g, touch, scales, lam):
     """Calculates how far the step's balance of forces is from zero.
 
@@ -123,7 +123,7 @@ def _calc_residual(g, touch, scales, lam):
     return sqrt(r0 * r0 + r1 * r1 + r2 * r2) / scale
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _iterate(law, cells, touch, scales, eps, unknowns, work, limit):
     """Solves a step at one stiction tolerance by Newton's method.
 
@@ -181,7 +181,7 @@ def _iterate(law, cells, touch, scales, eps, unknowns, work, limit):
     return NOT_CONVERGED, limit
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def solve_step(law, cells, touch, scales, eps, unknowns, work):
     """Solves one step from the guess in `unknowns`.
 

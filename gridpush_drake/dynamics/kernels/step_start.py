@@ -11,6 +11,7 @@ from math import cos, sin
 from typing import NamedTuple
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.integrate_pose import calc_turn
 
 
 class State(NamedTuple):
@@ -106,7 +107,7 @@ def make_state(pose, velocity, com_x, com_y):
     )
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def advance_state(state, forward_x, forward_y, dt, com_vx, com_vy, yaw_rate, com_x, com_y):
     """Moves the state on by a displacement in W, m, and gives it the velocity after the step."""
     theta = state.theta + yaw_rate * dt
@@ -124,7 +125,7 @@ def advance_state(state, forward_x, forward_y, dt, com_vx, com_vy, yaw_rate, com
     )
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def make_step_start(state, load, t, dt, h):
     """Looks at the body, the pusher and the force when step t begins."""
     c = state.c
@@ -133,8 +134,7 @@ def make_step_start(state, load, t, dt, h):
 
     # The frame of the step is the body's, turned on by a = h w.
     a = h * yaw_rate
-    ca = cos(a)
-    sa = sin(a)
+    ca, sa = calc_turn(a)
     step_c = c * ca - s * sa
     step_s = s * ca + c * sa
     tip = load.tip

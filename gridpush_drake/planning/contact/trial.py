@@ -256,7 +256,7 @@ class TrialRunner:
             self.pose,
             physics=physics,
             times=times,
-            gradients=gradient,
+            gradients="push" if gradient else False,
             record=record if gradient else None,
         )
         self.simulations += 1

@@ -17,7 +17,10 @@ from gridpush_drake.dynamics.kernels.contact import (
     NY,
     Edges,
     find_contacts,
+    find_contacts_near,
     look_ahead,
+    look_ahead_near,
+    make_near_edges,
 )
 from gridpush_drake.geometry.polygons import OutlineEdges
 from tests.helpers.finite_difference import check_jacobian
@@ -225,3 +228,37 @@ def test_line_distance_matches_for_every_edge_alone():
         assert find(outline, center, 0.001)[0, GAP] == pytest.approx(
             LineString([start, end]).distance(Point(center)) - 0.001, abs=1e-12
         )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_edges_near_the_disc_say_what_all_edges_say(seed):
+    """Number for number, on a path that goes along, through and away from an outline."""
+    outline, rng = make_random_outline(seed), np.random.default_rng(seed)
+    edges = kernel_edges(outline)
+    near = make_near_edges(edges)
+    found = [np.zeros((2, COLUMNS)) for _ in range(4)]
+    place = np.array(outline.exterior.coords[0])
+    radius, counts, chosen = 0.006, [], []
+    for _ in range(3000):
+        # mostly small steps, some jumps, drawn back to the outline
+        place = place + rng.normal(0.0, 0.02 if rng.random() < 0.02 else 0.001, 2)
+        if outline.boundary.distance(Point(place)) > 0.015:
+            place = np.array(outline.boundary.interpolate(rng.random(), normalized=True).coords[0])
+        reach = rng.uniform(0.0, 0.004)
+        for contacts in found:
+            contacts[:] = 0.0
+        count = find_contacts(edges, *place, radius, reach, found[0])
+        assert find_contacts_near(edges, near, *place, radius, reach, found[1]) == count
+        assert np.array_equal(found[0], found[1])
+        counts.append(count)
+        chosen.append(near.size[0])
+        if count == 0:
+            continue
+        ahead = rng.normal(0.0, 0.002, 2)
+        there = look_ahead(edges, *place, *ahead, radius, reach, found[0], found[2])
+        again = look_ahead_near(edges, near, *place, *ahead, radius, reach, found[1], found[3])
+        assert again == there
+        assert np.array_equal(found[2], found[3])
+    # all cases came up: nothing, one and two contacts; few edges, and all where it was inside
+    assert {0, 1, 2} <= set(counts)
+    assert -1 in chosen and 0 < np.median([n for n in chosen if n > 0]) < len(edges.ax) / 2
