@@ -1,7 +1,4 @@
 from .arm_guard import ArmGuard as ArmGuard
-from .arm_guard import GuardLimits as GuardLimits
-from .arm_guard import GuardMode as GuardMode
-from .arm_guard import GuardStatus as GuardStatus
 from .contact_point_controller import ContactPointController as ContactPointController
 from .edge_presser import EdgePresser as EdgePresser
 from .estimate_visualizer import EstimateVisualizer as EstimateVisualizer
@@ -13,6 +10,9 @@ from .grid_lcp_step import GridLcpStep as GridLcpStep
 from .grid_lcp_step import GridLcpStep_ as GridLcpStep_
 from .grid_lcp_system import GridLcpSystem as GridLcpSystem
 from .grid_scene_system import GridSceneSystem as GridSceneSystem
+from .guard_status import GuardLimits as GuardLimits
+from .guard_status import GuardMode as GuardMode
+from .guard_status import GuardStatus as GuardStatus
 from .messages import GraspCommand as GraspCommand
 from .messages import GraspOutcome as GraspOutcome
 from .messages import GraspPhase as GraspPhase

@@ -13,8 +13,11 @@ from pydrake.systems.framework import BasicVector, Context
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-from gridpush_drake.systems.arm_guard import GuardMode, GuardStatus
 from gridpush_drake.systems.arm_path import brake, follow
+from gridpush_drake.systems.guard_status import (
+    GuardMode,
+    GuardStatus,
+)
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
 ROUNDING = 1e-9

@@ -31,7 +31,9 @@ from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene import use_object
-from gridpush_drake.systems.arm_guard import GuardMode
+from gridpush_drake.systems.guard_status import (
+    GuardMode,
+)
 
 DEFAULT_SCENARIO = "grasp"
 """Name of the shipped scenario that robot, twin and tracker use by default."""

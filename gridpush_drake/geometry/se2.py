@@ -99,8 +99,11 @@ def rotate(theta: ArrayLike, v: ArrayLike) -> Array:
     x = vector[..., 0]
     y = vector[..., 1]
     rotated_x = c * x - s * y
-    rotated_y = s * x + c * y
-    return _stack(rotated_x, rotated_y)
+    # filled in place: `np.stack` takes longer than the rest for the few vectors of most calls
+    rotated = np.empty((*rotated_x.shape, 2))
+    rotated[..., 0] = rotated_x
+    rotated[..., 1] = s * x + c * y
+    return rotated
 
 
 def transform(X_AB: ArrayLike, p_B: ArrayLike) -> Array:

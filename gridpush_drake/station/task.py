@@ -28,8 +28,11 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
 from gridpush_drake.station.station import Station
-from gridpush_drake.systems.arm_guard import GuardMode, GuardStatus
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
+from gridpush_drake.systems.guard_status import (
+    GuardMode,
+    GuardStatus,
+)
 from gridpush_drake.systems.messages import GraspCommand, PushCommand, PushStatus
 
 

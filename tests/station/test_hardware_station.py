@@ -15,7 +15,9 @@ from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.robot import find_robot, make_robot_directives
 from gridpush_drake.station.scenario import OtherConfig, PartTruth
 from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.systems.arm_guard import GuardMode
+from gridpush_drake.systems.guard_status import (
+    GuardMode,
+)
 from gridpush_drake.systems.messages import GraspCommand, PushPhase
 from tests.helpers.twin_bench import TwinBench
 

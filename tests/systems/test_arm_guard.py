@@ -10,13 +10,17 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.systems.arm_guard import (
-    BY_SILENCE,
-    BY_USER,
     CONFIRM_TIME,
-    DONE,
+    ArmGuard,
+)
+from gridpush_drake.systems.guard_retreat import (
     RETREAT_SPEED_SHARE,
     RETREAT_TIP_SPEED,
-    ArmGuard,
+)
+from gridpush_drake.systems.guard_status import (
+    BY_SILENCE,
+    BY_USER,
+    DONE,
     GuardLimits,
     GuardMode,
     StopKind,

@@ -1,8 +1,10 @@
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.arm_guard import GuardMode
 from gridpush_drake.systems.command_ramp import CommandRamp
+from gridpush_drake.systems.guard_status import (
+    GuardMode,
+)
 
 PERIOD = 0.005
 SPEED, ACCELERATION = np.array([1.0, 2.0]), np.array([10.0, 5.0])

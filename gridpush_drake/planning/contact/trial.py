@@ -82,8 +82,16 @@ def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
     Returns:
         (...,) m.
     """
-    difference = obj.cells_at(pose) - obj.cells_at(goal)
-    return np.asarray(np.hypot(difference[..., 0], difference[..., 1]).mean(axis=-1))
+    q = np.asarray(pose, dtype=np.float64)
+    aim = np.asarray(goal, dtype=np.float64)
+    # p_i(q) - p_i(goal) = (dx, dy) + (R(theta) - R(theta_goal)) p_i, for all poses and cells
+    c = (np.cos(q[..., 2]) - np.cos(aim[2]))[..., None]
+    s = (np.sin(q[..., 2]) - np.sin(aim[2]))[..., None]
+    px = obj.p_BC[:, 0]
+    py = obj.p_BC[:, 1]
+    dx = (q[..., 0] - aim[0])[..., None] + c * px - s * py
+    dy = (q[..., 1] - aim[1])[..., None] + s * px + c * py
+    return np.asarray(np.hypot(dx, dy).mean(axis=-1))
 
 
 RECORD_EVERY = 4

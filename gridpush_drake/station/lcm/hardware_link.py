@@ -45,14 +45,14 @@ from gridpush_drake.station.lcm.robot_messages import (
 )
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import SafetyConfig
-from gridpush_drake.systems.arm_guard import (
+from gridpush_drake.systems.arm_path import brake
+from gridpush_drake.systems.guard_status import (
     BY_SILENCE,
     BY_USER,
     DONE,
     GuardMode,
     GuardStatus,
 )
-from gridpush_drake.systems.arm_path import brake
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"

@@ -44,7 +44,12 @@ from gridpush_drake.station.station import (
     Setting,
     Station,
 )
-from gridpush_drake.systems.arm_guard import ArmGuard, GuardLimits
+from gridpush_drake.systems.arm_guard import (
+    ArmGuard,
+)
+from gridpush_drake.systems.guard_status import (
+    GuardLimits,
+)
 from gridpush_drake.systems.object_watch import ObjectWatch
 from gridpush_drake.systems.pusher_state_sensor import ArmTipSensor
 

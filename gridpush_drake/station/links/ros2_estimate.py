@@ -24,7 +24,10 @@ from gridpush_drake.identification.result import Identification, calc_center_of_
 from gridpush_drake.station.lcm.hardware_link import HardwareLink
 from gridpush_drake.station.links.ros2 import WORLD, Ros2Link, write_pose
 from gridpush_drake.station.task import StationTask
-from gridpush_drake.systems.arm_guard import GuardMode, GuardStatus
+from gridpush_drake.systems.guard_status import (
+    GuardMode,
+    GuardStatus,
+)
 from gridpush_drake.systems.messages import PushCommand
 
 PERIOD = 0.2
