@@ -27,6 +27,12 @@ from gridpush_drake.bench.rendered_table import (
     RenderedTable,
     make_overhead_camera,
 )
+from gridpush_drake.bench.several_objects import (
+    COUNTS,
+    SeveralJob,
+    run_several,
+    tabulate_several,
+)
 from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import ALL, MM, PERCENT, Table, Value
 from gridpush_drake.dynamics.simulation import simulate
@@ -75,6 +81,12 @@ HIDDEN_PUSHES = 34
 
 QUICK_HIDDEN_PUSHES = 2
 """Number of hidden pushes of each kind in the quick variant."""
+
+SEVERAL_PUSHES = 5
+"""Number of pushes through each number of objects, apart and touching."""
+
+QUICK_COUNTS = (2,)
+"""Numbers of objects in view in the quick variant."""
 
 PUSHES = 5
 """Number of pushes during which each object is tracked."""
@@ -151,6 +163,8 @@ class Options(StudyOptions):
         pushes: number of pushes during which each is tracked.
         hidden_pushes: number of hidden pushes of each kind of outline that looks alike.
         photographs: number of rendered photographs of generated objects in each half.
+        several_pushes: number of pushes through each number of objects, apart and touching.
+        counts: numbers of objects in view that push each other.
     """
 
     data: Path | None = option(
@@ -164,6 +178,8 @@ class Options(StudyOptions):
     pushes: int = PUSHES
     hidden_pushes: int = HIDDEN_PUSHES
     photographs: int = PHOTOGRAPHS
+    several_pushes: int = SEVERAL_PUSHES
+    counts: tuple[int, ...] = COUNTS
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -302,7 +318,7 @@ class TrackScore:
     deviations: list[tuple[float, float, float]]
 
 
-Job = PhotoJob | RenderedPhotoJob | OutlineJob | TrackJob | HiddenJob
+Job = PhotoJob | RenderedPhotoJob | OutlineJob | TrackJob | HiddenJob | SeveralJob
 """One job of the study."""
 
 
@@ -316,6 +332,8 @@ def shorten(options: Options) -> Options:
         pushes=1,
         hidden_pushes=min(options.hidden_pushes, QUICK_HIDDEN_PUSHES),
         photographs=min(options.photographs, QUICK_PHOTOGRAPHS),
+        several_pushes=min(options.several_pushes, 1),
+        counts=QUICK_COUNTS,
     )
 
 
@@ -347,6 +365,12 @@ def make_jobs(options: Options) -> list[Job]:
             for model in (True, False)
             for kind in KINDS
         ),
+        *(
+            SeveralJob(count, touching, options.several_pushes, options.seed)
+            for touching in (False, True)
+            for count in options.counts
+            if options.several_pushes
+        ),
     ]
 
 
@@ -360,6 +384,7 @@ def tabulate(options: Options, done: Done) -> list[Table]:
         tabulate_tracks(done.of(TRACK)),
         tabulate_tags(done.of(TAGGED)),
         tabulate_hidden(done.of(HIDDEN)),
+        tabulate_several(done.of(SEVERAL)),
     ]
 
 
@@ -733,13 +758,20 @@ TAGGED = Task(job=TagJob, run=run_tag, describe=lambda job: f"{job.name}, with a
 HIDDEN = Task(job=HiddenJob, run=run_hidden, describe=lambda job: f"{job.kind}, hidden")
 """What is done to find objects after hidden pushes."""
 
+SEVERAL = Task(
+    job=SeveralJob,
+    run=run_several,
+    describe=lambda job: f"{job.count} objects, {'touching' if job.touching else 'apart'}",
+)
+"""What is done to follow several objects that push each other."""
+
 STUDY = Study(
     name="perception",
     help="Find objects in photographs, real and rendered, and track them while they are pushed.",
     options=Options,
     shorten=shorten,
     make_jobs=make_jobs,
-    tasks=(PHOTO, RENDERED, OUTLINE, TRACK, TAGGED, HIDDEN),
+    tasks=(PHOTO, RENDERED, OUTLINE, TRACK, TAGGED, HIDDEN, SEVERAL),
     tabulate=tabulate,
 )
 """`gridpush bench perception`."""

@@ -4,6 +4,9 @@ They are rendered by Drake's VTK engine, which needs neither display nor GPU, an
 camera's noise. There are two lamps: one beside the camera, and one aside, which casts shadows.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.common import MemoryFile
@@ -114,6 +117,20 @@ ARM_LABEL = 3
 """Label of the pixels of the arm's tip."""
 
 
+class RenderedObject(NamedTuple):
+    """An object on the table.
+
+    Attributes:
+        outline: its outline, body frame, m.
+        height: its height, m.
+        color: its color: red, green and blue, 0 to 1.
+    """
+
+    outline: Polygon
+    height: float
+    color: ArrayLike
+
+
 class RenderedTable:
     """The scene; each look is a pure function of the poses and a seed."""
 
@@ -125,6 +142,7 @@ class RenderedTable:
         camera: Camera,
         rod_radius: float | None = None,
         tag: tuple[int, float] | None = None,
+        others: Sequence[RenderedObject] = (),
     ) -> None:
         """Makes the scene.
 
@@ -136,6 +154,7 @@ class RenderedTable:
             rod_radius: radius of the rod that an arm's hand holds, m; None without an arm.
             tag: number and side, m, of an AprilTag on the object, level over the middle of its
                 outline's bounds; None without one.
+            others: other objects on the table.
         """
         self.camera = camera
         self._scene = SceneGraph()
@@ -153,9 +172,10 @@ class RenderedTable:
         self._add(
             None, Box(TABLE, TABLE, THICKNESS), TABLE_COLOR, TABLE_LABEL, [0, 0, -THICKNESS / 2]
         )
-        prism = MemoryFile(make_outline_mesh(outline, height, normals=True), ".obj", "outline.obj")
-        self._object = self._add_frame("object")
-        self._add(self._object, Mesh(InMemoryMesh(mesh_file=prism)), color, OBJECT_LABEL, [0, 0, 0])
+        self._object = self._add_prism("object", RenderedObject(outline, height, color))
+        self._others = [
+            self._add_prism(f"other_{number}", other) for number, other in enumerate(others)
+        ]
         if tag is not None:
             self._add_tag(*tag, [*np.reshape(outline.bounds, (2, 2)).mean(axis=0), height])
         self._arm = None if rod_radius is None else self._add_frame("arm")
@@ -178,6 +198,7 @@ class RenderedTable:
         seed: int = 0,
         t: float = 0.0,
         depth: bool = True,
+        others: Sequence[ArrayLike] = (),
     ) -> tuple[Frame, NDArray[np.bool_]]:
         """Takes a frame.
 
@@ -187,13 +208,16 @@ class RenderedTable:
             seed: of the noise.
             t: of the frame, s.
             depth: whether there is a depth camera.
+            others: (3,) pose of each other object, W.
 
         Returns:
             The frame, and (height, width) where the arm is in it.
         """
-        x, y, theta = np.asarray(pose, dtype=np.float64)
         poses = FramePoseVector()
-        poses.set_value(self._object, RigidTransform(RollPitchYaw(0, 0, theta), [x, y, 0.0]))
+        frames = (self._object, *self._others)
+        for frame, at_pose in zip(frames, (pose, *others), strict=True):
+            x, y, theta = np.asarray(at_pose, dtype=np.float64)
+            poses.set_value(frame, RigidTransform(RollPitchYaw(0, 0, theta), [x, y, 0.0]))
         if self._arm is not None:
             at = [FAR, FAR, 0.0] if tip is None else [*np.asarray(tip, dtype=np.float64), 0.0]
             poses.set_value(self._arm, RigidTransform(at))
@@ -214,6 +238,15 @@ class RenderedTable:
 
     def _add_frame(self, name: str) -> FrameId:
         return self._scene.RegisterFrame(self._source, GeometryFrame(name))
+
+    def _add_prism(self, name: str, prism: RenderedObject) -> FrameId:
+        """Adds an object; returns its frame."""
+        mesh = make_outline_mesh(prism.outline, prism.height, normals=True)
+        file = MemoryFile(mesh, ".obj", f"{name}.obj")
+        frame = self._add_frame(name)
+        shape = Mesh(InMemoryMesh(mesh_file=file))
+        self._add(frame, shape, prism.color, OBJECT_LABEL, [0, 0, 0], name)
+        return frame
 
     def _add_tag(self, number: int, size: float, at: list[float]) -> None:
         """Adds a white plate, with a margin of one bit, and on it the tag's black bits."""

@@ -2,7 +2,7 @@ from .camera import Camera as Camera
 from .detection import DetectedObject as DetectedObject
 from .detection import DetectorOptions as DetectorOptions
 from .detection import detect_object as detect_object
-from .detection import draw_outline as draw_outline
+from .drawing import draw_outline as draw_outline
 from .frames import Frame as Frame
 from .frames import read_color as read_color
 from .frames import read_depth as read_depth
@@ -14,6 +14,10 @@ from .hints import ObjectHint as ObjectHint
 from .intrinsics import Intrinsics as Intrinsics
 from .intrinsics import calibrate_intrinsics as calibrate_intrinsics
 from .intrinsics import read_photographs as read_photographs
+from .scene_tracking import KnownObject as KnownObject
+from .scene_tracking import SceneState as SceneState
+from .scene_tracking import SceneTracker as SceneTracker
+from .scene_tracking import track_objects as track_objects
 from .sheet import SHEETS as SHEETS
 from .sheet import FoundSheet as FoundSheet
 from .sheet import find_sheet as find_sheet

@@ -66,21 +66,27 @@ class Search(NamedTuple):
         rounds: largest number of least-squares steps.
         converged: the stage ends when a step moves no point of the outline by more than this,
             pixels.
+        min_spread: least standard deviation of the edges' distances that Tukey's weights assume,
+            pixels.
     """
 
     reach: float
     step: float
     rounds: int
     converged: float
+    min_spread: float
 
 
 SEARCHES = (
-    Search(reach=16.0, step=1.0, rounds=10, converged=0.3),
-    Search(reach=6.0, step=0.5, rounds=10, converged=0.05),
-    Search(reach=3.0, step=0.25, rounds=12, converged=1e-3),
+    Search(reach=16.0, step=1.0, rounds=10, converged=0.3, min_spread=4.0),
+    Search(reach=6.0, step=0.5, rounds=10, converged=0.05, min_spread=1.0),
+    Search(reach=3.0, step=0.25, rounds=12, converged=1e-3, min_spread=0.3),
 )
 """Stages of a registration, from coarse to fine: a wide reach finds an object that moved far, and a
-narrow one leaves out the edges of other things."""
+narrow one leaves out the edges of other things. At first the spread may not be small either: if an
+object moves along its longer sides, their edges stay where they are, and only those of its ends
+tell of the motion. At the end, without a least spread, a few edges that agree by chance would throw
+all others out."""
 
 SAME_SILHOUETTE = 0.1
 """A silhouette is moved along with the object, and made anew when a point of it has moved by more
@@ -89,10 +95,6 @@ than this, pixels: how much of the table a side hides depends on where it is bel
 TUKEY = 3.0
 """An edge that is this many standard deviations or more from the outline has no weight (the tuning
 constant of Tukey's weights)."""
-
-MIN_SPREAD = 0.3
-"""Least standard deviation of the edges' distances that Tukey's weights assume, pixels; without it
-a few edges that agree by chance would throw all others out."""
 
 SHARED_LENGTH = 12.0
 """Edges that are less than this far apart along the boundary have nearly the same error, pixels;
@@ -323,9 +325,9 @@ class Registration:
 
         # w_i: Tukey's weights, with the median for the scatter, as outliers do not move it.
         d = np.where(found, offsets, 0.0)
-        spread = MIN_SPREAD
+        spread = search.min_spread
         if found.any():
-            spread = max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(offsets[found]))))
+            spread = max(spread, TO_DEVIATION * float(np.median(np.abs(offsets[found]))))
         limit = TUKEY * spread + self._pixel_noise
         weight = found * np.clip(1 - (d / limit) ** 2, 0, None) ** 2
 

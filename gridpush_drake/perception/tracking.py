@@ -1,8 +1,9 @@
 """The pose of a known outline, from frame to frame.
 
 Each picture is told into object and table near the last pose, by what the table looked like in the
-first one, and the outline is moved onto the edges between the two (`registration`). Where it is not
-found there, it is searched for everywhere.
+first one (`picture_reader`), and the outline is moved onto the edges between the two
+(`registration`). Where it is not found there, it is searched for everywhere (`pose_search`). Several
+objects in one picture are followed by `scene_tracking`.
 
 The object's outline and height must be known: `detection` finds them in one photograph. The theory
 is in docs/theory/perception.md, section 3.
@@ -10,9 +11,7 @@ is in docs/theory/perception.md, section 3.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
@@ -21,73 +20,30 @@ from shapely.geometry.base import BaseGeometry
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.geometry.se2 import Array, compose, wrap_angle
 from gridpush_drake.objects.cells import make_polygon
+from gridpush_drake.perception.answers import (
+    Answer,
+    OtherPose,
+    choose_answers,
+    list_others,
+    mix_covariances,
+)
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import (
-    cover_pixels,
-    draw_contours,
-    find_off_table,
-    look_at_table,
-)
-from gridpush_drake.perception.foreground import (
-    Foreground,
-    dilate,
-    find_foreground,
-    find_high,
-    refine_boundary,
-    remove_thin,
-    score_pixels,
-    to_lab,
-)
-from gridpush_drake.perception.frames import Color, Frame
+from gridpush_drake.perception.drawing import draw_contours
+from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.look_alikes import (
     SAME,
     Expectation,
     calc_surprise,
     find_look_alikes,
 )
-from gridpush_drake.perception.pixel_kernels import HALF
+from gridpush_drake.perception.picture_reader import Appearance, Picture, PictureReader
+from gridpush_drake.perception.pose_search import guess_poses
 from gridpush_drake.perception.registration import Fit, Registration, View
-from gridpush_drake.perception.table_plane import TablePlane
 
 Mask = NDArray[np.bool_]
 
-CLEARANCE = 0.015
-"""A pixel that is this much higher than the object's top shows something else, such as the arm,
-m."""
-
-FLOOR_DEPTH = 0.05
-"""A pixel that is this much lower than the table's top shows the floor and never the object,
-whatever its color, m."""
-
-FLOOR_MARGIN = 5
-"""Beyond the table's edge, a pixel counts as floor if it is more than half of this from every pixel
-where the depth camera sees something above the floor, pixels."""
-
-COVER_MARGIN = 9
-"""Width of the brush that widens what covers the object, pixels; half of it is added on each side,
-because the cover's own edge is uncertain too."""
-
 WINDOW_MARGIN = 30
 """Room around the part of the picture that can hold the object in the next frame, pixels."""
-
-MAX_PIECES = 4
-"""A search everywhere tries this many pieces of the foreground, the largest first."""
-
-ANGLES_TRIED = 48
-"""A search everywhere tries this many angles with each piece, evenly over a full turn."""
-
-MAX_CANDIDATES = 5
-"""A search everywhere registers this many of the poses it tried, those with the largest overlap."""
-
-COARSENESS = 4
-"""Side of the pixels on which a search everywhere compares shapes, in pixels of the picture."""
-
-PAINT_SEED = 0
-"""Seed of the table's colors that are painted over what covers it in the first frame."""
-
-MIN_OVERLAP = 0.35
-"""A pose whose silhouette has a smaller intersection over union with the foreground is not
-registered in a search everywhere."""
 
 MIN_INSIDE = 0.6
 """A fit is refused if less than this share of the points just inside its visible boundary shows the
@@ -111,13 +67,6 @@ rad/s."""
 MAX_HIDDEN_TURN = 0.5
 """Largest standard deviation of the angle of an object that was hidden, rad. By a push it turns by
 a part of this; half a turn, at which it may look the same, is much less likely."""
-
-MAX_DOUBT = 7.0
-"""An answer is left out if the logarithm of its likelihood is below that of the likeliest by more
-than this: it is a thousand times less likely."""
-
-SAME_ANSWER = 0.2
-"""Two answers whose angles differ by less than this are the same, rad."""
 
 STILL_SEEN = 1.25
 """Factor on the largest dilution of an object that was seen in the frame before: one that is seen
@@ -153,50 +102,6 @@ class TrackerOptions:
     pixel_noise: float = 0.1
     max_dilution: float = 4.0
     search_period: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Appearance:
-    """What the table looks like.
-
-    Attributes:
-        table: (height, width, 3) color of the table in each pixel, CIE L*a*b*.
-        deviation: (3,) standard deviations of the table's color, CIE L*a*b*.
-        plane: (3,) n/d, the normal of the table's plane in C over its distance, 1/m; None without
-            depth.
-        height_deviation: standard deviation of the heights measured on the table, m; 0 without
-            depth.
-    """
-
-    table: NDArray[np.float32]
-    deviation: Array
-    plane: Array | None
-    height_deviation: float
-
-
-class OtherPose(NamedTuple):
-    """A pose at which the object would look nearly as it does.
-
-    Attributes:
-        pose: (3,) (x, y, theta), W, m and rad.
-        log_odds: logarithm of how likely it is over the likelihood of the pose that was told, 0 or
-            less.
-    """
-
-    pose: Array
-    log_odds: float
-
-
-class _Answer(NamedTuple):
-    """A registration and how likely it is, among others of the same picture.
-
-    Attributes:
-        fit: the registration.
-        weight: logarithm of its likelihood, up to a constant of the picture.
-    """
-
-    fit: Fit
-    weight: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,20 +151,6 @@ class TrackedPose:
     covariance: Array
     seen: bool
     residual: float
-
-
-class _Picture(NamedTuple):
-    """A frame without distortion.
-
-    Attributes:
-        color: (height, width, 3) uint8.
-        depth: (height, width), m; None without a depth camera.
-        covered: (height, width) bool, pixels that are known to show something else.
-    """
-
-    color: Color
-    depth: NDArray[np.float32] | None
-    covered: Mask
 
 
 NOT_SEEN = TrackedPose(
@@ -315,14 +206,7 @@ class PoseTracker:
         # All of the registration is done without lens distortion, so that straight sides are
         # straight in the picture.
         self._ideal = camera.undistorted
-
-        # The pixels beside the table, in the picture without distortion and as it was taken: the
-        # first frame is painted over before its distortion is taken out.
-        self._off_table: Mask | None = None
-        self._off_table_raw: Mask | None = None
-        if table_top is not None:
-            self._off_table = find_off_table(self._ideal, table_top)
-            self._off_table_raw = find_off_table(camera, table_top)
+        self._reader = PictureReader(camera, table_top)
 
         # P of the theory: the information of what can happen between two frames.
         step_information = self.options.max_step**-2
@@ -352,39 +236,50 @@ class PoseTracker:
             PerceptionError: an image has another size, no table is in view, or no object that has
                 the outline.
         """
-        picture = self._undistort(frame, unseen)
+        appearance, off_table = self._reader.learn(frame, unseen)
+        state = self.begin(appearance, self._reader.read(frame, unseen), guess)
+        if state is None:
+            raise PerceptionError(
+                "no object of this outline is in view; expected the one that the object's file"
+                " describes",
+                draw_contours(self.camera.undistort(frame.color), off_table),
+            )
+        return state
 
-        # The table is fitted to a picture in which nothing else than table and object is left: the
-        # arm and the floor would draw the polynomial of its color and its plane away.
-        table = self._paint_table(frame, unseen)
-        painted, _, plane, _ = look_at_table(table.color, table.depth, self.camera)
-        found = find_foreground(painted, plane)
-        appearance = Appearance(
-            table=to_lab(painted) - found.difference,
-            deviation=found.deviation,
-            plane=None if plane is None else -plane.normal / plane.offset,
-            height_deviation=0.0 if plane is None else plane.deviation,
-        )
+    def begin(
+        self,
+        appearance: Appearance,
+        picture: Picture,
+        guess: ArrayLike | None = None,
+        share: float | None = None,
+    ) -> TrackerState | None:
+        """Finds the object in the first picture; `start` does this and what comes before.
 
+        Args:
+            appearance: what the table looks like.
+            picture: the first picture.
+            guess: see `start`.
+            share: least share of the visible outline that has to be found; by default that of
+                `TrackerOptions`, `lost_share` near a guess and `found_share` elsewhere.
+
+        Returns:
+            The state before the first `track`; None where no such object is in view.
+        """
         # A guess is worth a look before the slower search of the whole picture.
         before = None if guess is None else np.array(guess, dtype=np.float64)
-        answers: list[_Answer] = []
+        answers: list[Answer] = []
         if before is not None:
             _, fit = self._find_near(appearance, picture, before)
-            if fit is not None:
-                answers = [_Answer(fit, 0.0)]
+            if fit is not None and fit.share >= (share or 0.0):
+                answers = [Answer(fit, 0.0)]
         if not answers:
             expected = None
             if before is not None:
                 step = self.options.max_step
                 expected = Expectation(before, step, self.options.max_turn)
-            answers = self._find_anywhere(appearance, picture, expected)
+            answers = self._find_anywhere(appearance, picture, expected, share)
         if not answers:
-            raise PerceptionError(
-                "no object of this outline is in view; expected the one that the object's file"
-                " describes",
-                draw_contours(picture.color, found.mask),
-            )
+            return None
 
         # A guess also says which turn the angle is counted in; without one it is the first.
         pose = answers[0].fit.pose.copy()
@@ -393,11 +288,11 @@ class PoseTracker:
         return TrackerState(
             pose=pose,
             lost=False,
-            t=frame.t,
+            t=picture.t,
             appearance=appearance,
             told=pose,
-            told_t=frame.t,
-            others=_list_others(answers),
+            told_t=picture.t,
+            others=list_others(answers),
         )
 
     def track(
@@ -423,13 +318,36 @@ class PoseTracker:
         Raises:
             ImageError: an image has another size than the camera.
         """
-        picture = self._undistort(frame, unseen)
+        return self.track_picture(state, self._reader.read(frame, unseen), expected)
 
+    def track_picture(
+        self,
+        state: TrackerState,
+        picture: Picture,
+        expected: Expectation | None = None,
+        start: Array | None = None,
+        may_search: bool = True,
+    ) -> tuple[TrackerState, TrackedPose]:
+        """Finds the object in a picture; `track` does this with the picture of a frame.
+
+        Args:
+            state: after the picture before.
+            picture: the next one.
+            expected: see `track`.
+            start: (3,) a pose about which it is looked for first, W, m and rad; None for where it
+                is expected.
+            may_search: whether the whole picture may be searched if it is not found there.
+
+        Returns:
+            The state after it, and the pose.
+        """
         # Where it is expected first; everywhere only if it is gone from there, and not in every
         # frame.
         starts = [state.pose] if expected is None else [expected.pose, state.pose]
+        if start is not None:
+            starts = [start, *starts]
         if expected is None:
-            expected = self._expect(state, frame.t)
+            expected = self._expect(state, picture.t)
         answers = self._follow(state, picture, starts, expected)
         searched = state.searched
 
@@ -438,11 +356,12 @@ class PoseTracker:
         doubtful = state.hidden and any(
             each.fit.share < self.options.found_share for each in answers
         )
-        if (doubtful or not answers) and self._may_search(searched, frame.t):
+        gone = doubtful or not answers
+        if gone and may_search and self._may_search(searched, picture.t):
             found = self._find_anywhere(state.appearance, picture, expected)
             answers = found or answers
-            searched = frame.t
-        state = replace(state, lost=not answers, t=frame.t, searched=searched)
+            searched = picture.t
+        state = replace(state, lost=not answers, t=picture.t, searched=searched)
         if not answers:
             return replace(state, hidden=True, others=()), NOT_SEEN
 
@@ -452,7 +371,7 @@ class PoseTracker:
         before = state.pose[2]
         pose[2] = before + wrap_angle(pose[2] - before)
         pose.setflags(write=False)
-        state = replace(state, pose=pose, others=_list_others(answers))
+        state = replace(state, pose=pose, others=list_others(answers))
 
         # A pose that too little of the object determines is good enough to look there again, but
         # not to tell others.
@@ -461,9 +380,13 @@ class PoseTracker:
             limit *= STILL_SEEN
         if fit.dilution > limit:
             return replace(state, hidden=True), NOT_SEEN
-        state = replace(state, told=pose, told_t=frame.t, hidden=False)
-        covariance = _mix_covariances(answers)
+        state = replace(state, told=pose, told_t=picture.t, hidden=False)
+        covariance = mix_covariances(answers)
         return state, TrackedPose(pose=pose, covariance=covariance, seen=True, residual=fit.rms)
+
+    def make_silhouette(self, pose: Array) -> Polygon:
+        """Makes the object's silhouette on the table at a pose (3,), W, m."""
+        return self._registration.make_silhouette(pose)
 
     def _expect(self, state: TrackerState, t: float) -> Expectation:
         """Says where the object is expected by its last pose, and how long ago that was told."""
@@ -473,8 +396,8 @@ class PoseTracker:
         return Expectation(pose=state.told, place_deviation=place, turn_deviation=turn)
 
     def _follow(
-        self, state: TrackerState, picture: _Picture, starts: list[Array], expected: Expectation
-    ) -> list[_Answer]:
+        self, state: TrackerState, picture: Picture, starts: list[Array], expected: Expectation
+    ) -> list[Answer]:
         """Finds the object near where it is expected.
 
         Args:
@@ -499,17 +422,17 @@ class PoseTracker:
 
         # Else only the answers go on that could not be told apart before. The pictures of a video
         # share most of what is wrong with them, so that each adds a part of its evidence alone.
-        answers = [_Answer(fit, 0.0)]
+        answers = [Answer(fit, 0.0)]
         for other in state.others:
             again = self._registration.register(view, other.pose)
             if self._accepts(again, self.options.lost_share):
                 gain = NEW_EVIDENCE * (again.evidence - fit.evidence)
-                answers.append(_Answer(again, other.log_odds + gain))
-        return _choose(answers)
+                answers.append(Answer(again, other.log_odds + gain))
+        return choose_answers(answers)
 
     def _weigh_look_alikes(
         self, view: View, fit: Fit, expected: Expectation | None
-    ) -> list[_Answer]:
+    ) -> list[Answer]:
         """Weighs a registration against those at which the object looks nearly the same.
 
         Args:
@@ -533,8 +456,8 @@ class PoseTracker:
             surprise = 0.0
             if expected is not None:
                 surprise = calc_surprise(expected, each.pose, self._middle)
-            answers.append(_Answer(each, each.evidence - surprise))
-        return _choose(answers)
+            answers.append(Answer(each, each.evidence - surprise))
+        return choose_answers(answers)
 
     def _may_search(self, searched: float | None, t: float) -> bool:
         """Says whether the last search everywhere is long enough ago; a clock set back counts."""
@@ -542,61 +465,50 @@ class PoseTracker:
             return True
         return not 0 <= t - searched < self.options.search_period
 
-    def _undistort(self, frame: Frame, unseen: Mask | None) -> _Picture:
-        """Takes the distortion out of all images, and checks their sizes."""
-        self.camera.check_size(frame.color, "the color image")
-        color = self.camera.undistort(frame.color)
-        depth = None
-        if frame.depth is not None:
-            self.camera.check_size(frame.depth, "the depth image")
-            depth = self.camera.undistort(frame.depth)
-        covered = np.zeros((self.camera.height, self.camera.width), dtype=bool)
-        if unseen is not None:
-            self.camera.check_size(unseen, "the mask of what is covered")
-            # No uint8, which would be interpolated between pixels.
-            covered = self.camera.undistort(unseen.astype(np.uint16)) > 0
-        return _Picture(color, depth, covered)
-
-    def _paint_table(self, frame: Frame, unseen: Mask | None) -> Frame:
-        """Paints the table's colors over what covers it and over the floor."""
-        hidden = np.zeros(frame.color.shape[:2], dtype=bool)
-        if unseen is not None:
-            hidden = unseen
-        if self._off_table_raw is not None:
-            hidden = hidden | self._off_table_raw
-        color, depth = cover_pixels(frame.color, frame.depth, hidden, PAINT_SEED)
-        return frame._replace(color=color, depth=depth)
-
     def _find_near(
-        self, appearance: Appearance, picture: _Picture, before: Array
+        self, appearance: Appearance, picture: Picture, before: Array
     ) -> tuple[View, Fit | None]:
         """Looks for the object near a pose (3,).
 
         Returns:
             What is object there, and the fit; None where the object is not there.
         """
-        view = self._look(appearance, picture, self._find_window(before))
+        window = self._find_window(before)
+        view = self._reader.look(appearance, picture, window, self.height)
         fit = self._registration.register(view, before)
         return view, fit if self._accepts(fit, self.options.lost_share) else None
 
     def _find_anywhere(
-        self, appearance: Appearance, picture: _Picture, expected: Expectation | None
-    ) -> list[_Answer]:
+        self,
+        appearance: Appearance,
+        picture: Picture,
+        expected: Expectation | None,
+        share: float | None = None,
+    ) -> list[Answer]:
         """Finds the object in the whole picture.
+
+        Args:
+            appearance: what the table looks like.
+            picture: the picture.
+            expected: where the object is expected; None where nothing is known.
+            share: least share of its visible outline that has to be found; None for the options'.
 
         Returns:
             The poses that explain the picture, the likeliest first; none where it is nowhere.
         """
         rows, columns = picture.color.shape[:2]
-        view = self._look(appearance, picture, (slice(0, rows), slice(0, columns)))
-        before = None if expected is None else expected.pose
-        fits = [self._registration.register(view, pose) for pose in self._guess(view, before)]
+        everywhere = (slice(0, rows), slice(0, columns))
+        view = self._reader.look(appearance, picture, everywhere, self.height)
+        guesses = guess_poses(view, self._registration, self._ideal, self.height)
+        if expected is not None:
+            guesses.append(expected.pose)
+        fits = [self._registration.register(view, pose) for pose in guesses]
 
         # Without a last pose to lean on, what is visible has to determine the pose.
         good = [
             fit
             for fit in fits
-            if self._accepts(fit, self.options.found_share)
+            if self._accepts(fit, share or self.options.found_share)
             and fit.dilution <= self.options.max_dilution
         ]
         if not good:
@@ -619,164 +531,6 @@ class PoseTracker:
         left, top = np.clip(low, 0, last).astype(int)
         right, bottom = np.clip(high, 0, last).astype(int)
         return slice(top, bottom + 1), slice(left, right + 1)
-
-    def _look(self, appearance: Appearance, picture: _Picture, window: tuple[slice, slice]) -> View:
-        """Tells the object from the table in a part of the picture."""
-        difference = to_lab(picture.color[window]) - appearance.table[window]
-        hidden = picture.covered[window]
-        floor = np.zeros(difference.shape[:2], dtype=bool)
-        plane = None
-        high = None
-        if picture.depth is not None and appearance.plane is not None:
-            # Heights above the plane n/d that was fitted in the first frame (section 1).
-            heights = self._calc_heights(picture.depth, appearance.plane, window)
-            offset = float(1 / np.linalg.norm(appearance.plane))
-            plane = TablePlane(
-                normal=-appearance.plane * offset,
-                offset=offset,
-                heights=heights,
-                deviation=appearance.height_deviation,
-            )
-            high = find_high(plane)
-
-            # What stands above the object's top covers it, whether or not anybody said so.
-            hidden = hidden | (heights > self.height + CLEARANCE)
-
-            # The floor has another color than the table and would be taken for object. Beside the
-            # table, depth that is missing is floor, too, but for a rim as wide as depth is blurred.
-            floor = heights < -FLOOR_DEPTH
-            if self._off_table is not None:
-                above_floor = dilate(heights > -FLOOR_DEPTH, FLOOR_MARGIN)
-                floor |= self._off_table[window] & ~above_floor
-
-        if hidden.any():
-            hidden = dilate(hidden, COVER_MARGIN)
-
-        # The score of each pixel and the boundary drawn by color, both of section 1.
-        found: Foreground = score_pixels(difference, appearance.deviation, plane, high)
-        rough = remove_thin(found.mask & ~hidden & ~floor)
-        mask, coverage = refine_boundary(rough, found, hidden)
-        rows, columns = window
-        corner = np.array([columns.start, rows.start], dtype=np.float64)
-        return View(coverage=coverage, mask=mask, covered=hidden, corner=corner)
-
-    def _calc_heights(
-        self, depth: NDArray[np.float32], plane: Array, window: tuple[slice, slice]
-    ) -> NDArray[np.float32]:
-        """Calculates how high above the table the pixels of a window are, m; NaN without depth.
-
-        Args:
-            depth: (height, width) of the whole picture, m.
-            plane: (3,) n/d of the table.
-            window: rows and columns.
-
-        Returns:
-            (h, w), m.
-        """
-        # The inverse depth n/d . r of the plane is linear in the pixel, as r is.
-        across, down, level = np.linalg.solve(self._ideal.K.T, plane)
-        rows, columns = window
-        x = np.arange(columns.start, columns.stop)
-        y = np.arange(rows.start, rows.stop)
-        in_row = (across * x).astype(np.float32)
-        in_column = (down * y + level).astype(np.float32)
-        inverse_depth = in_column[:, None] + in_row
-
-        # 1 - z (n/d).r is 0 on the plane, and 1/|n/d| the camera's distance.
-        z = depth[window]
-        heights = np.float32(1 / np.linalg.norm(plane)) * (1 - z * inverse_depth)
-        heights[~(z > 0)] = np.nan
-        return heights
-
-    def _guess(self, view: View, before: Array | None) -> list[Array]:
-        """Lists poses whose silhouettes look most like the foreground, the best first."""
-        # Shapes are compared on coarse pixels: many poses are tried, and none need be exact.
-        fine = (view.mask & ~view.covered).astype(np.float32)
-        scale = 1 / COARSENESS
-        small = cv2.resize(fine, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) > HALF
-        count, labels, stats, middles = cv2.connectedComponentsWithStats(
-            small.astype(np.uint8), connectivity=8
-        )
-        if count < 2:
-            return []
-
-        tried: list[tuple[float, Array]] = []
-        area = stats[1:, cv2.CC_STAT_AREA]
-        largest = np.argsort(-area)[:MAX_PIECES]
-        for piece in 1 + largest:
-            # A piece's middle is about where the object's is, at half of its height.
-            middle = (middles[piece] + HALF) * COARSENESS - HALF + view.corner
-            at = self._ideal.cast(middle, self.height / 2)
-            for theta in np.arange(ANGLES_TRIED) * (2 * np.pi / ANGLES_TRIED):
-                pose = np.array([*at, theta])
-                # The silhouette's centroid, not the body's origin, belongs on the piece's middle.
-                centroid = self._registration.make_silhouette(pose).centroid
-                pose[:2] += at - np.array(centroid.coords[0])
-                overlap = self._calc_overlap(pose, labels == piece, view.corner)
-                tried.append((overlap, pose))
-
-        tried.sort(key=lambda entry: -entry[0])
-        best = [pose for overlap, pose in tried[:MAX_CANDIDATES] if overlap >= MIN_OVERLAP]
-        if before is not None:
-            best.append(before)
-        return best
-
-    def _calc_overlap(self, pose: Array, small: Mask, corner: Array) -> float:
-        """Calculates intersection over union of a silhouette and a mask of coarse pixels."""
-        painted = np.zeros(small.shape, np.uint8)
-        points = np.array(self._registration.make_silhouette(pose).exterior.coords)
-        on_table = np.column_stack([points, np.zeros(len(points))])
-        pixels = self._ideal.project(on_table) - corner
-        coarse = (pixels + HALF) / COARSENESS - HALF
-        coarse = np.round(coarse).astype(np.int32)
-        cv2.fillPoly(painted, [coarse], 1)
-        common = np.count_nonzero(painted & small)
-        either = np.count_nonzero(painted) + np.count_nonzero(small) - common
-        return common / either
-
-
-def _choose(answers: list[_Answer]) -> list[_Answer]:
-    """Sorts answers, the likeliest first, and leaves out those beyond doubt and those given twice.
-
-    Args:
-        answers: answers of one picture.
-
-    Returns:
-        Some of them, one or more.
-    """
-    kept: list[_Answer] = []
-    for answer in sorted(answers, key=lambda each: -each.weight):
-        if kept and answer.weight < kept[0].weight - MAX_DOUBT:
-            break
-        turns = [abs(wrap_angle(answer.fit.pose[2] - each.fit.pose[2])) for each in kept]
-        if all(turn > SAME_ANSWER for turn in turns):
-            kept.append(answer)
-    return kept
-
-
-def _list_others(answers: list[_Answer]) -> tuple[OtherPose, ...]:
-    """Lists all answers but the likeliest, which is the first, for the next frame."""
-    best = answers[0].weight
-    return tuple(OtherPose(each.fit.pose, each.weight - best) for each in answers[1:])
-
-
-def _mix_covariances(answers: list[_Answer]) -> Array:
-    """Calculates the covariance (3, 3) of a pose that may be one of several.
-
-    Args:
-        answers: what it may be; it is told as the first of them.
-
-    Returns:
-        The mean square distance from the first pose: its own covariance where there is no doubt.
-    """
-    weights = np.exp([each.weight - answers[0].weight for each in answers])
-    weights /= weights.sum()
-    total = np.zeros((3, 3))
-    for weight, answer in zip(weights, answers, strict=True):
-        off = answer.fit.pose - answers[0].fit.pose
-        off[2] = wrap_angle(off[2])
-        total += weight * (answer.fit.covariance + np.outer(off, off))
-    return total
 
 
 def track_object(

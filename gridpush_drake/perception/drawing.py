@@ -1,0 +1,78 @@
+"""Outlines and masks drawn into photographs, for people to look at."""
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from shapely import Polygon
+
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.frames import Color
+
+Mask = NDArray[np.bool_]
+
+GREEN = (0, 255, 0)
+"""Color of an object's outline, of its top and of its body frame's y axis in pictures."""
+
+RED = (255, 0, 0)
+"""Color of what was refused, and of the body frame's x axis in pictures."""
+
+BLUE = (0, 80, 255)
+"""Color of an object's bottom in pictures."""
+
+LINE = 1
+"""Width of the lines drawn in pictures, pixels."""
+
+FRACTION_BITS = 4
+"""Bits after the binary point in the coordinates that OpenCV's drawing takes."""
+
+AXIS = 0.03
+"""Length of the body frame's axes in pictures, m."""
+
+
+def draw_outline(
+    color: Color, camera: Camera, outline: Polygon, height: float, X_WB: ArrayLike
+) -> Color:
+    """Draws an outline and its body frame into a photograph.
+
+    Args:
+        color: (height, width, 3) uint8, undistorted.
+        camera: camera that took it, with X_WC.
+        outline: outline on the table, W, m.
+        height: height of the object, m; 0 draws its bottom alone.
+        X_WB: (3,) pose (x, y, theta) of the body frame, W, m and rad.
+
+    Returns:
+        A new picture.
+    """
+    picture = color.copy()
+    ideal = camera.undistorted
+
+    def draw(points: Array, closed: bool, tint: tuple[int, int, int]) -> None:
+        places = np.round(ideal.project(points) * 2**FRACTION_BITS).astype(np.int32)
+        cv2.polylines(picture, [places], closed, tint, LINE, cv2.LINE_AA, FRACTION_BITS)
+
+    # The bottom, and the top where that is another.
+    levels = [(0.0, BLUE)]
+    if height > 0:
+        levels.append((height, GREEN))
+    for z, tint in levels:
+        for ring in (outline.exterior, *outline.interiors):
+            xy = np.array(ring.coords)
+            points = np.column_stack([xy, np.full(len(xy), z)])
+            draw(points, True, tint)
+
+    # The body frame's axes lie on the top, where they hide no part of the outline.
+    x, y, theta = np.asarray(X_WB, dtype=np.float64)
+    for angle, tint in ((theta, RED), (theta + np.pi / 2, GREEN)):
+        tip = [x + AXIS * np.cos(angle), y + AXIS * np.sin(angle), height]
+        draw(np.array([[x, y, height], tip]), False, tint)
+    return picture
+
+
+def draw_contours(color: Color, mask: Mask, tint: tuple[int, int, int] = RED) -> Color:
+    """Draws the contours of a mask into a photograph; returns a new one."""
+    picture = color.copy()
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(picture, contours, -1, tint, LINE)
+    return picture
