@@ -1,13 +1,14 @@
 """`gridpush object`: finds an object in a photograph, and writes an object file for it."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 from warnings import warn
 
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_line
+from gridpush_drake.cli.console import count_noun, print_json, print_line
 from gridpush_drake.errors import (
     NoObjectError,
     NoTableError,
@@ -17,6 +18,7 @@ from gridpush_drake.errors import (
     TagError,
 )
 from gridpush_drake.files import write_whole
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import SeenSchema, TagSchema, dump_object
 from gridpush_drake.perception import (
     SHEETS,
@@ -26,6 +28,7 @@ from gridpush_drake.perception import (
     ObjectHint,
     detect_by_sheet,
     detect_object,
+    detect_objects,
     detect_tags,
     find_sheet,
     read_color,
@@ -36,7 +39,7 @@ from gridpush_drake.perception import (
     write_picture,
 )
 from gridpush_drake.perception.foreground import CONTRADICTION
-from gridpush_drake.perception.frames import Color, read_any_color
+from gridpush_drake.perception.frames import Color, Depth, read_any_color
 
 MM = 1e3
 """Millimeters in a meter."""
@@ -49,6 +52,9 @@ MAX_PIXEL = 1e6
 
 HELPED = (NoObjectError, SeveralObjectsError, NoTableError)
 """Refusals that a hint helps against."""
+
+ALL_HINT = ", and --all writes a file for each object"
+"""What is added to the refusal of a photograph of several objects."""
 
 HINTS = "; --click X,Y, --box LEFT,TOP,RIGHT,BOTTOM or --mask MASK.png can say where it is"
 """What is added to them."""
@@ -151,6 +157,15 @@ def make_object(
             help="A pixel of PHOTO that shows the object: chooses among several objects.",
         ),
     ] = None,
+    all_objects: Annotated[
+        bool,
+        typer.Option(
+            "--all",
+            help="Find each of several objects, and write a file for each: with --out object.yaml, "
+            "object_1.yaml, object_2.yaml and so on, from left to right in the photograph. What "
+            "the border cuts, such as a hand, is left out.",
+        ),
+    ] = False,
     cell_size: Annotated[
         float | None,
         typer.Option(
@@ -188,11 +203,27 @@ def make_object(
 
     Example: gridpush object photo.png --depth depth.png --camera camera.yaml --out object.yaml
     """
-    options.check_outputs(force, out, picture, inputs=(photo, camera, depth, mask))
+    # With --all, `out` itself is not written; which files are is known once the objects are found.
+    written = None if all_objects else out
+    options.check_outputs(force, written, picture, inputs=(photo, camera, depth, mask))
     _check_told(camera, sheet, depth)
+    if all_objects:
+        chosen_too = {
+            "--sheet": sheet,
+            "--mask": mask,
+            "--box": box,
+            "--click": click,
+            "--tag": tag,
+        }
+        _check_all(chosen_too)
     seen_by = None if camera is None else Camera.read(camera)
     color = read_any_color(photo) if seen_by is None else read_color(photo, seen_by)
     measured = None if depth is None else read_depth(depth, _require(seen_by))
+    if all_objects:
+        wanted = _AllWanted(out, picture, cell_size, name or photo.stem, force, json)
+        options_of_all = DetectorOptions(height=height, parts=parts)
+        _make_all(photo, color, measured, _require(seen_by), options_of_all, wanted)
+        return
     hint = None
     try:
         if sheet is None:
@@ -217,6 +248,8 @@ def make_object(
         if picture is not None and error.picture is not None:
             write_picture(picture, error.picture, force)
         help_there = "" if hint is not None or not isinstance(error, HELPED) else HINTS
+        if help_there and sheet is None and isinstance(error, SeveralObjectsError):
+            help_there += ALL_HINT
         raise type(error)(f"{photo}: {error}{help_there}", error.picture) from error
     if found.contradiction > CONTRADICTION:
         warn(
@@ -235,28 +268,166 @@ def make_object(
         )
     obj = found.make_grid_object(cell_size, name or photo.stem)
     tag_on_it = None if tag is None else _find_tag(photo, color, found, tag, tag_size)
-    x, y, theta = map(float, found.X_WB)
-    at = (float(pixel[0]), float(pixel[1]))
-    seen = SeenSchema(pixel=at, pose=(x, y, theta), tag=tag_on_it)
-    write_whole(out, dump_object(obj.name, obj.grid, obj.prior, obj.height, seen), force)
+    made = _Made(path=out, obj=obj, found=found, pixel=(float(pixel[0]), float(pixel[1])))
+    made.write(tag_on_it, force)
     if picture is not None:
         write_picture(picture, found.picture, force)
     if json:
-        print_json(
-            {
-                "object": obj.name,
-                "cells": obj.n,
-                "height": obj.height,
-                "area": found.outline.area,
-                "pixel": at,
-                "pose": [x, y, theta],
-                "written": str(out),
-            }
-        )
+        print_json(made.describe())
     else:
-        tall = f"{found.height * MM:.0f} mm high" if found.height else "of unknown height"
+        made.print()
+
+
+class _AllWanted(NamedTuple):
+    """What is to be made of all objects in a photograph.
+
+    Attributes:
+        out: the file from whose name those of the objects' files are made.
+        picture: the picture to write; None for none.
+        cell_size: side of the cells, m; None for the default number of cells.
+        name: name from which those of the objects are made.
+        force: whether existing files may be replaced.
+        json: whether the result is printed as JSON.
+    """
+
+    out: Path
+    picture: Path | None
+    cell_size: float | None
+    name: str
+    force: bool
+    json: bool
+
+
+def _check_all(chosen: Mapping[str, object]) -> None:
+    """Raises OptionError where an option is given that says which one object is meant."""
+    given = [name for name, value in chosen.items() if value is not None]
+    if given:
+        raise options.OptionError(
+            f"--all and {given[0]}: both are given; expected --all alone, with --camera"
+        )
+
+
+def _make_all(
+    photo: Path,
+    color: Color,
+    depth: Depth | None,
+    camera: Camera,
+    chosen: DetectorOptions,
+    wanted: _AllWanted,
+) -> None:
+    """Finds all objects in a photograph, and writes an object file for each.
+
+    Args:
+        photo: the photograph's file, for messages.
+        color: its colors.
+        depth: depth, m; None without.
+        camera: the camera.
+        chosen: what counts as an object.
+        wanted: what is to be written.
+    """
+    try:
+        found = detect_objects(color, depth, camera, chosen)
+    except PerceptionError as error:
+        if wanted.picture is not None and error.picture is not None:
+            write_picture(wanted.picture, error.picture, wanted.force)
+        raise type(error)(f"{photo}: {error}", error.picture) from error
+    if found.cut:
+        things = count_noun(found.cut, "thing")
+        verb = "is" if found.cut == 1 else "are"
+        warn(
+            f"{photo}: {things} cut by the picture's border {verb} left out, as a hand or an arm "
+            "would be; --picture shows what was found",
+            ObjectWarning,
+            stacklevel=3,
+        )
+    for number, each in enumerate(found.objects, start=1):
+        _warn_of(photo, number, each)
+
+    # All files are written, or none.
+    suffix = wanted.out.suffix
+    paths = [
+        wanted.out.with_name(f"{wanted.out.stem}_{number}{suffix}")
+        for number in range(1, len(found.objects) + 1)
+    ]
+    options.check_outputs(wanted.force, *paths, wanted.picture, inputs=(photo,))
+    rows = []
+    for number, (path, each) in enumerate(zip(paths, found.objects, strict=True), start=1):
+        obj = each.make_grid_object(wanted.cell_size, f"{wanted.name}_{number}")
+        rows.append(
+            _Made(
+                path=path, obj=obj, found=each, pixel=(float(each.pixel[0]), float(each.pixel[1]))
+            )
+        )
+    for row in rows:
+        row.write(None, wanted.force)
+    if wanted.picture is not None:
+        write_picture(wanted.picture, found.picture, wanted.force)
+    if wanted.json:
+        print_json({"objects": [row.describe() for row in rows], "cut": found.cut})
+        return
+    for row in rows:
+        row.print()
+
+
+def _warn_of(photo: Path, number: int, found: DetectedObject) -> None:
+    """Warns where one of several objects is doubtful."""
+    if found.doubtful:
+        warn(
+            f"{photo}: object {number} hardly stands out from the table in parts, and its outline "
+            "may be wrong; --picture shows what was found",
+            ObjectWarning,
+            stacklevel=4,
+        )
+    if found.crowded:
+        warn(
+            f"{photo}: object {number} may be two objects that touch; if it is, move them apart, "
+            "for a photograph alone does not tell where one ends; --picture shows what was found",
+            ObjectWarning,
+            stacklevel=4,
+        )
+
+
+class _Made(NamedTuple):
+    """An object that was found, and the file for it.
+
+    Attributes:
+        path: the object file.
+        obj: the object.
+        found: what was found in the photograph.
+        pixel: where its body frame's origin is in the photograph, pixels.
+    """
+
+    path: Path
+    obj: GridObject
+    found: DetectedObject
+    pixel: tuple[float, float]
+
+    def write(self, tag: TagSchema | None, force: bool) -> None:
+        """Writes the object file, with the tag on the object where there is one."""
+        x, y, theta = map(float, self.found.X_WB)
+        seen = SeenSchema(pixel=self.pixel, pose=(x, y, theta), tag=tag)
+        obj = self.obj
+        write_whole(self.path, dump_object(obj.name, obj.grid, obj.prior, obj.height, seen), force)
+
+    def describe(self) -> dict[str, object]:
+        """Describes the object for JSON."""
+        return {
+            "object": self.obj.name,
+            "cells": self.obj.n,
+            "height": self.obj.height,
+            "area": self.found.outline.area,
+            "pixel": self.pixel,
+            "pose": list(map(float, self.found.X_WB)),
+            "written": str(self.path),
+        }
+
+    def print(self) -> None:
+        """Prints a line about the object."""
+        height = self.found.height
+        tall = f"{height * MM:.0f} mm high" if height else "of unknown height"
         print_line(
-            f"{obj.name}: {found.outline.area * CM2:.1f} cm2, {tall}, {obj.n} cells. Wrote {out}."
+            f"{self.obj.name}: {self.found.outline.area * CM2:.1f} cm2, {tall}, {self.obj.n} cells."
+            f" Wrote {self.path}."
         )
 
 

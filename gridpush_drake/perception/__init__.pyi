@@ -18,6 +18,8 @@ from .scene_tracking import KnownObject as KnownObject
 from .scene_tracking import SceneState as SceneState
 from .scene_tracking import SceneTracker as SceneTracker
 from .scene_tracking import track_objects as track_objects
+from .several_detection import DetectedObjects as DetectedObjects
+from .several_detection import detect_objects as detect_objects
 from .sheet import SHEETS as SHEETS
 from .sheet import FoundSheet as FoundSheet
 from .sheet import find_sheet as find_sheet

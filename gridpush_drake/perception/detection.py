@@ -1,5 +1,7 @@
 """One object on a table, found in one photograph: its mask, outline, height and parts.
 
+Several of them are found by `several_detection`.
+
 Which pixels are no table is found in `foreground`, and what is measured of those that show the
 object in `measuring`. An object that is known is followed in `tracking`. The theory is in
 docs/theory/perception.md, section 2.
@@ -7,6 +9,7 @@ docs/theory/perception.md, section 2.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -128,6 +131,7 @@ class DetectedObject:
             `calc_contradiction`.
         doubtful: whether parts of the object hardly stand out from the table, so that its outline
             may be wrong; see `joint_foreground`.
+        crowded: whether it may be two objects that touch; only `detect_objects` looks for that.
     """
 
     outline: Polygon
@@ -140,6 +144,7 @@ class DetectedObject:
     picture: Color
     contradiction: float = 0.0
     doubtful: bool = False
+    crowded: bool = False
 
     @property
     def close_up(self) -> Color:
@@ -186,6 +191,24 @@ class DetectedObject:
         return shapely.transform(shape, lambda points: transform_back(self.X_WB, points))
 
 
+class Photograph(NamedTuple):
+    """A photograph in which table and everything else are told apart.
+
+    Attributes:
+        color: (height, width, 3) uint8, undistorted.
+        plane: the table with the heights above it; None without depth.
+        camera: with X_WC.
+        found: everything that is no table.
+        painted: (height, width) bool, where the table was painted over what hides it.
+    """
+
+    color: Color
+    plane: TablePlane | None
+    camera: Camera
+    found: Foreground
+    painted: Mask
+
+
 def detect_object(
     color: Color, depth: Depth | None, camera: Camera, options: DetectorOptions | None = None
 ) -> DetectedObject:
@@ -213,6 +236,30 @@ def detect_object(
             last five has a picture of what was seen.
     """
     options = options or DetectorOptions()
+    seen = read_photograph(color, depth, camera, options)
+    mask, coverage, doubtful = _find_pixels(seen, options)
+    if not mask.any():
+        raise NoObjectError("no object is in view; expected one on the table", seen.color)
+    return measure_object(seen, mask, coverage, options, doubtful)
+
+
+def read_photograph(
+    color: Color, depth: Depth | None, camera: Camera, options: DetectorOptions
+) -> Photograph:
+    """Tells the table and everything else apart in a photograph.
+
+    Args:
+        color: see `detect_object`.
+        depth: see `detect_object`.
+        camera: see `detect_object`.
+        options: what counts as an object.
+
+    Returns:
+        The photograph, with what is no table.
+
+    Raises:
+        ImageError, CameraError, NoTableError, PerceptionError: as `detect_object`.
+    """
     color, depth, plane, camera = look_at_table(color, depth, camera)
     if options.height is not None and not 0 <= options.height < camera.center[2]:
         raise PerceptionError(
@@ -226,31 +273,53 @@ def detect_object(
     uneven = plane is None and found.deviation.max() > MAX_TABLE_DEVIATION
     if uneven and options.hint is None:
         raise NoTableError("no even color takes the picture's rim; expected a table in view", color)
-
-    # The object's pixels, with the boundary drawn anew by color.
     painted = np.zeros(color.shape[:2], dtype=bool) if depth is None else depth == PAINTED
-    mask, coverage, doubtful = _find_pixels(found, color, plane, painted, camera, options)
-    if not mask.any():
-        raise NoObjectError("no object is in view; expected one on the table", color)
+    return Photograph(color=color, plane=plane, camera=camera, found=found, painted=painted)
 
+
+def measure_object(
+    seen: Photograph,
+    mask: Mask,
+    coverage: NDArray[np.float32],
+    options: DetectorOptions,
+    doubtful: bool,
+    crowded: bool = False,
+) -> DetectedObject:
+    """Measures an object whose pixels are known.
+
+    Args:
+        seen: the photograph.
+        mask: (height, width) bool, the pixels that show the object.
+        coverage: (height, width) how much of each pixel is object, 0 to 1.
+        options: its height, where it is known, and whether its parts are told apart.
+        doubtful: see `DetectedObject`.
+        crowded: see `DetectedObject`.
+
+    Returns:
+        The object.
+
+    Raises:
+        PerceptionError: no outline on the table can be seen like this.
+    """
     # Its height: the one that is known goes before what depth says.
     heights = None
     height = options.height or 0.0
-    if plane is not None and options.height is None:
-        heights = plane.heights
+    if seen.plane is not None and options.height is None:
+        heights = seen.plane.heights
         height = find_height(heights, mask)
 
     # Its outline on the table (section 2), and what follows from it.
+    camera = seen.camera
     contour = calc_contour(coverage.astype(np.float64), OUTLINE_SMOOTHING)
     outline = cast_outline(contour, camera, mask, heights, height)
     X_WB = np.array([*outline.centroid.coords[0], 0.0])
     parts: dict[int, Polygon | MultiPolygon] = {}
     if options.parts:
-        parts = find_parts(color, mask, camera, outline, height)
+        parts = find_parts(seen.color, mask, camera, outline, height)
     contradiction = 0.0
     if options.cues == "both":
-        contradiction = calc_contradiction(mask, found, plane)
-    picture = draw_contours(color, mask, GREEN)
+        contradiction = calc_contradiction(mask, seen.found, seen.plane)
+    picture = draw_contours(seen.color, mask, GREEN)
     return DetectedObject(
         outline=outline,
         mask=mask,
@@ -262,6 +331,7 @@ def detect_object(
         picture=draw_outline(picture, camera, outline, 0.0, X_WB),
         contradiction=contradiction,
         doubtful=doubtful,
+        crowded=crowded,
     )
 
 
@@ -359,12 +429,7 @@ def find_off_table(camera: Camera, table_top: BaseGeometry) -> Mask:
 
 
 def _find_pixels(
-    found: Foreground,
-    color: Color,
-    plane: TablePlane | None,
-    painted: Mask,
-    camera: Camera,
-    options: DetectorOptions,
+    seen: Photograph, options: DetectorOptions
 ) -> tuple[Mask, NDArray[np.float32], bool]:
     """Finds the pixels that show the object, by itself or where a hint says.
 
@@ -372,13 +437,15 @@ def _find_pixels(
         (height, width) bool, the mask; how much of each pixel is object, 0 to 1; and whether that
         is doubtful.
     """
+    color = seen.color
+    found = seen.found
     hint = options.hint
     if hint is None:
-        if plane is None or options.cues != "both":
-            return (*refine_boundary(_choose_object(found, color, camera, options), found), False)
-        return _find_whole(found, color, plane, painted, camera, options)
+        if seen.plane is None or options.cues != "both":
+            return (*refine_boundary(_choose_object(seen, options), found), False)
+        return _find_whole(seen, seen.plane, options)
     try:
-        drawn = hint.place(camera)
+        drawn = hint.place(seen.camera)
         if hint.mask is not None:
             # Whoever made the mask has drawn the boundary; only its steps of a pixel are smoothed.
             mask = choose_by_mask(drawn)
@@ -404,12 +471,7 @@ def _find_pixels(
 
 
 def _find_whole(
-    found: Foreground,
-    color: Color,
-    plane: TablePlane,
-    painted: Mask,
-    camera: Camera,
-    options: DetectorOptions,
+    seen: Photograph, plane: TablePlane, options: DetectorOptions
 ) -> tuple[Mask, NDArray[np.float32], bool]:
     """Finds the pixels that show the object, also where parts of it hardly stand out.
 
@@ -421,10 +483,10 @@ def _find_whole(
     """
     refused: SeveralObjectsError | None = None
     try:
-        mask, coverage = refine_boundary(_choose_object(found, color, camera, options), found)
+        mask, coverage = refine_boundary(_choose_object(seen, options), seen.found)
     except SeveralObjectsError as error:
         refused = error
-    joint = find_jointly(color, plane, found, painted)
+    joint = find_jointly(seen.color, plane, seen.found, seen.painted)
     if refused is None and (joint is None or not joint.disputes(mask)):
         return mask, coverage, False
 
@@ -432,25 +494,43 @@ def _find_whole(
     if joint is None or (refused is not None and joint.disputes(joint.mask)):
         assert refused is not None
         raise refused
-    _check_in_view(joint.mask, color)
+    _check_in_view(joint.mask, seen.color)
     return joint.mask, joint.mask.astype(np.float32), True
 
 
 def _check_in_view(mask: Mask, color: Color) -> None:
     """Raises ObjectAtBorderError where the picture's border cuts an object."""
-    inner = mask[BORDER:-BORDER, BORDER:-BORDER]
-    if inner.sum() < mask.sum():
+    if not is_in_view(mask):
         problem = "the object touches the picture's border; expected all of it in view"
         raise ObjectAtBorderError(problem, draw_contours(color, mask))
 
 
-def _choose_object(
-    found: Foreground, color: Color, camera: Camera, options: DetectorOptions
-) -> Mask:
+def _choose_object(seen: Photograph, options: DetectorOptions) -> Mask:
     """Chooses the one piece of the foreground that is large enough to be an object."""
-    score = found.score
+    pieces = list_pieces(seen, options)
+    if not pieces:
+        raise NoObjectError("no object is in view; expected one on the table", seen.color)
+    chosen = np.logical_or.reduce(pieces)
+    if len(pieces) > 1:
+        problem = f"{len(pieces)} objects are in view; expected one"
+        raise SeveralObjectsError(problem, draw_contours(seen.color, chosen))
+    _check_in_view(chosen, seen.color)
+    return keep_largest(chosen)
+
+
+def list_pieces(seen: Photograph, options: DetectorOptions) -> list[Mask]:
+    """Lists the pieces of the foreground that are large enough to be objects.
+
+    Args:
+        seen: the photograph.
+        options: the least area of an object.
+
+    Returns:
+        (height, width) bool for each piece.
+    """
+    score = seen.found.score
     count, labels, stats, middles = cv2.connectedComponentsWithStats(
-        found.mask.astype(np.uint8), connectivity=8
+        seen.found.mask.astype(np.uint8), connectivity=8
     )
 
     # The area of each piece on the table: its pixels, times what a pixel at its middle takes there.
@@ -458,22 +538,20 @@ def _choose_object(
     low = -PIXEL_MIDDLE
     high = PIXEL_MIDDLE
     corners = np.array([[low, low], [high, low], [low, high]])
-    places = camera.undistorted.cast(middles[:, None] + corners)
+    places = seen.camera.undistorted.cast(middles[:, None] + corners)
     across, down = np.moveaxis(places[:, 1:] - places[:, :1], 1, 0)
     pixel_area = np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])
     area = stats[:, cv2.CC_STAT_AREA] * pixel_area
     large = [i for i in range(1, count) if area[i] >= options.min_area]
     if not large:
-        raise NoObjectError("no object is in view; expected one on the table", color)
+        return []
 
-    # The plainest piece is the object. Others count only if they stand out from the table: faint
+    # The plainest piece is an object. Others count only if they stand out from the table: faint
     # ones are the table's own unevenness.
     plainest = max(large, key=lambda i: score[labels == i].sum())
-    large = [i for i in large if i == plainest or np.median(score[labels == i]) >= CERTAIN]
-    chosen = np.isin(labels, large)
-    if len(large) > 1:
-        problem = f"{len(large)} objects are in view; expected one"
-        raise SeveralObjectsError(problem, draw_contours(color, chosen))
+    return [labels == i for i in large if i == plainest or np.median(score[labels == i]) >= CERTAIN]
 
-    _check_in_view(chosen, color)
-    return keep_largest(chosen)
+
+def is_in_view(mask: Mask) -> bool:
+    """Says whether a mask (height, width) keeps clear of the picture's border."""
+    return bool(mask[BORDER:-BORDER, BORDER:-BORDER].sum() == mask.sum())

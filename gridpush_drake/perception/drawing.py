@@ -26,6 +26,24 @@ LINE = 1
 FRACTION_BITS = 4
 """Bits after the binary point in the coordinates that OpenCV's drawing takes."""
 
+WHITE = (255, 255, 255)
+"""Color of numbers."""
+
+BLACK = (0, 0, 0)
+"""Color of what is about numbers."""
+
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+"""Font of numbers."""
+
+FONT_SCALE = 0.8
+"""Size of numbers; with 1 a digit is 22 pixels high."""
+
+INNER = 2
+"""Width of the strokes of numbers, pixels."""
+
+OUTER = 5
+"""Width of the strokes of what is about them, pixels."""
+
 AXIS = 0.03
 """Length of the body frame's axes in pictures, m."""
 
@@ -75,4 +93,25 @@ def draw_contours(color: Color, mask: Mask, tint: tuple[int, int, int] = RED) ->
     picture = color.copy()
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(picture, contours, -1, tint, LINE)
+    return picture
+
+
+def draw_number(color: Color, number: int, at: ArrayLike) -> Color:
+    """Draws a number into a photograph.
+
+    Args:
+        color: (height, width, 3) uint8.
+        number: the number.
+        at: (2,) its middle, pixels.
+
+    Returns:
+        A new picture.
+    """
+    picture = color.copy()
+    text = str(number)
+    (width, height), _ = cv2.getTextSize(text, FONT, FONT_SCALE, OUTER)
+    x, y = np.round(np.asarray(at) + [-width / 2, height / 2]).astype(int)
+    # black about white is read on any color
+    for tint, thickness in ((BLACK, OUTER), (WHITE, INNER)):
+        cv2.putText(picture, text, (int(x), int(y)), FONT, FONT_SCALE, tint, thickness, cv2.LINE_AA)
     return picture

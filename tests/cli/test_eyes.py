@@ -1,6 +1,7 @@
 """`gridpush object`, `calibrate` and `track`, from image files to an object file and a push log."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -397,3 +398,48 @@ def test_object_beside_a_sheet_of_paper(capsys, tmp_path):
         "--sheet", "letter", says=["phone.png: no sheet of 279 x 216 mm", "may be a3 or a4 or a5"]
     )
     refuse("--sheet", "a6", says=["--sheet", "a6"])
+
+
+def test_a_file_for_each_of_several_objects(capsys, folder):
+    block = 0.03 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    hand = 0.02 * np.array([[-1, -7], [1, -7], [1, 7], [-1, 7]])
+    aside = np.array([-0.16, 0.1, 0.2])
+    frame = paint(
+        make_camera(),
+        [
+            (L_SHAPE, POSE, HEIGHT, BROWN),
+            (block, aside, HEIGHT, (60, 90, 150)),
+            (hand, (0.2, 0.2, 0.0), 0.06, (200, 150, 120)),
+        ],
+    )
+    save(folder / "three.png", frame.color)
+
+    def run(*options):
+        given = ("--camera", folder / "camera.yaml", "--height", HEIGHT, "--out", folder / "o.yaml")
+        return run_gridpush(capsys, "object", folder / "three.png", "--all", *given, *options)
+
+    done = run("--json", "--picture", folder / "all.png")
+    assert done.code == 0, done.err
+    assert "1 thing cut by the picture's border is left out" in done.err
+    told = json.loads(done.out)
+    assert told["cut"] == 1
+    assert [Path(each["written"]).name for each in told["objects"]] == ["o_1.yaml", "o_2.yaml"]
+    assert [each["object"] for each in told["objects"]] == ["three_1", "three_2"]
+    assert told["objects"][0]["area"] == pytest.approx(0.0036, rel=0.03)
+    elbow = GridObject.from_yaml(folder / "o_2.yaml")
+    assert elbow.outline.area == pytest.approx(Polygon(L_SHAPE).area, rel=0.03)
+    assert not (folder / "o.yaml").exists()
+    assert cv2.imread(str(folder / "all.png")).shape == (480, 640, 3)
+    # written whole or not at all
+    (folder / "o_1.yaml").unlink()
+    again = run()
+    assert again.code == 2
+    assert "o_2.yaml" in again.err and "exists already" in again.err
+    assert not (folder / "o_1.yaml").exists()
+    both = run("--click", "1,2", "--force")
+    assert both.code == 2 and "--all and --click: both are given" in both.err
+    alone = run_gridpush(
+        capsys, "object", folder / "three.png", "--camera", folder / "camera.yaml", "--height", HEIGHT,
+        "--out", folder / "o.yaml",
+    )  # fmt: skip
+    assert alone.code == 2 and "--all writes a file for each object" in alone.err
