@@ -220,7 +220,14 @@ def make_object(
     color = read_any_color(photo) if seen_by is None else read_color(photo, seen_by)
     measured = None if depth is None else read_depth(depth, _require(seen_by))
     if all_objects:
-        wanted = _AllWanted(out, picture, cell_size, name or photo.stem, force, json)
+        wanted = _AllWanted(
+            out=out,
+            picture=picture,
+            cell_size=cell_size,
+            name=name or photo.stem,
+            force=force,
+            json=json,
+        )
         options_of_all = DetectorOptions(height=height, parts=parts)
         _make_all(photo, color, measured, _require(seen_by), options_of_all, wanted)
         return

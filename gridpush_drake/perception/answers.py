@@ -79,6 +79,7 @@ def mix_covariances(answers: list[Answer]) -> Array:
     Returns:
         The mean square distance from the first pose: its own covariance where there is no doubt.
     """
+    # Likelihoods, normalized, are the answers' probabilities.
     weights = np.exp([each.weight - answers[0].weight for each in answers])
     weights /= weights.sum()
     total = np.zeros((3, 3))

@@ -111,7 +111,16 @@ def draw_number(color: Color, number: int, at: ArrayLike) -> Color:
     text = str(number)
     (width, height), _ = cv2.getTextSize(text, FONT, FONT_SCALE, OUTER)
     x, y = np.round(np.asarray(at) + [-width / 2, height / 2]).astype(int)
-    # black about white is read on any color
+    # White with black about it can be read on any color.
     for tint, thickness in ((BLACK, OUTER), (WHITE, INNER)):
-        cv2.putText(picture, text, (int(x), int(y)), FONT, FONT_SCALE, tint, thickness, cv2.LINE_AA)
+        cv2.putText(
+            picture,
+            text,
+            org=(int(x), int(y)),
+            fontFace=FONT,
+            fontScale=FONT_SCALE,
+            color=tint,
+            thickness=thickness,
+            lineType=cv2.LINE_AA,
+        )
     return picture

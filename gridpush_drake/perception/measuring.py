@@ -1,4 +1,4 @@
-"""What is measured of an object whose pixels are known: its height, its outline on the table, parts.
+"""What is measured of an object whose pixels are known: its height, outline and parts.
 
 What is seen of a prism of height h is its outline on every level from the table to h. A pixel of
 the picture's outline shows a point of the top where the prism's side there faces away from the

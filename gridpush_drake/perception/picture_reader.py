@@ -157,6 +157,7 @@ class PictureReader:
         table = self._paint_table(frame, unseen)
         painted, _, plane, _ = look_at_table(table.color, table.depth, self.camera)
         found = find_foreground(painted, plane)
+        # The table's color in each pixel is what was seen less what differs from it.
         appearance = Appearance(
             table=to_lab(painted) - found.difference,
             deviation=found.deviation,

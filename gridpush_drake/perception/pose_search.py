@@ -139,6 +139,7 @@ def _slide(
             tried.append((value, float(place[0]), float(place[1]), theta))
             cv2.circle(fit, place, round(2 * SAME_PLACE), -1.0, -1)
 
+    # Of neighboring angles and places only the best is kept.
     tried.sort(key=lambda entry: -entry[0])
     found: list[tuple[float, Array]] = []
     kept: list[tuple[float, float, float]] = []
@@ -168,6 +169,7 @@ def _make_kernel(painted: Mask) -> tuple[NDArray[np.float32], tuple[int, int]]:
     Returns:
         The kernel, and its point (x, y) on the silhouette's middle.
     """
+    # The rim begins one coarse pixel outside, for the silhouette's own border is uncertain.
     x, y, width, height = cv2.boundingRect(painted.astype(np.uint8))
     inside = np.pad(painted[y : y + height, x : x + width], 2).astype(np.uint8)
     brush = np.ones((3, 3), np.uint8)

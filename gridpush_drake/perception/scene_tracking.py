@@ -148,6 +148,7 @@ class SceneTracker:
             PerceptionError: an image has another size, no table is in view, there are not as many
                 guesses as objects, or an object is not found.
         """
+        # Told are poses in the objects' order, some of which nobody knows.
         told = [None] * len(self) if guesses is None else list(guesses)
         if len(told) != len(self):
             raise PerceptionError(
@@ -216,6 +217,7 @@ class SceneTracker:
         Raises:
             ImageError: an image has another size than the camera.
         """
+        # Where each object is to begin with: where it is expected, or where it was.
         picture = self._reader.read(frame, unseen)
         hopes = [None] * len(self) if expected is None else list(expected)
         poses: list[Array | None] = [None if each.lost else each.pose for each in state.objects]
@@ -299,6 +301,7 @@ class SceneTracker:
         """
         best: tuple[float, int, TrackerState] | None = None
         for i in missing:
+            # Only pixels that no object explains yet are left for it.
             rest = self._explain(i, poses, picture)
             state = self._trackers[i].begin(appearance, rest, share=share)
             if state is None:
@@ -317,10 +320,13 @@ class SceneTracker:
         for j, (before, now) in enumerate(zip(used, poses, strict=True)):
             if i == j or (before is None and now is None):
                 continue
+            # It was lost or found meanwhile.
             if before is None or now is None:
                 return True
+            # What is far away says nothing of this object, wherever it goes.
             if mine is not None and not self._are_near(i, j, mine, now):
                 continue
+            # The furthest that a point of its rim has moved.
             off = now - before
             turn = abs(wrap_angle(off[2])) * self._reach[j]
             if (np.hypot(*off[:2]) + turn) * self._pixels_a_meter > SETTLED:
@@ -347,9 +353,12 @@ class SceneTracker:
         Returns:
             The picture with these pixels marked.
         """
+        # Most objects are alone, or no other one is found yet.
         others = [pose for j, pose in enumerate(poses) if j != i and pose is not None]
         if not others:
             return picture
+
+        # How far each pixel is from the nearest of the others' silhouettes, and from its own.
         size = (self.camera.height, self.camera.width)
         explained = np.zeros(size, dtype=np.uint8)
         for j, pose in enumerate(poses):
@@ -366,6 +375,7 @@ class SceneTracker:
     def _paint(self, i: int, pose: Array) -> NDArray[np.uint8]:
         """Paints the silhouette of object i at a pose (3,): (height, width), 1 where it is."""
         silhouette = self._trackers[i].make_silhouette(pose)
+        # OpenCV fills between rings, so that holes stay open.
         rings = []
         for ring in (silhouette.exterior, *silhouette.interiors):
             corners = np.array(ring.coords)

@@ -164,6 +164,7 @@ def _find_doubtful(
     joint = find_jointly(seen.color, seen.plane, seen.found, seen.painted)
     if joint is None:
         return doubtful
+    # What is surely object and in no piece, and which pieces are one by all evidence together.
     everything = np.logical_or.reduce(pieces)
     missed = (joint.evidence > SURE) & ~dilate(everything, MISSED_GAP)
     joined = [(joint.mask & piece).sum() > HALF_COVERED * piece.sum() for piece in whole]
@@ -199,12 +200,14 @@ def may_be_two(mask: Mask, seen: Photograph) -> bool:
         return False
     if defects is None:
         return False
+    # Notches: where the contour is farthest from its convex hull.
     corners = contour.reshape(-1, 2)
     notches = [
         corners[farthest]
         for _, _, farthest, depth in defects.reshape(-1, 4)
         if depth > MIN_NOTCH * DEFECT_STEPS
     ]
+    # Any two of them may be the ends of the line along which two objects touch.
     together = mask.sum() / _calc_hull_area(mask)
     for a, b in combinations(notches, 2):
         halves = _cut(mask, a, b)
@@ -239,6 +242,7 @@ def _calc_hull_area(mask: Mask) -> float:
 
 def _differ(halves: tuple[Mask, Mask], seen: Photograph) -> bool:
     """Says whether two parts of a piece differ in color or in height."""
+    # Medians, as print and holes in depth are no matter of the whole.
     colors = [np.median(seen.found.difference[half], axis=0) for half in halves]
     if np.linalg.norm(colors[0] - colors[1]) > OTHER_COLOR:
         return True

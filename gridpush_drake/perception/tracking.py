@@ -2,8 +2,8 @@
 
 Each picture is told into object and table near the last pose, by what the table looked like in the
 first one (`picture_reader`), and the outline is moved onto the edges between the two
-(`registration`). Where it is not found there, it is searched for everywhere (`pose_search`). Several
-objects in one picture are followed by `scene_tracking`.
+(`registration`). Where it is not found there, it is searched for everywhere (`pose_search`).
+Several objects in one picture are followed by `scene_tracking`.
 
 The object's outline and height must be known: `detection` finds them in one photograph. The theory
 is in docs/theory/perception.md, section 3.
