@@ -28,6 +28,7 @@ from .object_detector import DetectorState as DetectorState
 from .object_detector import ObjectDetector as ObjectDetector
 from .object_detector import ObjectNaming as ObjectNaming
 from .object_pose_estimator import ObjectPoseEstimator as ObjectPoseEstimator
+from .objects_pose_estimator import ObjectsPoseEstimator as ObjectsPoseEstimator
 from .planar_manipuland_status import (
     PlanarManipulandStatusReceiver as PlanarManipulandStatusReceiver,
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -181,12 +181,7 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         if not context.get_numeric_parameter(self._covered).value()[0]:
             frame = self._inputs.take_frame(context)
             after, pose = self._track(now, frame, self._inputs.find_hidden(context))
-        # Of the poses before, the one that is on the ports now is kept, and those to come. The
-        # first picture is taken twice, see `_look_first`; then the new pose replaces the old one.
-        ready = time + self._latency
-        present = max((at for at, _ in after.told if at <= time), default=-np.inf)
-        told = tuple(item for item in after.told if item[0] >= present and item[0] < ready)
-        return replace(after, told=(*told, (ready, pose)))
+        return replace(after, told=add_told(after.told, time, time + self._latency, pose))
 
     def _track(
         self, state: EstimatorState, frame: Frame, hidden: NDArray[np.bool_] | None
@@ -198,6 +193,30 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         except PerceptionError as error:
             return replace(state, message=str(error)), UNSEEN
         return replace(state, tracker=tracker, message=""), pose
+
+
+Told = TypeVar("Told")
+"""What a picture tells: the pose of one object, or of several."""
+
+
+def add_told(
+    told: tuple[tuple[float, Told], ...], time: float, ready: float, new: Told
+) -> tuple[tuple[float, Told], ...]:
+    """Adds what a picture told to what is on the ports, or will be.
+
+    Args:
+        told: what was told before, each with the time from which on it is on the ports, s.
+        time: time of the picture, s.
+        ready: time from which on its pose is on the ports, s.
+        new: what it tells.
+
+    Returns:
+        What is on the ports now and what is to come. The first picture is taken twice, once in
+        advance; then the new one replaces the old one.
+    """
+    present = max((at for at, _ in told if at <= time), default=-np.inf)
+    kept = tuple(item for item in told if item[0] >= present and item[0] < ready)
+    return (*kept, (ready, new))
 
 
 def find_told(state: EstimatorState, time: float) -> TrackedPose:
