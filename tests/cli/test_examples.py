@@ -5,6 +5,7 @@ import re
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gridpush_drake.station.links import ros2, ros2_pictures
@@ -58,6 +59,14 @@ def check_camera(out, numbers):
     assert abs(turns[1] - turns[0] - 5.7) < 0.5 and abs(turns[2] - turns[0] - 17.2) < 0.5
 
 
+def check_objects(out, numbers):
+    plate_area, block_area = numbers[:2]
+    assert abs(plate_area - 96.0) < 5.0 and abs(block_area - 40.0) < 3.0
+    before = np.reshape(numbers[2:6], (2, 2))
+    after = np.reshape(numbers[-4:], (2, 2))
+    assert np.abs(after - before - [[50.0, 0.0], [20.0, 0.0]]).max() < 1.5
+
+
 def check_regulator(out, numbers):
     aside, askew, regulated, straight = numbers[-4:]
     assert abs(regulated) < 1.0 < abs(aside) and abs(straight) < 1.0 < abs(askew)
@@ -76,6 +85,7 @@ CHECKS = {
     "in_my_diagram": check_diagram,
     "my_arm": check_arm,
     "my_camera": check_camera,
+    "my_objects": check_objects,
     "linearize_in_drake": check_regulator,
     "what_pushes_cannot_say": check_doubts,
 }
