@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,10 +14,13 @@ from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.perception.foresight import Foresight, PushModel, Tip, foresee
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.tracking import PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
+from gridpush_drake.systems.pusher_gate import PUSHER_STATE_SIZE
 
 MAX_LABEL = 2**15
 """All labels in an `ImageLabel16I` are less than this."""
@@ -34,11 +38,15 @@ class EstimatorState(Unchanging):
             the object was found.
         told: poses, the latest last, each with the time from which on it is on the ports, s.
         message: why the object was not found yet; empty once it was.
+        tip: the finger's tip in the last picture; None where it is not known.
+        foresight: where pushes have taken the object since it was last seen; None before that.
     """
 
     tracker: TrackerState | None = None
     told: tuple[tuple[float, TrackedPose], ...] = ((-np.inf, UNSEEN),)
     message: str = ""
+    tip: Tip | None = None
+    foresight: Foresight | None = None
 
 
 class RgbdInputs:
@@ -94,6 +102,10 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         - color_image
         - depth_image
         - label_image
+        - pusher_state
+        - mass
+        - friction
+        - contact_friction
         output_ports:
         - object_pose
         - covariance
@@ -104,6 +116,14 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
     * depth_image: abstract `ImageDepth32F`, m, of the same pixels. It need not be connected.
     * label_image: abstract `ImageLabel16I`, rendered as the camera sees the scene; it tells which
       pixels show the robot, or something else that hides the object. It need not be connected.
+    * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s;
+      NaN while something else than a push moves the object. Only with a `model`; it need not be
+      connected.
+    * mass, friction: vectors of n, the estimated mass of each cell, kg, and its friction
+      coefficient against the support. Only with a `model`; if they are not connected, all cells
+      count as alike.
+    * contact_friction: vector of 1, the estimated friction coefficient of the tip against the
+      object. Only with a `model`.
     * object_pose: vector of 3, X_WB, (x, y, theta), m and rad; theta does not jump by whole turns.
       NaN if the object was not seen.
     * covariance: vector of 9, covariance of the pose, row-major, m², m rad and rad²; NaN if the
@@ -112,7 +132,9 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
     * message: abstract `str`, why the object was not found yet; empty once it was.
 
     A picture is taken every `period`; its pose is on the ports `latency` later. While the lens is
-    covered, which numeric parameter 0 says, nothing is seen. Abstract state: one `EstimatorState`.
+    covered, which numeric parameter 0 says, nothing is seen. While the object is not seen, the
+    model says where pushes take it; by that, poses at which it looks the same are told apart when
+    it is seen again. Abstract state: one `EstimatorState`.
     """
 
     __slots__ = NO_SLOTS
@@ -127,6 +149,7 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         latency: float = 0.0,
         guess: ArrayLike | None = None,
         hidden_by: Iterable[int] = (),
+        model: PushModel | None = None,
     ) -> None:
         """Declares the system.
 
@@ -138,6 +161,7 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
             latency: time from a picture until its pose is on the ports, s.
             guess: (3,) X_WB in the first picture, roughly, m and rad; None to search for it.
             hidden_by: labels, in `label_image`, of whatever may hide the object.
+            model: what pushes do to the object; None where nobody knows.
         """
         super().__init__(EstimatorState(), period)
         self._tracker = tracker
@@ -145,6 +169,12 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         self._guess = None if guess is None else np.array(guess, dtype=np.float64)
         self._covered = self.DeclareNumericParameter(BasicVector([0.0]))
         self._inputs = RgbdInputs(self, width, height, hidden_by)
+        self._model = model
+        if model is not None:
+            self._pusher = self.DeclareVectorInputPort("pusher_state", PUSHER_STATE_SIZE)
+            self._mass = self.DeclareVectorInputPort("mass", model.obj.n)
+            self._friction = self.DeclareVectorInputPort("friction", model.obj.n)
+            self._contact_friction = self.DeclareVectorInputPort("contact_friction", 1)
         self._declare_outputs()
         self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
 
@@ -180,8 +210,41 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         pose = UNSEEN
         if not context.get_numeric_parameter(self._covered).value()[0]:
             frame = self._inputs.take_frame(context)
-            after, pose = self._track(now, frame, self._inputs.find_hidden(context))
+            foreseen = self._foresee(context, now)
+            after, pose = self._track(foreseen, frame, self._inputs.find_hidden(context))
+            after = self._look_back(after, pose)
         return replace(after, told=add_told(after.told, time, time + self._latency, pose))
+
+    def _foresee(self, context: Context, now: EstimatorState) -> EstimatorState:
+        """Foretells where the object is that was not seen in the last picture.
+
+        Returns:
+            The state with the tip's present place, and with where a push took the object since.
+        """
+        model = self._model
+        if model is None or not self._pusher.HasValue(context):
+            return now
+        tip = Tip(context.get_time(), np.array(self._pusher.Eval(context)[:3]))
+        foresight = now.foresight
+        if foresight is not None and now.tip is not None:
+            foresight = foresee(foresight, model, partial(self._read_model, context), now.tip, tip)
+        return replace(now, tip=tip, foresight=foresight)
+
+    def _read_model(self, context: Context) -> CellParameters:
+        """Reads what is estimated of the object; an even object where nothing is connected."""
+        assert self._model is not None
+        obj = self._model.obj
+        ports = (self._mass, self._friction, self._contact_friction)
+        if not all(port.HasValue(context) for port in ports):
+            return CellParameters.uniform(obj)
+        mass, friction, contact_friction = (np.array(port.Eval(context)) for port in ports)
+        return CellParameters(mass, friction, float(contact_friction[0]))
+
+    def _look_back(self, state: EstimatorState, pose: TrackedPose) -> EstimatorState:
+        """Begins to foretell anew from a pose that was seen."""
+        if self._model is None or not pose.seen:
+            return state
+        return replace(state, foresight=Foresight(told=pose.pose, pose=pose.pose))
 
     def _track(
         self, state: EstimatorState, frame: Frame, hidden: NDArray[np.bool_] | None
@@ -189,7 +252,10 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         """Finds the object in a picture; returns the state afterwards, and the pose."""
         try:
             tracker = state.tracker or self._tracker.start(frame, self._guess, hidden)
-            tracker, pose = self._tracker.track(tracker, frame, hidden)
+            expected = None
+            if state.foresight is not None and tracker.hidden:
+                expected = state.foresight.expect()
+            tracker, pose = self._tracker.track(tracker, frame, hidden, expected)
         except PerceptionError as error:
             return replace(state, message=str(error)), UNSEEN
         return replace(state, tracker=tracker, message=""), pose

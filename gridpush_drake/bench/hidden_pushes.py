@@ -24,6 +24,7 @@ from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception import Camera, Frame, PoseTracker
+from gridpush_drake.perception.foresight import make_expectation
 from gridpush_drake.perception.look_alikes import Expectation
 
 Mask = NDArray[np.bool_]
@@ -63,15 +64,6 @@ TIME_MARGIN = 1e-9
 
 DARK = 40
 """Color of what hides the object, of 255."""
-
-PLACE_SHARE = 0.3
-"""Standard deviation of the place that the model predicts, as a part of the way."""
-
-TURN_SHARE = 0.4
-"""Standard deviation of the angle that the model predicts, as a part of the turn."""
-
-LEAST_DEVIATIONS = (0.005, 0.1)
-"""Least standard deviations of place, m, and angle, rad, of what the model predicts."""
 
 FLIPPED = np.radians(30)
 """An angle that is off by more than this is that of another answer, rad."""
@@ -234,11 +226,7 @@ def _predict(motion: Motion, t: float, start: Array, use_model: bool) -> Expecta
     pose = motion.poses[index]
     way = float(np.linalg.norm(pose[:2] - start[:2]))
     turn = abs(float(pose[2] - start[2]))
-    return Expectation(
-        pose=pose,
-        place_deviation=max(LEAST_DEVIATIONS[0], PLACE_SHARE * way),
-        turn_deviation=max(LEAST_DEVIATIONS[1], TURN_SHARE * turn),
-    )
+    return make_expectation(pose, way, turn)
 
 
 def hide(frame: Frame, outline: Polygon, pose: Array, camera: Camera) -> tuple[Frame, Mask]:

@@ -41,6 +41,7 @@ from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import DetectedObject
+from gridpush_drake.perception.foresight import PushModel
 from gridpush_drake.perception.tracking import PoseTracker, TrackerOptions
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_camera import CameraConfig
@@ -238,7 +239,11 @@ def _find_labels(plant: MultibodyPlant, part: GridObjectInPlant | None) -> tuple
 
 
 def AddPoseEstimator(
-    builder: DiagramBuilder, camera: RgbdCamera, scenario: PushScenario, found: "FoundObject"
+    builder: DiagramBuilder,
+    camera: RgbdCamera,
+    scenario: PushScenario,
+    found: "FoundObject",
+    tip_radius: float,
 ) -> ObjectPoseEstimator:
     """Adds the system that tracks the object through the camera's pictures.
 
@@ -247,6 +252,7 @@ def AddPoseEstimator(
         camera: the camera.
         scenario: the scenario, with the camera's rate and delay.
         found: the object as it was found in the photograph.
+        tip_radius: radius of the finger's tip, m, for where its pushes take what it hides.
     """
     config = scenario.camera
     height = found.obj.height or scenario.object_height
@@ -266,6 +272,7 @@ def AddPoseEstimator(
             latency=config.rgbd.output_delay,
             guess=found.pose,
             hidden_by=camera.hidden_by,
+            model=PushModel(found.obj, top=height, radius=tip_radius),
         ),
     )
     ConnectPictures(builder, camera, estimator)

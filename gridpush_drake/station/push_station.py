@@ -123,7 +123,9 @@ def AddSensors(
         camera = StationCamera(ideal)
     else:
         rgbd = AddRgbdCamera(builder, plant, scene_graph, scenario, part)
-        camera = StationCamera(AddPoseEstimator(builder, rgbd, scenario, found), rgbd.noise)
+        camera = StationCamera(
+            AddPoseEstimator(builder, rgbd, scenario, found, robot.finger.tip_radius), rgbd.noise
+        )
     ground_truth = builder.AddNamedSystem(
         "ground_truth_sensor",
         PlanarPoseSensor(part.body.index(), period=1 / scenario.camera.rate, lowest=LOST_BELOW),

@@ -46,6 +46,7 @@ from gridpush_drake.station.scene import CalcBasePose, CalcTipReach
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.messages import GraspCommand, PushCommand
+from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions, plan_push
 
 ESTIMATE_OUTPUTS = (
@@ -317,6 +318,12 @@ def AddRobotControl(
     # Where tip and object are goes to whoever needs it, and into the logs.
     for consumer in (executor, identifier):
         builder.Connect(object_pose, consumer.GetInputPort("object_pose"))
+    watcher = object_pose.get_system()
+    if isinstance(watcher, ObjectPoseEstimator) and watcher.HasInputPort("pusher_state"):
+        # A camera is told where pushes take what the arm hides from it.
+        builder.Connect(learned_state, watcher.GetInputPort("pusher_state"))
+        for name in ("mass", "friction", "contact_friction"):
+            builder.Connect(identifier.GetOutputPort(name), watcher.GetInputPort(name))
     builder.Connect(learned_state, identifier.GetInputPort("pusher_state"))
     logs = {PUSHER_LOG: learned_state, POSE_LOG: object_pose} | (logged or {})
     AddLogs(builder, logs, 1 / scenario.camera.rate)
