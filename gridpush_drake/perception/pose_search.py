@@ -44,6 +44,16 @@ MIN_FIT = 0.55
 """Least share inside less weighted share outside of a pose that is registered after sliding; where
 nothing else touches the object it is nearly 1."""
 
+TURNS_TRIED = 7
+"""A search nearby tries this many angles, evenly over those that an object turns between two
+pictures."""
+
+MAX_NEARBY = 3
+"""A search nearby gives this many poses."""
+
+UNKNOWN = 0.5
+"""How much of a pixel counts as object that something covers."""
+
 SAME_PLACE = 3.0
 """Two guesses that are less than this apart, and that are turned by about the same, are one, coarse
 pixels."""
@@ -102,6 +112,62 @@ def guess_poses(
     slid.sort(key=lambda entry: -entry[0])
     best += [pose for fit, pose in slid[:MAX_CANDIDATES] if fit >= MIN_FIT]
     return best
+
+
+def guess_nearby(
+    view: View,
+    registration: Registration,
+    camera: Camera,
+    height: float,
+    pose: Array,
+    reach: tuple[float, float],
+) -> list[Array]:
+    """Lists poses near another one at which a silhouette looks most like the foreground.
+
+    Args:
+        view: what is object in a part of the picture.
+        registration: knows the object's silhouettes.
+        camera: camera without distortion, with X_WC.
+        height: height of the object, m.
+        pose: (3,) the other pose, W, m and rad.
+        reach: how far the object may be from it, m, and how far turned, rad.
+
+    Returns:
+        Poses (3,), the best first.
+    """
+    # The part of the picture on coarse pixels: object, table, or unknown.
+    shown = np.where(view.covered, UNKNOWN, view.mask).astype(np.float32)
+    scale = 1 / COARSENESS
+    small = cv2.resize(shown, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    centroid = np.array(registration.make_silhouette(pose).centroid.coords[0])
+    max_step, max_turn = reach
+
+    tried: list[tuple[float, Array]] = []
+    for turn in np.linspace(-max_turn, max_turn, TURNS_TRIED):
+        # The silhouette turned about its middle, slid over the part within reach.
+        turned = pose + [0.0, 0.0, turn]
+        middle = np.array(registration.make_silhouette(turned).centroid.coords[0])
+        turned[:2] += centroid - middle
+        painted = _paint(registration, camera, turned, view.corner, small.shape)
+        if not painted.any():
+            continue
+        kernel, anchor = _make_kernel(painted)
+        fit = cv2.filter2D(small, cv2.CV_32F, kernel, anchor=anchor, borderType=cv2.BORDER_CONSTANT)
+        rows, columns = np.nonzero(painted)
+        here = np.array([columns.mean(), rows.mean()])
+        pixels_a_meter = camera.K[0, 0] / camera.center[2] / COARSENESS
+        y, x = np.ogrid[: small.shape[0], : small.shape[1]]
+        far = np.hypot(x - here[0], y - here[1]) > max_step * pixels_a_meter
+        fit[far] = -1.0
+        _, value, _, place = cv2.minMaxLoc(fit)
+
+        # From the silhouette's middle in the picture to there, on the table.
+        ends = (np.array([here, place]) + HALF) * COARSENESS - HALF + view.corner
+        start, end = camera.cast(ends, height / 2)
+        if np.isfinite(end).all():
+            tried.append((value, turned + [*(end - start), 0.0]))
+    tried.sort(key=lambda entry: -entry[0])
+    return [guess for _, guess in tried[:MAX_NEARBY]]
 
 
 def _slide(

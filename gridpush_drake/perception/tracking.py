@@ -37,7 +37,7 @@ from gridpush_drake.perception.look_alikes import (
     find_look_alikes,
 )
 from gridpush_drake.perception.picture_reader import Appearance, Picture, PictureReader
-from gridpush_drake.perception.pose_search import guess_poses
+from gridpush_drake.perception.pose_search import guess_nearby, guess_poses
 from gridpush_drake.perception.registration import Fit, Registration, View
 
 Mask = NDArray[np.bool_]
@@ -413,6 +413,11 @@ class PoseTracker:
             view, fit = self._find_near(state.appearance, picture, start)
             if fit is not None:
                 break
+
+        # Edges that are missing in plain view tell of an outline on wrong edges, as where a thin
+        # part of the object went further than it is wide.
+        if fit is None or fit.share < self.options.found_share:
+            fit = self._look_nearby(view, start) or fit
         if fit is None:
             return []
 
@@ -477,6 +482,27 @@ class PoseTracker:
         view = self._reader.look(appearance, picture, window, self.height)
         fit = self._registration.register(view, before)
         return view, fit if self._accepts(fit, self.options.lost_share) else None
+
+    def _look_nearby(self, view: View, pose: Array) -> Fit | None:
+        """Tries other poses near one that the edges about it do not lead to.
+
+        Args:
+            view: what is object in a part of the picture.
+            pose: (3,) about where the object is, W.
+
+        Returns:
+            The best registration that leaves little open; None where there is none.
+        """
+        reach = (self.options.max_step, self.options.max_turn)
+        guesses = guess_nearby(view, self._registration, self._ideal, self.height, pose, reach)
+        fits = [self._registration.register(view, guess) for guess in guesses]
+        good = [
+            fit
+            for fit in fits
+            if self._accepts(fit, self.options.found_share)
+            and fit.dilution <= self.options.max_dilution
+        ]
+        return max(good, key=lambda fit: fit.evidence, default=None)
 
     def _find_anywhere(
         self,

@@ -317,6 +317,28 @@ def test_which_ways_an_outline_can_be_turned():
     assert overlap == pytest.approx(2 * way.overlap / (1 + way.overlap), abs=1e-3)
 
 
+def test_an_object_that_moves_along_its_longer_sides_is_followed():
+    """Most of its edges stay where they are; those of its ends are no outliers."""
+    poses = np.array([0.0, 0.0, 0.0]) + np.arange(5)[:, None] * [0.011, 0.0, 0.0]
+    for tracked, pose in zip(follow(BAR, poses, guess=poses[0]), poses, strict=True):
+        np.testing.assert_allclose(tracked.pose, pose, atol=1e-3)
+
+
+def test_thin_parts_that_go_further_than_they_are_wide_are_followed_past_the_arm():
+    """The nearest edges are those of the wrong side of a leg, and the arm hides the joint."""
+    pliers = GridObject.from_yaml(find_shipped_object("pliers")).outline
+    outline = np.array(pliers.exterior.coords)[:-1]
+    middle = transform([0.0, 0.0, 1.5], np.array(pliers.centroid.coords))[0]
+    start = np.array([*-middle, 1.5])
+    tracker = PoseTracker(outline, HEIGHT, make_camera())
+    state = tracker.start(look(outline, start), start)
+    covered = np.zeros((480, 640), dtype=bool)
+    covered[215:265, 250:330] = True
+    for step in ([0.0105, -0.002, -0.15], [0.02, 0.0, 0.0], [-0.015, 0.0, 0.2]):
+        _, tracked = tracker.track(state, look(outline, start + step, seed=1), covered)
+        np.testing.assert_allclose(tracked.pose, start + step, atol=2e-3)
+
+
 def test_track_is_pure():
     tracker = PoseTracker(L_SHAPE, HEIGHT, make_camera())
     state = tracker.start(look(L_SHAPE, START))
