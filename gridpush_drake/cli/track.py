@@ -3,7 +3,7 @@
 import csv
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -25,11 +25,14 @@ from gridpush_drake.objects.object_file import TagSchema, read_object_file
 from gridpush_drake.perception import (
     Camera,
     Frame,
+    KnownObject,
     PoseTracker,
+    SceneTracker,
     detect_tags,
     draw_outline,
     read_frames,
     track_object,
+    track_objects,
     write_picture,
 )
 from gridpush_drake.perception.camera import NOT_KNOWN
@@ -104,6 +107,16 @@ def track(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="PUSHES.csv", help="The push log to write.")
     ],
+    beside: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Another object in view, such as a file that `gridpush object --all` wrote; may be "
+            "repeated. The objects may touch and push each other: none is taken for a part of "
+            "another. Only the pushes of --object are written.",
+            show_default="no other object is in view",
+        ),
+    ] = None,
     tip_offset: Annotated[
         str,
         typer.Option(metavar="X,Y,Z", help="Where the tip is in the frame of the pusher's tag, m."),
@@ -158,7 +171,9 @@ def track(
     Example: gridpush track video.mp4 --camera camera.yaml --object object.yaml --tip tag:7 --out
     pushes.csv
     """
-    options.check_outputs(force, out, picture, stream, inputs=(video, camera, object_file, tip))
+    options.check_outputs(
+        force, out, picture, stream, inputs=(video, camera, object_file, tip, *(beside or ()))
+    )
     offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z")
     seen_by = Camera.read(camera)
     obj = options.load_object(object_file)
@@ -169,13 +184,21 @@ def track(
         raise options.OptionError(
             f"--by: is 'tag', but {object_file} names no tag; expected auto or outline"
         )
+    if beside and tag is not None and by != "outline":
+        raise options.OptionError(
+            f"--beside: is given, but {object_file} names a tag, which nothing beside the object "
+            "disturbs; expected --by outline with it"
+        )
     radius = options.choose_radius(None, obj)
     tall = height if height is not None else obj.height or 0.0
     find_tip = _TipFinder(tip, seen_by, tag_size, np.array(offset), tag_height)
     if tag is not None and by != "outline":
         followed = _follow_tag(video, seen_by, tall, tag)
     else:
-        followed = _follow_outline(video, seen_by, obj, tall, radius, find_tip)
+        others = [options.load_object(name) for name in beside or ()]
+        known = [KnownObject(obj.outline, tall, obj.name)]
+        known += [KnownObject(each.outline, each.height or 0.0, each.name) for each in others]
+        followed = _follow_outline(video, seen_by, known, radius, find_tip)
 
     seen_all = _watch(followed, find_tip, video)
     frames = len(seen_all.t)
@@ -379,8 +402,7 @@ def _read_tips(path: Path) -> tuple[Array, Array]:
 def _follow_outline(
     video: Path,
     camera: Camera,
-    obj: GridObject,
-    height: float,
+    known: Sequence[KnownObject],
     radius: float,
     find_tip: _TipFinder,
 ) -> Iterator[tuple[Frame, Array]]:
@@ -389,8 +411,7 @@ def _follow_outline(
     Args:
         video: the video, or a folder of images.
         camera: the camera.
-        obj: the object.
-        height: height of the object, m.
+        known: the object, and all others in view.
         radius: radius of the rod that ends in the tip, m. What it hides is not compared.
         find_tip: finds the tip in a picture.
 
@@ -415,8 +436,13 @@ def _follow_outline(
         return painted > 0
 
     try:
-        tracker = PoseTracker(obj.outline, height, camera)
-        for frame, tracked in track_object(tracker, read_frames(video, camera), cover):
+        frames = read_frames(video, camera)
+        if len(known) > 1:
+            for frame, all_poses in track_objects(SceneTracker(known, camera), frames, cover):
+                yield frame, all_poses[0].pose
+            return
+        tracker = PoseTracker(known[0].outline, known[0].height, camera)
+        for frame, tracked in track_object(tracker, frames, cover):
             yield frame, tracked.pose
     except ImageError:
         raise

@@ -229,13 +229,14 @@ def make_push(count=18):
     return t, tips, poses
 
 
-def write_video(folder, with_tags):
+def write_video(folder, with_tags, block=None):
     (folder / "video").mkdir()
     t, tips, poses = make_push()
     for k in range(len(t)):
-        color = paint(
-            make_camera(), [(L_SHAPE, poses[k], HEIGHT, BROWN)], seed=k, depth=False
-        ).color
+        prisms = [(L_SHAPE, poses[k], HEIGHT, BROWN)]
+        if block is not None:
+            prisms.append((block, poses[k], HEIGHT, BROWN))
+        color = paint(make_camera(), prisms, seed=k, depth=False).color
         if with_tags:
             color = paint_tag(
                 color, make_camera(), 9, square([*tips[k] - [0.06, 0], 0], TAG_SIZE, 0.04), k
@@ -275,6 +276,30 @@ def test_track_writes_the_pushes_of_a_folder_of_images(capsys, folder, with_tags
     np.testing.assert_allclose(push.final_pose, poses[-1], atol=1e-3)
     np.testing.assert_allclose(push.push.xy[[0, -1]], tips[[0, -1]], atol=6e-4)
     assert cv2.imread(str(folder / "seen.png")).shape == (480, 640, 3)
+
+
+def test_track_tells_apart_what_is_beside_the_object(capsys, folder):
+    """A block of the same color, which the object pushes along."""
+    block = L_SHAPE[1] + np.array([[0.0, -0.01], [0.05, -0.01], [0.05, 0.03], [0.0, 0.03]])
+    _, _, poses = write_video(folder, False, block)
+    obj = GridObject.from_outline(block - block.mean(axis=0), max_cells=20, name="block")
+    GridObject("block", *obj.grid, obj.prior, HEIGHT).write_yaml(folder / "block.yaml")
+
+    def run(*more):
+        return run_gridpush(
+            capsys, "track", folder / "video", "--camera", folder / "camera.yaml", "--object",
+            folder / "object.yaml", "--tip", folder / "tip.csv", "--out", folder / "pushes.csv", *more,
+        )  # fmt: skip
+
+    # an object that is not in view is named
+    absent = run("--beside", folder / "block.yaml", "--beside", "toolbox")
+    assert absent.code == 2
+    assert "toolbox: not found; expected 3 objects in view" in absent.err
+    done = run("--beside", folder / "block.yaml")
+    assert done.code == 0, done.err
+    (push,) = PushLog.read_csv(folder / "pushes.csv")
+    np.testing.assert_allclose(push.pose, poses[0], atol=1e-3)
+    np.testing.assert_allclose(push.final_pose, poses[-1], atol=1e-3)
 
 
 def test_track_says_what_is_wrong(capsys, folder):
