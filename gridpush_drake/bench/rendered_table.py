@@ -39,6 +39,8 @@ from pydrake.systems.sensors import CameraInfo
 from shapely import Polygon
 
 from gridpush_drake.geometry.outline_mesh import make_outline_mesh
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.perception import Camera, Frame
 from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE
 from gridpush_drake.perception.tags import draw_tag
@@ -51,6 +53,19 @@ HEIGHT_PIXELS = 480
 
 FOCAL = 615.0
 """Focal length of the camera, pixels."""
+
+HEIGHT = 0.02
+"""Height of the objects, m."""
+
+COLORS = (
+    (0.60, 0.35, 0.20),
+    (0.15, 0.25, 0.55),
+    (0.25, 0.25, 0.27),
+    (0.75, 0.15, 0.15),
+    (0.20, 0.45, 0.25),
+)
+"""Colors that the objects have in turn, red, green and blue from 0 to 1: wood, blue, dark gray,
+red, green."""
 
 RENDERER = "vtk"
 """Name of the renderer in the scene."""
@@ -324,3 +339,8 @@ def make_overhead_camera(
     X_WC[:3, 3] = [*np.asarray(at), distance]
     K = [[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT_PIXELS - 1) / 2], [0, 0, 1]]
     return Camera(WIDTH, HEIGHT_PIXELS, np.array(K), np.zeros(0), X_WC)
+
+
+def load_object(name: str) -> GridObject:
+    """Reads a shipped object by its name."""
+    return GridObject.from_yaml(find_shipped_object(name))

@@ -12,8 +12,11 @@ import shapely
 from numpy.typing import NDArray
 
 from gridpush_drake.bench.rendered_table import (
+    COLORS,
+    HEIGHT,
     RenderedObject,
     RenderedTable,
+    load_object,
     make_overhead_camera,
 )
 from gridpush_drake.bench.table import ALL, MM, Table, Value
@@ -25,7 +28,6 @@ from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception import Frame, TrackedPose
 from gridpush_drake.perception.scene_tracking import KnownObject, SceneTracker
@@ -42,17 +44,6 @@ OBJECTS = (
 
 COUNTS = (2, 3, 4)
 """Numbers of objects in view."""
-
-HEIGHT = 0.02
-"""Height of the objects, m."""
-
-COLORS = (
-    (0.60, 0.35, 0.20),
-    (0.15, 0.25, 0.55),
-    (0.25, 0.25, 0.27),
-    (0.75, 0.15, 0.15),
-)
-"""Colors that the objects have in turn, red, green and blue from 0 to 1."""
 
 DISTANCE = 0.75
 """Height of the camera over the table, m."""
@@ -192,7 +183,7 @@ def draw_motion(count: int, touching: bool, seed: int) -> tuple[Scene, SceneMoti
     rng = np.random.default_rng((seed, count, int(touching)))
     for _ in range(TRIES):
         names = rng.permutation(OBJECTS)[:count]
-        objects = [_load(str(name)) for name in names]
+        objects = [load_object(str(name)) for name in names]
         scene = Scene(_make_row(objects, touching, rng))
         push = _draw_push(scene, rng)
         motion = simulate_scene(scene, push)
@@ -379,10 +370,6 @@ def _stays_in_view(scene: Scene, motion: SceneMotion) -> bool:
         for poses in (motion.poses[0], motion.poses[-1])
         for pose, obj in zip(poses, scene.objects, strict=True)
     )
-
-
-def _load(name: str) -> GridObject:
-    return GridObject.from_yaml(find_shipped_object(name))
 
 
 def _to_row(values: Array) -> tuple[float, float, float]:

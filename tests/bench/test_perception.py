@@ -3,6 +3,20 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.bench import perception
+from gridpush_drake.bench.found_outlines import (
+    OutlineJob,
+    OutlineScore,
+    run_outline,
+    tabulate_outlines,
+)
+from gridpush_drake.bench.found_photographs import (
+    PhotoScore,
+    RenderedPhotoScore,
+    find_photographs,
+    tabulate_photos,
+    tabulate_rendered_photos,
+)
 from gridpush_drake.bench.hidden_pushes import (
     KINDS,
     HiddenJob,
@@ -10,26 +24,24 @@ from gridpush_drake.bench.hidden_pushes import (
     run_hidden,
     tabulate_hidden,
 )
-from gridpush_drake.bench.perception import (
-    OutlineJob,
-    OutlineScore,
-    PhotoScore,
-    RenderedPhotoScore,
+from gridpush_drake.bench.rendered_photographs import KINDS as OUTLINE_KINDS
+from gridpush_drake.bench.rendered_photographs import make_outline, take_photograph
+from gridpush_drake.bench.several_objects import (
+    SeveralJob,
+    SeveralScore,
+    draw_motion,
+    run_several,
+    tabulate_several,
+)
+from gridpush_drake.bench.tracked_pushes import (
     TagJob,
     TrackJob,
     TrackScore,
-    find_photographs,
-    run_outline,
     run_tag,
     run_track,
-    tabulate_outlines,
-    tabulate_photos,
-    tabulate_rendered_photos,
     tabulate_tags,
     tabulate_tracks,
 )
-from gridpush_drake.bench.rendered_photographs import KINDS as OUTLINE_KINDS
-from gridpush_drake.bench.rendered_photographs import make_outline, take_photograph
 from gridpush_drake.errors import GridPushError
 
 
@@ -121,3 +133,45 @@ def test_a_folder_without_photographs_is_named(tmp_path):
     (tmp_path / "a_label.pgm").write_bytes(b"P5 1 1 255\n\x01")
     with pytest.raises(GridPushError, match="holds no NAME_color"):
         find_photographs(tmp_path)
+
+
+def test_a_part_is_measured_by_itself():
+    options = perception.Options(part="several", several_pushes=3, counts=(2, 4))
+    jobs = perception.make_jobs(options)
+    assert [(job.count, job.touching, job.pushes) for job in jobs] == [
+        (2, False, 3), (4, False, 3), (2, True, 3), (4, True, 3)
+    ]  # fmt: skip
+    everything = perception.make_jobs(perception.Options())
+    assert {type(job) for job in everything} >= {SeveralJob, TrackJob, TagJob, OutlineJob}
+
+
+def test_several_objects_that_push_each_other_are_tabulated():
+    score = SeveralScore(
+        count=2,
+        touching=True,
+        pushes=1,
+        frames=4,
+        unseen=1,
+        wrong=1,
+        errors=[(1e-4, 0.0, 0.0), (0.0, 1e-4, np.radians(0.1))],
+        deviations=[(1e-4, 1e-4, 1e-3), (1e-4, 1e-4, 1e-3)],
+    )
+    row, total = tabulate_several([score]).rows
+    assert row[:6] == ("2", "touching", 1, 4, 1, 1)
+    assert row[6] == pytest.approx(0.1)
+    assert row[7] == pytest.approx(0.1 / np.sqrt(2))
+    assert row[8] == pytest.approx(100.0)
+    assert total[2:] == row[2:]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("touching", [False, True], ids=["apart", "touching"])
+def test_objects_that_push_each_other_are_told_apart(touching):
+    _, motion = draw_motion(2, touching, 50)
+    ways = np.linalg.norm(motion.poses[-1, :, :2] - motion.poses[0, :, :2], axis=1)
+    assert (ways > 0.005).all()
+    score = run_several(SeveralJob(2, touching, 1, 50))
+    assert (score.frames, score.unseen, score.wrong) == (22, 0, 0)
+    errors = np.array(score.errors)
+    assert np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()) < 3e-4
+    assert np.sqrt((errors[:, 2] ** 2).mean()) < np.radians(0.1)
