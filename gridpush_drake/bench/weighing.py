@@ -1,15 +1,16 @@
 """`gridpush bench weighing`: mass, center of mass and friction of objects of which nothing is told.
 
 Each object gets a hidden mass of 0.1 to 3 kg, masses of its parts, and a friction of each part. It
-is pushed five times by a finger that feels forces, in the model's own simulator. Then it is laid
-over the table's edge in Drake and pressed, as `planning.weighing` plans, until it is known. Poses,
-forces and places are told with noise. What is not simulated is how it gets from one place at the
-edge to the next: it is put there.
+is pushed five to twelve times, until the forces that the finger feels tell its friction, in the
+model's own simulator. Then it is laid over the table's edge in Drake and pressed, as
+`planning.weighing` plans, until it is known. Poses, forces and places are told with noise. What is
+not simulated is how it gets from one place at the edge to the next: it is put there.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
+from zlib import crc32
 
 import numpy as np
 
@@ -25,7 +26,11 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
+from gridpush_drake.objects.object_file import (
+    UNTOLD_FRICTION,
+    find_shipped_object,
+    list_shipped_objects,
+)
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
@@ -51,14 +56,14 @@ TRUTHS = 10
 MASS_RANGE = (0.1, 3.0)
 """Least and greatest mass of an object, kg; drawn evenly in its logarithm."""
 
-FRICTION_RANGE = (0.1, 0.9)
+FRICTION_RANGE = UNTOLD_FRICTION
 """Least and greatest friction coefficient of a part, and what a plan takes for possible."""
 
-SUPPOSED_FRICTION = 0.3
-"""Friction coefficient that is supposed before anything is known."""
+PUSHES = (5, 8, 12)
+"""Numbers of pushes after which it is looked how well they tell the friction."""
 
-PUSHES = 5
-"""Number of pushes before the first press."""
+ENOUGH_FORCE = 0.03
+"""Relative standard deviation of the whole friction, as forces tell it, that is enough."""
 
 PUSH_LENGTH = 0.06
 """Length of a push, m."""
@@ -157,12 +162,13 @@ class WeighingScore:
         name: name of the object.
         seed: seed of truth and noise.
         mass: true mass, kg.
+        pushes: number of pushes.
         presses: number of presses.
         withstood: number of them at which the object did not tilt up to the greatest force.
-        time: how long all presses took, s.
-        mass_error: error of the mass, relative to it.
+        time: how long all pushes and presses took, s.
+        mass_error: error of the mass, relative to it; None where nothing could be weighed.
         center_error: distance of the center of mass from where it is estimated, m.
-        friction_error: error of the mean friction coefficient.
+        friction_error: error of the mean friction coefficient; None where nothing could be weighed.
         mass_holds: whether the 95 % interval of the mass holds it.
         center_holds: whether the 95 % region of the center of mass holds it.
         friction_holds: whether the 95 % interval of the mean friction holds it.
@@ -174,12 +180,13 @@ class WeighingScore:
     name: str
     seed: int
     mass: float
+    pushes: int
     presses: int
     withstood: int
     time: float
-    mass_error: float
+    mass_error: float | None
     center_error: float
-    friction_error: float
+    friction_error: float | None
     mass_holds: bool
     center_holds: bool
     friction_holds: bool
@@ -243,9 +250,9 @@ def make_jobs(options: Options) -> list[WeighingJob | EdgeJob]:
 
 def run_job(job: WeighingJob) -> WeighingScore:
     """Pushes and weighs one object."""
-    obj = forget(GridObject.from_yaml(find_shipped_object(job.name)))
+    obj = GridObject.from_yaml(find_shipped_object(job.name)).forget()
     truth = draw_truth(obj, job.seed)
-    found = identify(obj, make_pushes(obj, truth, job.seed), seed=job.seed)
+    found = push_and_learn(obj, truth, job.seed)
     model = UncertainModel.of_identification(found, friction_range=FRICTION_RANGE)
     centers = model.masses.center_of_mass_polygon
 
@@ -255,7 +262,7 @@ def run_job(job: WeighingJob) -> WeighingScore:
     presses = 0
     withstood = 0
     in_a_row = 0
-    time = 0.0
+    time = len(found.push_names) * PUSH_LENGTH / PUSH_SPEED
     max_tilt = 0.0
     moved = 0.0
     while True:
@@ -297,15 +304,14 @@ def score(
     moved: float,
 ) -> WeighingScore:
     """Compares what is known with the truth."""
-    mass = truth.total_mass
+    mass = float(truth.total_mass)
     friction = float(truth.mass @ truth.friction) / mass
     center = truth.center_of_mass(known.obj)
     absolute = known.absolute
     if absolute is None:
         # Nothing could be weighed.
-        nan = float("nan")
         off = known.params.center_of_mass(known.obj) - center
-        errors = (nan, float(np.linalg.norm(off)), nan)
+        errors: tuple[float | None, float, float | None] = (None, float(np.linalg.norm(off)), None)
         holds = (False, False, False)
     else:
         off = absolute.center_of_mass - center
@@ -317,11 +323,16 @@ def score(
         low, high = absolute.mass_interval
         least, most = absolute.friction_interval
         distance = float(off @ np.linalg.solve(absolute.center_covariance, off))
-        holds = (low <= mass <= high, distance <= CHI_SQUARE, least <= friction <= most)
+        holds = (
+            bool(low <= mass <= high),
+            distance <= CHI_SQUARE,
+            bool(least <= friction <= most),
+        )
     return WeighingScore(
         name=job.name,
         seed=job.seed,
         mass=mass,
+        pushes=len(known.push_names),
         presses=presses,
         withstood=withstood,
         time=time,
@@ -333,38 +344,35 @@ def score(
         friction_holds=holds[2],
         max_tilt=tilt,
         moved=moved,
-        fell=tilt >= FALLEN_TILT,
+        fell=bool(tilt >= FALLEN_TILT),
     )
-
-
-def forget(obj: GridObject) -> GridObject:
-    """Returns an object of which nothing is told but its outline."""
-    prior = replace(
-        obj.prior,
-        total_mass=None,
-        center_of_mass=None,
-        friction=SUPPOSED_FRICTION,
-        friction_min=FRICTION_RANGE[0],
-        friction_max=FRICTION_RANGE[1],
-    )
-    return replace(obj, prior=prior)
 
 
 def draw_truth(obj: GridObject, seed: int) -> CellParameters:
     """Draws the hidden masses and frictions."""
     drawn = sample_ground_truth(obj, seed, friction_range=FRICTION_RANGE, friction_by_part=True)
-    rng = np.random.default_rng((seed, 12))
+    rng = np.random.default_rng((seed, 12, crc32(obj.name.encode())))
     mass = float(np.exp(rng.uniform(*np.log(MASS_RANGE))))
     return replace(drawn, mass=drawn.mass * (mass / drawn.total_mass))
 
 
-def make_pushes(obj: GridObject, truth: CellParameters, seed: int) -> PushLog:
+def push_and_learn(obj: GridObject, truth: CellParameters, seed: int) -> Identification:
+    """Pushes an object until forces tell its friction well enough, and learns from all pushes."""
+    pushes = make_pushes(obj, truth, seed, PUSHES[-1])
+    for count in PUSHES:
+        found = identify(obj, pushes[:count], seed=seed)
+        if found.force is not None and found.force.relative_std <= ENOUGH_FORCE:
+            break
+    return found
+
+
+def make_pushes(obj: GridObject, truth: CellParameters, seed: int, count: int) -> PushLog:
     """Makes pushes from random places of the outline inwards, with measured forces."""
     rng = np.random.default_rng((seed, 13))
     noise = WeighingNoise()
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     pushes: list[ObservedPush] = []
-    while len(pushes) < PUSHES:
+    while len(pushes) < count:
         place = rng.uniform(0, obj.edges.perimeter)
         angle = rng.uniform(-SLANT, SLANT)
         push = Push.on_outline(obj, place, angle, PUSH_LENGTH, radius=radius, speed=PUSH_SPEED)
@@ -395,7 +403,7 @@ def make_pushes(obj: GridObject, truth: CellParameters, seed: int) -> PushLog:
 
 def run_edge_job(job: EdgeJob) -> list[EdgeScore]:
     """Brings one object to where it can be grasped, with and without weighing."""
-    obj = forget(GridObject.from_yaml(find_shipped_object(job.name)))
+    obj = GridObject.from_yaml(find_shipped_object(job.name)).forget()
     truth = draw_truth(obj, job.seed)
     options = PreGraspOptions(max_arm=MAX_ARM)
     scores = []
@@ -464,9 +472,13 @@ def tabulate_stories(stories: Sequence[EdgeScore]) -> Table:
 def tabulate_scores(scores: Sequence[WeighingScore], names: Sequence[str]) -> Table:
     """Makes a row for each object, and one of all."""
 
+    def list_errors(some: Sequence[WeighingScore], key: str) -> list[float]:
+        """Lists magnitudes of the errors of those that could be weighed."""
+        return [abs(getattr(one, key)) for one in some if getattr(one, key) is not None]
+
     def share(key: str, goal: float) -> Column:
         """Makes the column of how many errors are within a goal."""
-        return lambda some: int(sum(abs(getattr(one, key)) <= goal for one in some))
+        return lambda some: int(sum(error <= goal for error in list_errors(some, key)))
 
     def count(key: str) -> Column:
         """Makes the column of how many something is true of."""
@@ -474,10 +486,11 @@ def tabulate_scores(scores: Sequence[WeighingScore], names: Sequence[str]) -> Ta
 
     def median(key: str, scale: float) -> Column:
         """Makes the column of the median of the errors' magnitudes."""
-        return lambda some: scale * float(np.nanmedian([abs(getattr(one, key)) for one in some]))
+        return lambda some: scale * float(np.median(list_errors(some, key) or np.nan))
 
     columns: dict[str, Column] = {
         "runs": len,
+        "pushes": mean_of("pushes"),
         "presses": mean_of("presses"),
         "time, s": mean_of("time"),
         "mass, %": median("mass_error", 100),
@@ -495,9 +508,10 @@ def tabulate_scores(scores: Sequence[WeighingScore], names: Sequence[str]) -> Ta
     notes = (
         f"Hidden: mass {MASS_RANGE[0]:g} to {MASS_RANGE[1]:g} kg, friction of each part "
         f"{FRICTION_RANGE[0]:g} to {FRICTION_RANGE[1]:g}. Nothing but the outline is told.",
-        f"{PUSHES} pushes with forces, then presses at the edge in Drake. Noise: 0.2 N in each "
-        "sample of the force, 1 mm and 0.3° of each pose, 0.5 mm of the tip.",
-        "presses, time: means; mass, center, friction: medians of the errors; held: true values "
+        f"{PUSHES[0]} to {PUSHES[-1]} pushes with forces, then presses at the edge in Drake. "
+        "Noise: 0.2 N in each sample of the force, 1 mm and 0.3° of each pose, 0.5 mm of the tip.",
+        "pushes, presses: means; time: mean of what all of them took; mass, center, friction: "
+        "medians of the errors; held: true values "
         "within 95 % intervals (of the center, a region); tilt: the greatest.",
         f"Greatest move by a press: {MM * max(one.moved for one in scores):.2f} mm. Presses that "
         f"objects withstood: {calc_mean([one.withstood for one in scores]):.2f} a run.",

@@ -158,11 +158,11 @@ def tell_story(
         )
     status = run.state.status
     true = world.truth
-    dropped = true.fallen or max_tilt >= FALLEN_TILT
+    dropped = bool(true.fallen or max_tilt >= FALLEN_TILT)
     grasped = False
     if status.mode == PreGraspMode.VERIFYING and not dropped:
         overhangs = calc_overhangs(planner.parts, true.pose, planner.surface)
-        grasped = bool(overhangs.max() >= 0) and true.stays
+        grasped = bool(overhangs.max() >= 0 and true.stays)
     return Story(
         grasped=grasped,
         dropped=dropped,

@@ -1,10 +1,8 @@
 """A table with an edge, an object that can tip over it, and a finger that presses: in Drake.
 
-The object is free, with six degrees of freedom. A plant's object stands on spheres below its cells,
-the outermost of which is up to a cell inside the edge; it would tilt about that. So the edge itself
-bears, too: on it lie small spheres, just below the table's top, that touch the object's underside
-as soon as it tilts by a thousandth of a degree. The finger is held by springs along x, y and z, as
-an arm under impedance control is; its force is measured with noise and an offset.
+The object is free, with six degrees of freedom, and the edge bears (`multibody.table_rim`). The
+finger is held by springs along x, y and z, as an arm under impedance control is; its force is
+measured with noise and an offset.
 """
 
 from dataclasses import dataclass
@@ -28,6 +26,7 @@ from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import DEFAULT_HEIGHT, AddGridObject
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph
+from gridpush_drake.multibody.table_rim import RIM_SPACING, AddRimSpheres
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.weighing.plan import Edge
@@ -47,18 +46,8 @@ TABLE_SIZE = (1.0, 1.0, 0.1)
 EDGE = Edge(point=(0.0, 0.0), angle=0.0)
 """The edge."""
 
-RIM_RADIUS = 2e-4
-"""Radius of the spheres on the edge, m."""
-
-RIM_SPACING = 4e-3
-"""Distance of neighboring spheres on the edge, m."""
-
 RIM_HALF_LENGTH = 0.26
 """Distance from the edge's middle to which there are spheres, m."""
-
-RIM_GAP = 1e-5
-"""Depth of the spheres' tops below the table's top, m. An object that lies still does not touch
-them."""
 
 FINGER_MASS = 1.0
 """Mass of each of the finger's three bodies, kg."""
@@ -175,7 +164,9 @@ class WeighingWorld:
             "table",
             MakePartnerProperties(),
         )
-        AddRim(plant)
+        count = round(2 * RIM_HALF_LENGTH / RIM_SPACING) + 1
+        rim = np.linspace(-RIM_HALF_LENGTH, RIM_HALF_LENGTH, count)
+        AddRimSpheres(plant, np.column_stack([np.zeros(count), rim]))
         self._finger = AddFinger(plant)
         self._handle = AddGridObject(
             plant, scene_graph, obj, params, "free", table=[table], height=height
@@ -305,19 +296,6 @@ class WeighingWorld:
     def let_pass(self, time: float) -> None:
         """Lets time pass, s."""
         self._simulator.AdvanceTo(self._context.get_time() + time)
-
-
-def AddRim(plant: MultibodyPlant) -> None:
-    """Adds the spheres on the table's edge to the world, before the object."""
-    count = round(2 * RIM_HALF_LENGTH / RIM_SPACING) + 1
-    for i, y in enumerate(np.linspace(-RIM_HALF_LENGTH, RIM_HALF_LENGTH, count)):
-        plant.RegisterCollisionGeometry(
-            plant.world_body(),
-            RigidTransform([0.0, y, -RIM_RADIUS - RIM_GAP]),
-            Sphere(RIM_RADIUS),
-            f"rim_{i}",
-            MakePartnerProperties(),
-        )
 
 
 def AddFinger(plant: MultibodyPlant) -> ModelInstanceIndex:

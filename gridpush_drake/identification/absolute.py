@@ -30,6 +30,7 @@ from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array, make_rotation, turn_left
 from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.objects.object_file import UNTOLD_FRICTION
 from gridpush_drake.pushes.weighings import (
     ANGLE_STD,
     POSITION_STD,
@@ -82,7 +83,7 @@ class AbsolutePrior:
     """
 
     mass: tuple[float, float] = (0.1, 3.0)
-    friction: tuple[float, float] = (0.1, 0.9)
+    friction: tuple[float, float] = UNTOLD_FRICTION
 
     def __post_init__(self) -> None:
         for name, (low, high) in (("mass", self.mass), ("friction", self.friction)):

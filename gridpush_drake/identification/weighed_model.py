@@ -110,9 +110,23 @@ def calc_center_prior(
 
 
 def believe_before(found: Identification) -> AbsoluteEstimate:
-    """Says what is held of mass, center of mass and friction before the first press."""
+    """Says what is held of mass, center of mass and friction before the first press.
+
+    If the forces of pushes were measured, mass and friction are tied to one another: the mass is
+    then known better than its prior, since friction is.
+    """
     prior = AbsolutePrior()
     center, center_covariance = calc_center_prior(found)
+    if found.force is not None:
+        problem = WeighingProblem(
+            log=WeighingLog(),
+            center=center,
+            center_covariance=center_covariance,
+            force=found.force,
+            prior=prior,
+            gravity=found.physics.gravity,
+        )
+        return estimate_absolute(problem)
     log_mass, mass_std = prior.log_mass
     log_friction, friction_std = prior.log_friction
     covariance = np.diag([mass_std**2, 0.0, 0.0, friction_std**2])

@@ -4,7 +4,7 @@ The body frame B, said once: for an outline it is the outline's own coordinates;
 the cells' centroid, x to the right and y up in the image.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -261,6 +261,10 @@ class GridObject(Frozen):
             OutputError: the file exists and `force` is not set, or it cannot be written.
         """
         write_whole(path, dump_object(self.name, self.grid, self.prior, self.height), force)
+
+    def forget(self) -> "GridObject":
+        """Makes the object of which nothing is told but its outline and height."""
+        return replace(self, prior=self.prior.forget())
 
     @property
     def grid(self) -> CellGrid:

@@ -5,7 +5,7 @@ object of this form, are read and written in `identification.model_file`.
 """
 
 import unicodedata
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -64,6 +64,14 @@ _RANGES = {
 """Least and greatest value of each field of a prior; beyond them calculations overflow."""
 
 
+UNTOLD_FRICTION = (0.1, 0.9)
+"""Least and greatest friction coefficient of a cell against the table where nothing is told."""
+
+SUPPOSED_FRICTION = 0.3
+"""Friction coefficient that is supposed where nothing is told: about the middle of the logarithms
+of these bounds."""
+
+
 @dataclass(frozen=True)
 class PhysicalPrior:
     """Prior knowledge of an object, all of it optional.
@@ -96,6 +104,18 @@ class PhysicalPrior:
     contact_friction_std: float = 0.15
     pusher_radius: float | None = None
     push_height: float | None = None
+
+    def forget(self) -> "PhysicalPrior":
+        """Makes the prior of an object of which nothing is told: mass, center or friction."""
+        low, high = UNTOLD_FRICTION
+        return replace(
+            self,
+            total_mass=None,
+            center_of_mass=None,
+            friction=SUPPOSED_FRICTION,
+            friction_min=low,
+            friction_max=high,
+        )
 
     def __post_init__(self) -> None:
         for name, (least, greatest) in _RANGES.items():

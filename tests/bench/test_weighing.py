@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from gridpush_drake.bench.weighing import (
     STUDY,
@@ -9,9 +10,12 @@ from gridpush_drake.bench.weighing import (
     EdgeJob,
     Options,
     WeighingJob,
+    WeighingScore,
+    draw_truth,
     make_jobs,
     run_edge_job,
     run_job,
+    score,
 )
 from gridpush_drake.bench.weighing_story import make_press
 from gridpush_drake.bench.weighing_world import EDGE, EXACT, WeighingWorld
@@ -19,10 +23,13 @@ from gridpush_drake.cli.options import load_object
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
+from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_rests
 from gridpush_drake.planning.weighing.press import PressOptions, PressOutcome
+from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
 
 
 def plan(world, heading, mass=0.5):
@@ -130,6 +137,34 @@ def test_where_it_would_give_up_it_weighs_and_goes_on():
     assert not weighed.dropped
     assert weighed.presses >= 1
     assert weighed.max_tilt < np.radians(1.0)
+
+
+def test_scores_are_kept_as_json():
+    obj = load_object("spring_clamp").forget()
+    truth = draw_truth(obj, 3)
+    found = describe_prior(obj)
+    press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
+    for known in (found, weigh_model(found, WeighingLog((press,)))):
+        scored = score(
+            WeighingJob(obj.name, 3),
+            known,
+            truth,
+            presses=1,
+            withstood=0,
+            time=4.0,
+            tilt=np.float64(0.01),
+            moved=0.0,
+        )
+        kept = TypeAdapter(WeighingScore).dump_json(scored)
+        back = TypeAdapter(WeighingScore).validate_json(kept)
+        assert back.presses == 1
+        assert back.mass == truth.total_mass
+
+
+def test_hidden_masses_differ_from_object_to_object():
+    masses = [draw_truth(load_object(name), 3).total_mass for name in ("pliers", "toolbox")]
+    assert masses[0] != masses[1]
+    assert all(0.1 <= mass <= 3.0 for mass in masses)
 
 
 def test_jobs_are_those_that_were_asked_for():

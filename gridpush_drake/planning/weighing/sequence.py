@@ -1,9 +1,10 @@
 """Which press comes next, until mass and center of mass are known well enough.
 
-The object is laid over the edge in four directions, along its longest direction and across, either
-way round. Before the first press its center of mass may be anywhere that pushes and friction
-bounds allow, so that little of it may hang over. Each press tells more, and the next may go
-further.
+The object is laid over the edge in 24 directions, from its longest one on. (With four, along and
+across, either way round, narrow objects could be pressed along only: across, no place is far enough
+beyond the edge, and slanted ones tell of both.) Before the first press its center of mass may be
+anywhere that pushes and friction bounds allow, so that little of it may hang over. Each press tells
+more, and the next may go further.
 
 Of all presses that are safe, the one comes next after which mass and center are expected to be
 known best. With S the covariance of (log m, c, log mu) now, a press that will show the force F with
@@ -40,8 +41,12 @@ from gridpush_drake.planning.weighing.plan import (
 )
 from gridpush_drake.planning.weighing.region import cut_to_ellipse
 
-HEAVIER = 1.5
+HEAVIER = 2.5
 """Factor on the mass that is supposed, for each press that the object withstood."""
+
+
+HEADINGS = 24
+"""Number of headings in which an object is laid over an edge, evenly spaced."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +73,14 @@ class SequenceOptions:
 
 
 def calc_headings(obj: GridObject, edge: Edge) -> Array:
-    """Calculates four headings, rad: the longest direction of the outline across the edge, ..."""
+    """Calculates headings, rad, the first with the outline's longest direction across the edge."""
     corners = shapely.get_coordinates(obj.outline.minimum_rotated_rectangle)
     sides = np.diff(corners[:3], axis=0)
     longest = sides[np.argmax((sides**2).sum(axis=1))]
     along = float(np.arctan2(longest[1], longest[0]))
-    return np.asarray(edge.angle - along + np.pi / 2 * np.arange(4), dtype=np.float64)
+    return np.asarray(
+        edge.angle - along + 2 * np.pi / HEADINGS * np.arange(HEADINGS), dtype=np.float64
+    )
 
 
 def plan_next_press(
@@ -111,6 +118,7 @@ def plan_next_press(
         region = cut_to_ellipse(
             centers, belief.center_of_mass, belief.center_covariance, options.sigmas
         )
+    if belief.presses or belief.pushes:
         rules = replace(rules, mass=belief.total_mass)
     rules = replace(rules, mass=rules.mass * HEAVIER**withstood)
 
