@@ -59,8 +59,8 @@ def describe_move(begin: ArrayLike, end: ArrayLike) -> str:
 
 
 def count(number: int, noun: str) -> str:
-    """Says how many there are: "1 push", "2 pushes", "3 cells"."""
-    plural = f"{noun}es" if noun.endswith("sh") else f"{noun}s"
+    """Says how many there are: "1 push", "2 pushes", "3 presses", "4 cells"."""
+    plural = f"{noun}es" if noun.endswith(("sh", "ss")) else f"{noun}s"
     return f"{number} {noun if number == 1 else plural}"
 
 

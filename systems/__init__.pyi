@@ -1,4 +1,6 @@
 from .arm_guard import ArmGuard as ArmGuard
+from .arm_load_sensor import ArmLoadSensor as ArmLoadSensor
+from .arm_load_sensor import LoadNoise as LoadNoise
 from .contact_point_controller import ContactPointController as ContactPointController
 from .edge_presser import EdgePresser as EdgePresser
 from .estimate_visualizer import EstimateVisualizer as EstimateVisualizer
@@ -13,11 +15,14 @@ from .grid_scene_system import GridSceneSystem as GridSceneSystem
 from .guard_status import GuardLimits as GuardLimits
 from .guard_status import GuardMode as GuardMode
 from .guard_status import GuardStatus as GuardStatus
+from .lift_scale import LiftScale as LiftScale
 from .messages import GraspCommand as GraspCommand
 from .messages import GraspOutcome as GraspOutcome
 from .messages import GraspPhase as GraspPhase
 from .messages import GraspStatus as GraspStatus
 from .messages import PressCommand as PressCommand
+from .messages import PressStatus as PressStatus
+from .messages import PressStep as PressStep
 from .messages import PushCommand as PushCommand
 from .messages import PushPhase as PushPhase
 from .messages import PushStatus as PushStatus
@@ -37,6 +42,7 @@ from .planar_pose_sensor import PlanarPoseSensor as PlanarPoseSensor
 from .poke_policy import PokePolicy as PokePolicy
 from .poke_policy import PokeRegion as PokeRegion
 from .pregrasp_controller import PreGraspController as PreGraspController
+from .press_executor import PressExecutor as PressExecutor
 from .push_executor import PushExecutor as PushExecutor
 from .pusher_gate import PusherGate as PusherGate
 from .pusher_state_sensor import ArmTipSensor as ArmTipSensor

@@ -9,7 +9,6 @@ from gridpush_drake.planning.weighing.press import (
     PressOptions,
     PressSample,
     PressState,
-    PressTarget,
     advance_press,
 )
 from gridpush_drake.systems.messages import PRESS_COMMAND_SIZE, PressCommand
@@ -35,7 +34,7 @@ class EdgePresser(LeafSystem):
         - tip_command
         - press_status
 
-    * press_command: vector of 7, see `PressCommand`; a command is new when its id is.
+    * press_command: vector of 10, see `PressCommand`; a command is new when its id is.
     * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s.
     * force: vector of 3, force on the tip in W, N, with whatever offset it has.
     * tip_command: vector of 6, where the tip's center is to be, m, and its velocity, m/s. Before
@@ -95,13 +94,7 @@ class EdgePresser(LeafSystem):
             state.get_mutable_abstract_state(self._state).set_value(now)
         if taken.command_id == 0 or now.over:
             return EventStatus.Succeeded()
-        target = PressTarget(
-            place=(taken.x, taken.y),
-            edge_point=(taken.edge_x, taken.edge_y),
-            edge_angle=taken.edge_angle,
-            top=taken.top,
-            tip_radius=self._tip_radius,
-        )
+        target = taken.make_target(self._tip_radius)
         sample = PressSample(
             time=context.get_time(),
             tip=np.array(self._tip.Eval(context)[:3]),

@@ -6,6 +6,10 @@ them down. When a push has ended, `identify` learns from the log. The estimate i
 
 After two surprises in a row (`identification.surprise`) the object is another one than was learned,
 and what was seen before them is not learned from any more.
+
+If the force on the tip is measured, it is in the log, too. If the object is weighed, the estimate
+is made in absolute numbers (`identification.weighed_model`), as `gridpush identify --weighings`
+does.
 """
 
 from collections.abc import Callable
@@ -16,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
@@ -28,10 +33,12 @@ from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
 from gridpush_drake.identification.surprise import SurpriseRecord
+from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from gridpush_drake.pushes.segmentation import (
+    NOT_FELT,
     UNUSABLE,
     Episode,
     RecordOptions,
@@ -42,6 +49,7 @@ from gridpush_drake.pushes.segmentation import (
     make_observed_push,
     name_push,
 )
+from gridpush_drake.pushes.weighings import WeighingLog
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 from gridpush_drake.systems.worker import Answer, Request, make_worker
@@ -55,12 +63,15 @@ class Estimate:
     """An identification, with what is calculated from it once for the ports.
 
     Attributes:
-        found: the identification; before anything was learned, the prior in the same form.
+        pushed: the identification from pushes alone; before anything was learned, the prior in the
+            same form.
+        found: the same with the weighings, where there are any.
         center_of_mass: (2,) estimated center of mass p_BBcm, m.
         center_of_mass_covariance: (2, 2) covariance of the center of mass, in B, m².
         loss: mean cell error of the pushes learned from, m; NaN if there are none.
     """
 
+    pushed: Identification
     found: Identification
     center_of_mass: Array
     center_of_mass_covariance: Array
@@ -82,6 +93,9 @@ class IdentifierState(Unchanging):
         message: why nothing could be learned from the last push; empty if it was learned from, or
             was not meant to be.
         surprises: what surprises there were among the pushes of the log.
+        weighings: what weighings there were when they were looked at last.
+        weighed_before: number of presses and of lifts before the object became another one, which
+            do not count any more.
     """
 
     segmenter: SegmenterState = field(default_factory=SegmenterState)
@@ -93,6 +107,15 @@ class IdentifierState(Unchanging):
     left_out: tuple[str, ...] = ()
     message: str = ""
     surprises: SurpriseRecord = field(default_factory=SurpriseRecord)
+    weighings: WeighingLog = field(default_factory=WeighingLog)
+    weighed_before: tuple[int, int] = (0, 0)
+
+    @property
+    def counting_weighings(self) -> WeighingLog:
+        """The weighings of the object as it is now."""
+        presses, lifts = self.weighed_before
+        log = self.weighings
+        return replace(log, presses=log.presses[presses:], lifts=log.lifts[lifts:])
 
 
 class GridIdentifier(AbstractStateSystem[IdentifierState]):
@@ -104,6 +127,8 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         input_ports:
         - object_pose
         - pusher_state
+        - force
+        - weighing_log
         output_ports:
         - mass
         - friction
@@ -123,6 +148,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
       seen.
     * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s; a
       sample with NaN is passed over.
+    * force: vector of 3, force on the tip in W, N, with whatever offset it has; it need not be
+      connected.
+    * weighing_log: abstract `WeighingLog`, presses and lifts so far; it need not be connected.
     * mass: vector of n, estimated mass of each cell, kg.
     * friction: vector of n, estimated friction coefficient of each cell against the support.
     * mass_std: vector of n, standard deviation of `mass`, kg.
@@ -233,6 +261,10 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         }
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)
+        self._force = self.DeclareVectorInputPort("force", 3)
+        self._weighing_log = self.DeclareAbstractInputPort(
+            "weighing_log", AbstractValue.Make(WeighingLog())
+        )
         # What is held before any push takes a fifth of a station's making, and not every user of
         # this system looks at it: it is made when an output first shows it.
         self._declare_outputs(
@@ -293,10 +325,29 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
     def _go_on(self, context: Context, now: IdentifierState) -> IdentifierState:
         pusher = tuple(self._pusher_state.Eval(context).tolist())
         pose = tuple(self._object_pose.Eval(context).tolist())
-        sample = Sample(context.get_time(), pose, pusher[:3], pusher[3:])
+        force = NOT_FELT
+        if self._force.HasValue(context):
+            x, y, z = self._force.Eval(context).tolist()
+            force = (x, y, z)
+        sample = Sample(context.get_time(), pose, pusher[:3], pusher[3:], force)
         segmenter, episode = advance(now.segmenter, sample, self._segmenter)
         logged = self._log_push(replace(now, segmenter=segmenter), episode)
-        return self._learn(logged, context.get_time())
+        learned = self._learn(logged, context.get_time())
+        if not self._weighing_log.HasValue(context):
+            return learned
+        return self._weigh(learned, self._weighing_log.Eval(context))
+
+    def _weigh(self, state: IdentifierState, log: WeighingLog) -> IdentifierState:
+        """Takes in what was weighed since the last look.
+
+        After surprises, when the object is another one, older weighings do not count.
+        """
+        if state.estimate is None or len(log) == len(state.weighings):
+            return state
+        before = state.estimate
+        state = replace(state, weighings=log)
+        estimate = _add_weighings(before.pushed, state.counting_weighings, before)
+        return replace(state, estimate=estimate)
 
     def _log_push(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
         """Logs a push that has ended; `episode` is None if none has."""
@@ -312,7 +363,12 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         log = replace(state.log, pushes=(*state.log.pushes, observed))
         before = None if state.estimate is None else state.estimate.found
         surprises = state.surprises.note(before, log)
-        return replace(state, log=log, message="", surprises=surprises)
+        weighed_before = state.weighed_before
+        if surprises.forgotten != state.surprises.forgotten:
+            weighed_before = (len(state.weighings.presses), len(state.weighings.lifts))
+        return replace(
+            state, log=log, message="", surprises=surprises, weighed_before=weighed_before
+        )
 
     def _learn(self, state: IdentifierState, time: float) -> IdentifierState:
         """Takes what a worker has learned, and learns from the log's next pushes one by one."""
@@ -345,7 +401,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         chosen = chosen.subset([i for i, seen in enumerate(chosen) if seen.name not in left_out])
         if not len(chosen) or chosen[-1] is not log[-1]:
             return None
-        start = state.estimate.found if state.estimate is not None and self.warm_start else None
+        start = state.estimate.pushed if state.estimate is not None and self.warm_start else None
         # What was learned of another object is no place to begin at.
         if start is not None and forgotten and left_out & set(start.push_names):
             start = None
@@ -362,7 +418,10 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         name = state.log[state.considered].name
         state = replace(state, request=None, considered=state.considered + 1)
         if isinstance(answer.value, Estimate):
-            return replace(state, estimate=answer.value, learned_at=asked, message="")
+            estimate = answer.value
+            if len(state.counting_weighings):
+                estimate = _add_weighings(estimate.pushed, state.counting_weighings, estimate)
+            return replace(state, estimate=estimate, learned_at=asked, message="")
         message = f"Nothing could be learned from {name}: {answer.value or answer.error}."
         return replace(state, left_out=(*state.left_out, name), message=message)
 
@@ -393,5 +452,22 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
         loss = float(problem.calc_cell_errors(residuals).mean())
     center, covariance = calc_center_of_mass(found)
     return Estimate(
-        found=found, center_of_mass=center, center_of_mass_covariance=covariance, loss=loss
+        pushed=found,
+        found=found,
+        center_of_mass=center,
+        center_of_mass_covariance=covariance,
+        loss=loss,
     )
+
+
+def _add_weighings(pushed: Identification, log: WeighingLog, before: Estimate) -> Estimate:
+    """Returns the estimate with weighings, if there are any.
+
+    Args:
+        pushed: the identification from pushes alone.
+        log: the weighings.
+        before: the estimate from these pushes, with other weighings or none.
+    """
+    found = weigh_model(pushed, log) if len(log) else pushed
+    center, covariance = calc_center_of_mass(found)
+    return replace(before, found=found, center_of_mass=center, center_of_mass_covariance=covariance)

@@ -20,8 +20,11 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspStatus as Pre
 from gridpush_drake.planning.robot_status import GraspOutcome as GraspOutcome
 from gridpush_drake.planning.robot_status import GraspPhase as GraspPhase
 from gridpush_drake.planning.robot_status import GraspStatus as GraspStatus
+from gridpush_drake.planning.robot_status import PressStatus as PressStatus
+from gridpush_drake.planning.robot_status import PressStep as PressStep
 from gridpush_drake.planning.robot_status import PushPhase as PushPhase
 from gridpush_drake.planning.robot_status import PushStatus as PushStatus
+from gridpush_drake.planning.weighing.press import PressTarget
 
 PUSH_COMMAND_SIZE = 6
 """Length of a `PushCommand` as a vector."""
@@ -90,7 +93,7 @@ class PushCommand(_Command):
         )
 
 
-PRESS_COMMAND_SIZE = 7
+PRESS_COMMAND_SIZE = 10
 """Length of a `PressCommand` as a vector."""
 
 
@@ -107,6 +110,9 @@ class PressCommand(_Command):
         edge_y: y of a point of the edge, m.
         edge_angle: direction of the edge's outward normal, from W's x axis, counterclockwise, rad.
         top: height of the object's top above the table, m.
+        object_x: x of the object's body frame as it was seen at rest, m.
+        object_y: y of it, m.
+        object_theta: heading of it, rad.
     """
 
     x: float = 0.0
@@ -115,6 +121,56 @@ class PressCommand(_Command):
     edge_y: float = 0.0
     edge_angle: float = 0.0
     top: float = 0.0
+    object_x: float = 0.0
+    object_y: float = 0.0
+    object_theta: float = 0.0
+
+    @property
+    def object_pose(self) -> NDArray[np.float64]:
+        """Pose X_WB (3,) of the object as it was seen at rest, m and rad."""
+        return np.array([self.object_x, self.object_y, self.object_theta])
+
+    def make_target(self, tip_radius: float) -> PressTarget:
+        """Makes the target of the press, for a tip whose sphere has a radius, m."""
+        return PressTarget(
+            place=(self.x, self.y),
+            edge_point=(self.edge_x, self.edge_y),
+            edge_angle=self.edge_angle,
+            top=self.top,
+            tip_radius=tip_radius,
+        )
+
+    @classmethod
+    def from_target(
+        cls,
+        command_id: int,
+        target: PressTarget | None,
+        pose: tuple[float, float, float] | None,
+    ) -> "PressCommand":
+        """Makes the command for a press; no command for None.
+
+        Args:
+            command_id: number of the command, from 1.
+            target: where to press.
+            pose: (x, y, theta) of the object as it was seen at rest, X_WB, m and rad.
+        """
+        if target is None or pose is None:
+            return cls()
+        x, y = target.place
+        edge_x, edge_y = target.edge_point
+        object_x, object_y, object_theta = pose
+        return cls(
+            command_id=command_id,
+            x=x,
+            y=y,
+            edge_x=edge_x,
+            edge_y=edge_y,
+            edge_angle=target.edge_angle,
+            top=target.top,
+            object_x=object_x,
+            object_y=object_y,
+            object_theta=object_theta,
+        )
 
 
 GRASP_COMMAND_SIZE = 6

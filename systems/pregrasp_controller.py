@@ -21,9 +21,12 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
 )
 from gridpush_drake.systems.messages import (
     GRASP_COMMAND_SIZE,
+    PRESS_COMMAND_SIZE,
     PUSH_COMMAND_SIZE,
     GraspCommand,
     GraspStatus,
+    PressCommand,
+    PressStatus,
     PushCommand,
 )
 from gridpush_drake.systems.object_controller import ObjectController
@@ -41,10 +44,12 @@ class PreGraspController(ObjectController[PreGraspState]):
         - push_log
         - push_status
         - grasp_status
+        - press_status
         output_ports:
         - status
         - push_command
         - grasp_command
+        - press_command
 
     * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN if the object was not
       seen.
@@ -53,10 +58,13 @@ class PreGraspController(ObjectController[PreGraspState]):
     * push_log: abstract `PushLog`, all pushes so far; it need not be connected.
     * push_status: abstract `PushStatus` of the executor of pushes.
     * grasp_status: abstract `GraspStatus` of the executor of grasps.
+    * press_status: abstract `PressStatus` of the executor of presses; there only if it weighs.
     * status: abstract `PreGraspStatus`, how the controller stands.
     * push_command: vector of 6, see `PushCommand`; its id is 0 before the first command, while a
       push is broken off, after a command was withdrawn, and while the object is grasped.
     * grasp_command: vector of 6, see `GraspCommand`; its id is 0 before the first command.
+    * press_command: vector of 10, see `PressCommand`; its id is 0 while nothing is weighed. It is
+      there only if the controller weighs.
 
     Abstract state: one `PreGraspState`.
     """
@@ -73,6 +81,7 @@ class PreGraspController(ObjectController[PreGraspState]):
         seed: int = 0,
         options: PreGraspLoopOptions | None = None,
         answer_delay: float | None = 0.0,
+        weighs: bool = False,
     ) -> None:
         """Declares the system.
 
@@ -85,6 +94,8 @@ class PreGraspController(ObjectController[PreGraspState]):
             options: options of the loop.
             answer_delay: time after which a decision is taken, s; None for real time, see
                 `worker.make_worker`.
+            weighs: whether something carries out presses at the table's edge, as a
+                `WeighingPlanner` asks for.
         """
         self.planner = planner
         super().__init__(
@@ -101,9 +112,24 @@ class PreGraspController(ObjectController[PreGraspState]):
             lambda now: PushCommand.from_push(now.push_id, now.shown_push).to_vector(),
         )
         self._declare_vector("grasp_command", GRASP_COMMAND_SIZE, weakly(self._show_grasp))
+        self._press_status = None
+        if weighs:
+            self._press_status = self.DeclareAbstractInputPort(
+                "press_status", AbstractValue.Make(PressStatus())
+            )
+            self._declare_vector(
+                "press_command",
+                PRESS_COMMAND_SIZE,
+                lambda now: PressCommand.from_target(
+                    now.press_id, now.shown_press, now.press_pose
+                ).to_vector(),
+            )
 
     def _observe(self, context: Context) -> Observation:
-        return replace(super()._observe(context), gripper=self._grasp_status.Eval(context))
+        seen = replace(super()._observe(context), gripper=self._grasp_status.Eval(context))
+        if self._press_status is None:
+            return seen
+        return replace(seen, presser=self._press_status.Eval(context))
 
     def _show_grasp(self, now: PreGraspState) -> NDArray[np.float64]:
         """Returns the grasp of a state as the vector on the port."""

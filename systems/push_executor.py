@@ -23,6 +23,7 @@ from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.systems.messages import (
     PUSH_COMMAND_SIZE,
     GraspStatus,
+    PressStatus,
     PushCommand,
     PushPhase,
     PushStatus,
@@ -221,6 +222,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         - push_command
         - object_pose
         - grasp_status
+        - press_status
         output_ports:
         - tip_pose
         - status
@@ -232,6 +234,8 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
       connected if the executor has no outline.
     * grasp_status: abstract `GraspStatus`; while a grasp is under way the tip goes to no lookout.
       It need not be connected.
+    * press_status: abstract `PressStatus`; while a press is under way the tip goes to no lookout,
+      either. It need not be connected.
     * tip_pose: abstract `RigidTransform`, desired X_WP, m, with P at the tip's center and its z
       axis pointing down.
     * status: abstract `PushStatus`, how the executor stands.
@@ -271,6 +275,9 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         self._pose_port = self.DeclareVectorInputPort("object_pose", 3)
         self._grasp_port = self.DeclareAbstractInputPort(
             "grasp_status", AbstractValue.Make(GraspStatus())
+        )
+        self._press_port = self.DeclareAbstractInputPort(
+            "press_status", AbstractValue.Make(PressStatus())
         )
         self.DeclareAbstractOutputPort(
             "tip_pose",
@@ -326,7 +333,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         command = PushCommand.from_vector(vector)
         seen = self._outline is None or bool(np.isfinite(self._pose_port.Eval(context)).all())
         if command.command_id in (0, now.status.command_id) or not seen:
-            return self._look_out(now, time, seen or self._is_grasping(context))
+            return self._look_out(now, time, seen or self._is_elsewhere(context))
         segments, reason = self._plan(context, command, now.rest)
         status = replace(now.status, command_id=command.command_id, reason=reason)
         if reason:
@@ -338,9 +345,10 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             status=replace(status, phase=PushPhase(segments[0].phase)),
         )
 
-    def _is_grasping(self, context: Context) -> bool:
-        """Returns whether a grasp is under way."""
-        return self._grasp_port.HasValue(context) and not self._grasp_port.Eval(context).ready
+    def _is_elsewhere(self, context: Context) -> bool:
+        """Returns whether a grasp or a press is under way, in which others lead the tip."""
+        ports = (self._grasp_port, self._press_port)
+        return any(port.HasValue(context) and not port.Eval(context).ready for port in ports)
 
     def _look_out(self, now: ExecutorState, time: float, content: bool) -> ExecutorState:
         """Waits; and goes to the next lookout if the object has been out of sight for too long.

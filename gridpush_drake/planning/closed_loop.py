@@ -34,7 +34,7 @@ from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.surprise import SurpriseRecord
-from gridpush_drake.planning.robot_status import GraspStatus, PushStatus
+from gridpush_drake.planning.robot_status import GraspStatus, PressStatus, PushStatus
 from gridpush_drake.pushes.push_log import PushLog
 
 Pose = tuple[float, float, float]
@@ -170,6 +170,7 @@ class Observation:
         log: all pushes so far.
         identification: what was learned from them; None before anything was.
         gripper: status of what carries out grasps.
+        presser: status of what carries out presses at the table's edge.
         goal: (3,) pose that is asked for from outside, X_WB, m and rad; NaN for none.
     """
 
@@ -179,12 +180,18 @@ class Observation:
     log: PushLog
     identification: Identification | None = None
     gripper: GraspStatus = field(default_factory=GraspStatus)
+    presser: PressStatus = field(default_factory=PressStatus)
     goal: Array = field(default_factory=lambda: np.full(3, np.nan))
 
     @property
     def seen(self) -> bool:
         """Whether the object is seen."""
         return bool(np.isfinite(self.pose).all())
+
+    @property
+    def robot_ready(self) -> bool:
+        """Whether the robot neither pushes nor grasps nor presses."""
+        return self.robot.ready and self.gripper.ready and self.presser.ready
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +313,7 @@ class ClosedLoop(Generic[L]):
         Returns:
             The state, and whether a decision is due.
         """
-        if not seen.robot.ready or not seen.gripper.ready or now.is_pending(seen.robot):
+        if not seen.robot_ready or now.is_pending(seen.robot):
             return self._wait(now, seen), False
         if now.status.mode in self.pushing_modes:
             now = self._end_push(now, seen)
@@ -328,11 +335,7 @@ class ClosedLoop(Generic[L]):
 
         It is not if the robot is at work, or the object no longer where it was.
         """
-        at_rest = (
-            seen.robot.ready
-            and seen.gripper.ready
-            and self.options.are_of_one_rest(now.filter.poses, seen.pose)
-        )
+        at_rest = seen.robot_ready and self.options.are_of_one_rest(now.filter.poses, seen.pose)
         return not at_rest or now.is_pending(seen.robot)
 
     def is_idle(self, now: L) -> bool:

@@ -7,6 +7,8 @@ reports the same statuses for pushes that it carries out at once (`world.run_loo
 from dataclasses import dataclass
 from enum import StrEnum
 
+from gridpush_drake.planning.weighing.press import PressOutcome
+
 
 class PushPhase(StrEnum):
     """What a push executor is doing."""
@@ -89,3 +91,36 @@ class GraspStatus:
     def ready(self) -> bool:
         """Whether a new command would be taken up now."""
         return self.phase == GraspPhase.IDLE
+
+
+class PressStep(StrEnum):
+    """What a press executor is doing."""
+
+    IDLE = "idle"
+    APPROACHING = "approaching"
+    PRESSING = "pressing"
+    RETURNING = "returning"
+
+
+@dataclass(frozen=True)
+class PressStatus:
+    """What a press executor says of itself.
+
+    Attributes:
+        step: what it is doing.
+        command_id: number of the last command that was taken up or refused; 0 before the first.
+        outcome: how that press ended; None while it is under way, and before the first.
+        reason: what came of it, in half a sentence.
+        weighed: whether it gave a weighing.
+    """
+
+    step: PressStep = PressStep.IDLE
+    command_id: int = 0
+    outcome: PressOutcome | None = None
+    reason: str = ""
+    weighed: bool = False
+
+    @property
+    def ready(self) -> bool:
+        """Whether a new command would be taken up now."""
+        return self.step == PressStep.IDLE

@@ -20,7 +20,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import hypot, inf, isfinite
+from math import hypot, inf, isfinite, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +33,12 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, nearest_turn
 
 Numbers = tuple[float, float, float]
+
+FREE_HEIGHT = 0.01
+"""A tip that is higher by this than in a push touches nothing, m."""
+
+NOT_FELT = (nan, nan, nan)
+"""Force of a sample in which none was measured."""
 
 MAX_SAMPLES = 50_000
 """Largest number of samples of one motion of the tip: 50 s of a robot that says a thousand times a
@@ -47,12 +53,14 @@ class Sample(NamedTuple):
         pose: q = (x, y, theta) of the object, m and rad; not finite where it was not seen.
         tip: p_WP of the tip's center, m.
         velocity: v_WP of the tip, m/s.
+        force: on the tip, N, with whatever offset it has; not finite where none was measured.
     """
 
     t: float
     pose: Numbers
     tip: Numbers
     velocity: Numbers
+    force: Numbers = NOT_FELT
 
 
 @dataclass(frozen=True)
@@ -281,6 +289,7 @@ def make_observed_push(
     if not seen:
         return None
     times = np.array([time for time, _ in seen])
+    force_t, force = _read_force(episode, float(t[0]), end)
     t, xy = thin_path(t, xy, times, options.path_tolerance)
     return ObservedPush(
         name=name,
@@ -288,7 +297,42 @@ def make_observed_push(
         pose=pose,
         t_observed=times - t[0],
         poses_observed=_continue_turns(pose, seen),
+        force_t=force_t,
+        force=force,
     )
+
+
+def _read_force(episode: Episode, begin: float, end: float) -> tuple[Array | None, Array | None]:
+    """Reads the force on the object while the tip moved, without the offset of what measures it.
+
+    The offset is the mean of what was felt before the push with the tip lifted, so that it touched
+    nothing.
+
+    Args:
+        episode: the motion of the tip.
+        begin: when the tip began to move, s.
+        end: when it stopped, s.
+
+    Returns:
+        Times (F,) since the beginning, s, and forces (F, 2) in W, N; None for both where the force
+        was not measured in the push, or the tip was not seen lifted before.
+    """
+    high = episode.path[0].tip[2] + FREE_HEIGHT
+    free = np.array(
+        [
+            seen.force
+            for seen in episode.before
+            if seen.tip[2] > high and np.isfinite(seen.force).all()
+        ]
+    )
+    felt = [
+        seen for seen in episode.path if begin <= seen.t <= end and np.isfinite(seen.force).all()
+    ]
+    if not len(free) or not felt:
+        return None, None
+    # The object feels the opposite of what the tip does.
+    force = free.mean(axis=0) - np.array([seen.force for seen in felt])
+    return np.array([seen.t for seen in felt]) - begin, force[:, :2]
 
 
 def find_begin(episode: Episode, options: RecordOptions) -> float:

@@ -11,11 +11,14 @@ from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.weighed_model import believe_before, weigh_model
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.loop_run import LoopRun, run_loop
+from gridpush_drake.planning.pregrasp.goals import ArmLimits
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
-from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
+from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner, list_edges
+from gridpush_drake.planning.robot_status import PressStatus, PressStep, PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import (
     Edge,
@@ -34,11 +37,13 @@ from gridpush_drake.planning.weighing.press import (
 )
 from gridpush_drake.planning.weighing.region import cut_to_ellipse
 from gridpush_drake.planning.weighing.sequence import (
+    HEAVIER,
     SequenceOptions,
     calc_headings,
     calc_left_open,
     plan_next_press,
 )
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
 from tests.helpers.shapes import rectangle
 
@@ -263,3 +268,90 @@ def test_a_run_goes_on_where_another_one_ended():
     after = run_loop(loop, BAR, None, lambda _: True, begun=before)
     assert after is before
     assert after.state.shown_push is None
+
+
+def make_press_loop():
+    surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+    loop = PreGraspLoop(WeighingPlanner(BAR, surface, PreGraspOptions()), lambda *_: None)
+    state = replace(loop.begin(), press=TARGET, press_id=1, press_pose=(0.0, 0.0, 0.0))
+    return loop, state.turn_to("weighing", "It is weighed.")
+
+
+def watch(loop, state, presser):
+    seen = Observation(
+        time=1.0, pose=np.zeros(3), robot=PushStatus(), log=PushLog(()), presser=presser
+    )
+    return loop.step(state, seen)
+
+
+def test_a_loop_waits_for_a_press_and_looks_anew_after_it():
+    loop, state = make_press_loop()
+    assert state.shown_press is TARGET
+    for under_way in (
+        PressStatus(),
+        PressStatus(PressStep.PRESSING, 1),
+        # The outcome is known, but the tip is still on its way back.
+        PressStatus(PressStep.RETURNING, 1, PressOutcome.TILTED, "it tilts", True),
+    ):
+        state = watch(loop, state, under_way)
+        assert state.status.mode == "weighing"
+    done = PressStatus(PressStep.IDLE, 1, PressOutcome.TILTED, "it tilts at 4.0 N", True)
+    after = watch(loop, state, done)
+    assert after.status.mode == "waiting"
+    assert after.status.presses == 1
+    assert after.status.reason == "It was pressed at the edge: it tilts at 4.0 N."
+    assert after.shown_press is None
+
+
+def test_presses_that_weigh_nothing_suppose_a_heavier_object_and_end_at_last():
+    loop, state = make_press_loop()
+    withstood = PressStatus(PressStep.IDLE, 1, PressOutcome.TOO_HEAVY, "it lay still", False)
+    factors = []
+    for _ in range(loop.options.max_failed_presses):
+        planner = loop._choose_planner(state)
+        factors.append(planner._make_rules(believe_before(describe_prior(BAR))).mass)
+        state = watch(loop, state, withstood)
+        if state.status.mode == "failed":
+            break
+        assert state.status.mode == "waiting"
+        state = state.turn_to("weighing", "Once more.")
+    np.testing.assert_allclose(np.diff(np.log(factors)), np.log(HEAVIER))
+    assert state.status.mode == "failed"
+    assert state.status.presses == 0
+    assert "4 presses in a row weighed nothing" in state.status.reason
+
+
+def test_near_a_corner_of_the_table_nothing_is_pressed():
+    """There an object hangs over two edges, or its edge ends below it: it would tilt otherwise."""
+    surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+    planner = WeighingPlanner(BAR, surface, PreGraspOptions())
+    (right,) = (edge for edge in list_edges(surface) if edge.line.normal[0] > 0.9)
+    assert planner._hangs_over_only(right, np.array([0.4, 0.0, 0.0]))
+    assert planner._hangs_over_only(right, np.array([0.4, 0.36, 0.0]))
+    assert not planner._hangs_over_only(right, np.array([0.4, 0.368, 0.0]))
+    assert not planner._hangs_over_only(right, np.array([0.4, 0.39, 0.0]))
+
+
+def test_where_the_arm_cannot_press_nothing_is_planned():
+    obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
+    found = describe_prior(obj)
+    belief = replace(
+        believe_before(found), covariance=np.diag([0.9, 0.018**2, 0.006**2, 0.1]), presses=1
+    )
+    model = replace(UncertainModel.of_identification(found), belief=belief)
+    surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+    asked = []
+
+    def can_press(target, pose):
+        asked.append(target)
+        return False
+
+    planner = WeighingPlanner(
+        obj,
+        surface,
+        PreGraspOptions(max_pokes=0, min_pokes=0),
+        limits=ArmLimits(can_press=can_press),
+    )
+    for pose in ([0.2, 0.0, 0.0], [0.4, 0.0, 0.0]):
+        assert planner.decide(np.array(pose), model).action == "fail"
+    assert len(asked) > 1

@@ -11,9 +11,11 @@ from gridpush_drake.errors import IdentificationError, SimulationError
 from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
 from gridpush_drake.systems import grid_identifier
 from gridpush_drake.systems.grid_identifier import GridIdentifier, IdentifierState
 from gridpush_drake.systems.poke_policy import RandomPokeOptions
@@ -128,6 +130,30 @@ def test_log_holds_what_was_to_be_seen(cold):
     assert np.abs(errors).max() < 4e-4, (
         "poses belong to the tip's place at their time, with the camera's delay"
     )
+
+
+def test_weighings_and_forces_make_the_estimate_absolute(cold):
+    """As `weigh_model` does of what was learned from the pushes alone; older weighings are kept."""
+    obj = cold.parts.identifier.obj
+    log = cold.eval("push_log")
+    pushed = identify(obj, log, seed=1)
+    press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
+    lift = Lift(np.zeros(3), np.array([0.0, 0.1]), 6.0)
+    system = GridIdentifier(obj, seed=1)
+    state = replace(
+        IdentifierState(), log=log, estimate=grid_identifier._make_estimate(pushed, log)
+    )
+    for weighings in (WeighingLog((press,)), WeighingLog((press,), (lift,))):
+        state = system._weigh(state, weighings)
+        expected = weigh_model(pushed, weighings).absolute
+        np.testing.assert_array_equal(state.estimate.found.absolute.mean, expected.mean)
+        np.testing.assert_array_equal(state.estimate.center_of_mass, expected.center_of_mass)
+        assert state.estimate.pushed is pushed
+    # After the object became another one, what was weighed before does not count.
+    changed = replace(state, weighed_before=(1, 1))
+    assert not len(changed.counting_weighings)
+    again = system._weigh(changed, WeighingLog((press, press), (lift,)))
+    assert (again.estimate.found.absolute.presses, again.estimate.found.absolute.lifts) == (1, 0)
 
 
 def test_warm_start_ends_at_the_same_answer(cold):

@@ -22,10 +22,12 @@ from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
+from gridpush_drake.systems.lift_scale import LiftScale
 from gridpush_drake.systems.messages import GraspCommand, GraspOutcome, GraspPhase, PushCommand
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.poke_policy import PokePolicy
 from gridpush_drake.systems.pregrasp_controller import PreGraspController
+from gridpush_drake.systems.press_executor import PressExecutor
 from gridpush_drake.systems.push_executor import PushExecutor
 from gridpush_drake.systems.pusher_gate import PusherGate
 from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
@@ -40,6 +42,8 @@ RULES = GoalRules(
 POSE = np.array([0.01, 0.02, 0.3])
 PUSH = np.array([0.3, 0.0, np.pi, 0.05, 0.05])
 GRASP = np.array([0.5, 0.0, 0.015, np.pi, 0.1])
+PRESS = np.array([*OBJ.outline.centroid.coords[0], -0.02, 0.0, 0.0, 0.03, 0.0, 0.0, 0.0])
+COMMANDS = {"push_command": PUSH, "grasp_command": GRASP, "press_command": PRESS}
 OPEN_GRIPPER = np.array([-0.05, 0.05, 0.0, 0.0])
 UNIFORM = CellParameters.uniform(OBJ)
 STEPS, STEP, SHARE = 60, 0.11, 0.4
@@ -59,6 +63,9 @@ GOOD = {
     "center_of_mass": np.zeros(2),
     "center_of_mass_covariance": 1e-4 * np.eye(2).ravel(),
     "gripper_state": OPEN_GRIPPER,
+    "force": np.array([0.3, -0.2, 1.0]),
+    "grasp_wrench": np.array([0.1, 0.0, 0.0, 0.0, 0.0, -5.0]),
+    "other_tip_pose": make_transform((0.5, 0.0, 0.2, 0.0)),
     "push_tip_pose": make_transform((0.5, 0.0, 0.2, 0.0)),
     "body_poses": [RigidTransform(), RigidTransform([0.1, 0.0, 0.0])],
     "body_spatial_velocities": [SpatialVelocity.Zero(), SpatialVelocity.Zero()],
@@ -75,6 +82,8 @@ SYSTEMS = {
     ),
     "push": lambda: PushExecutor((0.5, 0.0, 0.2), OBJ.outline),
     "grasp": GraspExecutor,
+    "press": lambda: PressExecutor(OBJ),
+    "lift": LiftScale,
     "camera": lambda: PlanarPoseSensor(BodyIndex(1)),
     "tip": lambda: PusherStateSensor(BodyIndex(1)),
     "gate": PusherGate,
@@ -104,7 +113,7 @@ def find_good(port, count):
     """What a port shows on a good day; a new command at every tenth count."""
     name, number = port.get_name(), 1 + count // 10
     if name.endswith("_command"):
-        return np.concatenate([[number], PUSH if name == "push_command" else GRASP])
+        return np.concatenate([[number], COMMANDS[name]])
     return (
         GOOD[name][: port.size()]
         if port.get_data_type() == PortDataType.kVectorValued

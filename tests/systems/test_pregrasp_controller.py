@@ -16,12 +16,15 @@ from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
 from gridpush_drake.planning.pregrasp.side_grasp import find_side_grasps
+from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.systems.messages import (
     GraspCommand,
     GraspOutcome,
     GraspStatus,
+    PressCommand,
     PushCommand,
     PushPhase,
     PushStatus,
@@ -269,3 +272,24 @@ def test_a_clone_of_the_context_goes_the_same_way(learned):
 def test_refuses_options_out_of_range(options):
     with pytest.raises(PlanningError, match=next(iter(options))):
         PreGraspLoopOptions(**options)
+
+
+def test_what_it_presses_stands_on_a_port_only_if_it_weighs():
+    plain = Robot((0.0, 0.0, 0.0)).controller
+    assert not plain.HasOutputPort("press_command")
+    planner = WeighingPlanner(BAR, TABLE)
+    controller = PreGraspController(planner, Robot.find_grasp, weighs=True)
+    context = controller.CreateDefaultContext()
+    port = controller.GetOutputPort("press_command")
+    assert PressCommand.from_vector(port.Eval(context)).command_id == 0
+    target = PressTarget((0.02, 0.1), (0.0, 0.08), 1.5, 0.03, 0.008)
+    asked = replace(controller.loop.begin(), press=target, press_id=3, press_pose=(0.0, 0.1, 0.2))
+    asked = asked.turn_to("weighing", "It is weighed.")
+    context.SetAbstractState(0, asked)
+    command = PressCommand.from_vector(port.Eval(context))
+    assert command.command_id == 3
+    assert command.make_target(0.008) == target
+    np.testing.assert_array_equal(command.object_pose, (0.0, 0.1, 0.2))
+    # After the press, or where it was given up, none is asked for.
+    context.SetAbstractState(0, asked.turn_to("waiting", "It was pressed."))
+    assert PressCommand.from_vector(port.Eval(context)).command_id == 0

@@ -36,6 +36,7 @@ from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_suppo
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import PushRule, make_body
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.weighing.press import PressTarget
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +49,14 @@ class ArmLimits:
         can_push: whether the arm can carry out a push.
         can_grasp: whether the gripper can take the object where a goal has it, given the masses
             that it may have.
+        can_press: whether the finger can press there, with the object at a pose (3,).
     """
 
     finger_region: BaseGeometry | None = None
     edge_region: BaseGeometry | None = None
     can_push: PushRule | None = None
     can_grasp: Callable[["PreGraspGoal", PlausibleMassSet], bool] | None = None
+    can_press: Callable[[PressTarget, Array], bool] | None = None
 
 
 ANY_ARM = ArmLimits()

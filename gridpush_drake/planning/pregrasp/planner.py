@@ -267,6 +267,10 @@ class PreGraspPlanner:
             return flat
         return replace(flat, reason=f"{decision.reason}; and by the rim, {flat.reason}")
 
+    def suppose_heavier(self) -> "PreGraspPlanner":
+        """Makes a planner for an object that withstood a press; itself if it never presses."""
+        return self
+
     def _decide_by_rim(
         self, q: Array, model: UncertainModel, pokes: int, slides: int
     ) -> PreGraspDecision:

@@ -4,6 +4,8 @@
        |                  |                   ^
        |                  +--> stopping ------+           a push is broken off in which the object
        |                                      ^           might fall, or hit something
+       +--> weighing -------------------------+           a press at the edge, then a new look
+       |                                      ^
        +--> verifying --> grasping -----------+           an object that was missed, or slipped, is
                              |                            observed anew
                              +--> holding
@@ -16,6 +18,9 @@ is simply taken from where it lies.
 After two surprises in a row (`identification.surprise`) the object is another one than was learned.
 The planner then begins anew: it pokes until it knows enough, before it slides on. If an object that
 surprised clearly hangs over the edge, nothing more is done: neither slid nor grasped.
+
+It weighs only where its planner does (`weighing_planner`). An object that withstood a press is
+heavier than was supposed, and is pressed where less force would do.
 """
 
 from collections.abc import Callable
@@ -49,9 +54,14 @@ from gridpush_drake.planning.pregrasp.planner import (
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import PushMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
-from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, PushPhase
+from gridpush_drake.planning.robot_status import (
+    GraspOutcome,
+    GraspStatus,
+    PressStatus,
+    PushPhase,
+)
 from gridpush_drake.planning.support_surface import find_supported
-from gridpush_drake.planning.weighing.press import PressTarget
+from gridpush_drake.planning.weighing.press import PressOutcome, PressTarget
 from gridpush_drake.pushes.push_log import PushLog
 
 FindGrasp = Callable[[Array, Array, PlausibleMassSet, bool], SideGrasp | None]
@@ -94,6 +104,7 @@ class PreGraspStatus:
         pokes: number of pokes asked for so far and not refused.
         slides: number of slides asked for so far and not refused.
         grasps: number of grasps asked for so far.
+        presses: number of presses so far that weighed the object.
         goal: the goal that the object is slid to, or grasped at; None where there is none.
         expected_pose: (x, y, theta) where the push under way is expected to leave the object, m and
             rad; None without.
@@ -108,6 +119,7 @@ class PreGraspStatus:
     pokes: int = 0
     slides: int = 0
     grasps: int = 0
+    presses: int = 0
     goal: PreGraspGoal | None = None
     expected_pose: Pose | None = None
     margin: float = nan
@@ -127,12 +139,15 @@ class PreGraspLoopOptions(LoopOptions):
 
     Attributes:
         max_grasps: number of grasps after which the loop gives up.
+        max_failed_presses: number of presses in a row that weighed nothing after which the loop
+            gives up.
     """
 
     observations: int = 8
     timeout: float = 2.0
     max_refusals: int = 5
     max_grasps: int = 3
+    max_failed_presses: int = 4
 
 
 NO_PUSH = (
@@ -157,6 +172,11 @@ class PreGraspState(LoopState):
         pokes_before: number of pokes made before the loop last fell back to pokes.
         slides_before: number of slides made before that.
         press: the last press asked for; None before the first.
+        press_id: number of that press, counted from 1; 0 before the first.
+        press_pose: (x, y, theta) where the object lay then, m and rad; None before the first.
+        withstood: number of presses at which the object did not tilt, since the last one at which
+            it did.
+        failed_presses: number of presses in a row that weighed nothing.
     """
 
     status: PreGraspStatus = field(default_factory=PreGraspStatus)
@@ -166,6 +186,15 @@ class PreGraspState(LoopState):
     pokes_before: int = 0
     slides_before: int = 0
     press: PressTarget | None = None
+    press_id: int = 0
+    press_pose: Pose | None = None
+    withstood: int = 0
+    failed_presses: int = 0
+
+    @property
+    def shown_press(self) -> PressTarget | None:
+        """The press that is asked for: none before the first, and where it was taken back."""
+        return self.press if self.status.mode == PreGraspMode.WEIGHING else None
 
     @property
     def shown_push(self) -> Push | None:
@@ -237,6 +266,9 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         if now.status.mode == PreGraspMode.GRASPING:
             now = replace(now, filter=now.filter.wait(seen.time, seen.pose))
             return self._follow_grasp(now, seen.gripper), False
+        if now.status.mode == PreGraspMode.WEIGHING:
+            now = replace(now, filter=now.filter.wait(seen.time, seen.pose))
+            return self._follow_press(now, seen.presser), False
         return super().observe(now, seen)
 
     def _wait(self, now: PreGraspState, seen: Observation) -> PreGraspState:
@@ -315,7 +347,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             return stopped
         try:
             uncertain = self._infer(seen.identification, seen.log)
-            decision = self.planner.decide(
+            decision = self._choose_planner(now).decide(
                 pose,
                 uncertain,
                 now.status.pokes - now.pokes_before,
@@ -327,7 +359,13 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         if decision.action == "fail":
             return now.turn_to(FAILED, reason, goal=decision.goal, margin=decision.margin)
         if decision.press is not None:
-            now = replace(now, press=decision.press)
+            x, y, theta = pose.tolist()
+            now = replace(
+                now,
+                press=decision.press,
+                press_id=now.press_id + 1,
+                press_pose=(x, y, theta),
+            )
             return now.turn_to(PreGraspMode.WEIGHING, reason, goal=None)
         if decision.push is not None:
             return self._push(now, pose, uncertain, decision, decision.push, seen)
@@ -338,6 +376,13 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             )
         assert uncertain is not None
         return self._grasp(now, pose, uncertain, decision)
+
+    def _choose_planner(self, now: PreGraspState) -> PreGraspPlanner:
+        """The planner, which supposes a heavier object for each press that this one withstood."""
+        planner = self.planner
+        for _ in range(now.withstood):
+            planner = planner.suppose_heavier()
+        return planner
 
     def _push(
         self,
@@ -407,6 +452,22 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             goal=goal,
             margin=decision.margin,
         )
+
+    def _follow_press(self, now: PreGraspState, presser: PressStatus) -> PreGraspState:
+        """The state while a press is under way, and after it."""
+        if presser.command_id != now.press_id or presser.outcome is None or not presser.ready:
+            return now
+        what = f"It was pressed at the edge: {presser.reason}."
+        if presser.weighed:
+            weighed = replace(now, withstood=0, failed_presses=0)
+            return weighed.turn_to(WAITING, what, presses=now.status.presses + 1)
+        failed = replace(now, failed_presses=now.failed_presses + 1)
+        if presser.outcome == PressOutcome.TOO_HEAVY:
+            failed = replace(failed, withstood=now.withstood + 1)
+        if failed.failed_presses < self.options.max_failed_presses:
+            return failed.turn_to(WAITING, what)
+        count = failed.failed_presses
+        return failed.turn_to(FAILED, f"{count} presses in a row weighed nothing. {what}")
 
     def _follow_grasp(self, now: PreGraspState, gripper: GraspStatus) -> PreGraspState:
         """The state while a grasp is under way, and after it."""

@@ -1,4 +1,4 @@
-"""The pre-grasp planner that weighs where the others give up.
+"""The pre-grasp planner that weighs where the others give up, or go on poking.
 
 Where friction may be anything, pokes cannot tell how far the center of mass is from the edge: a
 light, rough part and a heavy, smooth one look the same. `PreGraspPlanner` gives up then. This one
@@ -11,12 +11,14 @@ section 8.
 
 from copy import copy
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
 from gridpush_drake.identification.absolute import AbsoluteEstimate
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
@@ -30,6 +32,7 @@ from gridpush_drake.planning.weighing.plan import (
     list_rests,
     plan_press,
 )
+from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.planning.weighing.sequence import (
     HEAVIER,
     SequenceOptions,
@@ -48,6 +51,10 @@ CORNER_ROOM = 0.15
 """Least distance of an object's middle from a corner of the table, along the edge, where it is
 weighed, m."""
 
+ENOUGH = 3.0
+"""What `calc_open` says if mass and both coordinates of the center are known just well enough. Then
+nothing more is weighed."""
+
 MAX_RESTS = 6
 """Number of places to be weighed at that a slide may go to."""
 
@@ -61,21 +68,29 @@ class WeighingOptions:
         min_gain: share of what is open of mass and center that a press must be expected to take
             away.
         max_presses: greatest number of presses that tilted the object.
+        edge_room: how far inside the ends of its edge an object crosses that edge where it is
+            weighed, m; and how far it keeps from all other edges.
+        top: height of the object's top, m; None for what its file says.
     """
 
     sequence: SequenceOptions = field(default_factory=SequenceOptions)
     min_gain: float = 0.2
     max_presses: int = 8
+    edge_room: float = 0.005
+    top: float | None = None
 
 
 class WeighingPlanner(PreGraspPlanner):
-    """Decides as `PreGraspPlanner`, and weighs instead of giving up.
+    """Decides as `PreGraspPlanner`, and weighs instead of giving up or poking on.
 
     Attributes:
         weighing: when and how it weighs.
+        withstood: number of presses that the object withstood, for each of which it is supposed to
+            be heavier.
     """
 
     weighing: WeighingOptions = WeighingOptions()
+    withstood: int = 0
 
     # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
     @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -84,9 +99,14 @@ class WeighingPlanner(PreGraspPlanner):
     ) -> PreGraspDecision:
         """Decides what to do next; see `PreGraspPlanner.decide`."""
         decision = super().decide(pose, model, pokes, slides)
-        if decision.action != "fail" or model is None or model.belief is None:
+        if decision.action not in ("fail", "poke") or model is None or model.belief is None:
+            return decision
+        # The first pokes tell how friction is spread. After that a press tells more than a poke.
+        if decision.action == "poke" and pokes < self.options.min_pokes:
             return decision
         if model.belief.presses >= self.weighing.max_presses or slides >= self.options.max_slides:
+            return decision
+        if calc_open(model.belief.covariance, self.weighing.sequence) <= ENOUGH:
             return decision
         q = np.asarray(pose, dtype=np.float64)
         belief = model.belief
@@ -104,20 +124,20 @@ class WeighingPlanner(PreGraspPlanner):
         center of mass farther inside, than was supposed.
         """
         heavier = copy(self)
-        sequence = self.weighing.sequence
-        rules = replace(sequence.rules, mass=HEAVIER * sequence.rules.mass)
-        heavier.weighing = replace(self.weighing, sequence=replace(sequence, rules=rules))
+        heavier.withstood = self.withstood + 1
         return heavier
 
     @property
     def _top(self) -> float:
         """Height of the object's top, m."""
-        return self.obj.height or DEFAULT_TOP
+        return self.weighing.top or self.obj.height or DEFAULT_TOP
 
     def _make_rules(self, belief: AbsoluteEstimate) -> PressRules:
         """Makes the rules of a press, which suppose the mass that is known by now."""
         rules = self.weighing.sequence.rules
-        return replace(rules, mass=max(belief.total_mass, rules.mass)) if belief.presses else rules
+        known = belief.presses or belief.pushes
+        mass = belief.total_mass if known else rules.mass
+        return replace(rules, mass=mass * HEAVIER**self.withstood)
 
     def _calc_gain(self, belief: AbsoluteEstimate, planned: PlannedPress) -> float:
         """Calculates the share of what is open that a press is expected to take away."""
@@ -131,10 +151,31 @@ class WeighingPlanner(PreGraspPlanner):
         """Finds a press where the object lies now (3,); None where none is safe and tells much."""
         rules = self._make_rules(belief)
         for edge in list_edges(self.surface):
+            if not self._hangs_over_only(edge, pose):
+                continue
             planned = plan_press(self.obj, centers, pose, edge.line, self._top, rules)
-            if planned is not None and self._calc_gain(belief, planned) >= self.weighing.min_gain:
+            if planned is None or self._calc_gain(belief, planned) < self.weighing.min_gain:
+                continue
+            if self._can_press(planned.target, pose):
                 return planned
         return None
+
+    def _can_press(self, target: PressTarget, pose: Array) -> bool:
+        """Says whether the arm can press there, with the object at a pose (3,)."""
+        return self.limits.can_press is None or self.limits.can_press(target, pose)
+
+    def _hangs_over_only(self, edge: "TableEdge", pose: Array) -> bool:
+        """Says whether an object at a pose (3,) hangs over one edge, and over no other.
+
+        Near a corner of the table it would tilt about the corner instead of the edge.
+        """
+        room = self.weighing.edge_room
+        outline = shapely.get_coordinates(transform_shape(pose, self.obj.outline))
+        for other in list_edges(self.surface):
+            if other != edge and other.line.calc_beyond(outline).max() > -room:
+                return False
+        along = edge.line.calc_along(outline)
+        return bool(along.min() >= room and along.max() <= edge.length - room)
 
     def _slide_to_weigh(
         self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate
@@ -152,7 +193,7 @@ class WeighingPlanner(PreGraspPlanner):
         centers = model.masses.center_of_mass_polygon
         rules = self._make_rules(belief)
         middle = pose[:2]
-        found: list[PreGraspGoal] = []
+        found: list[tuple[PreGraspGoal, PressTarget]] = []
         for edge in list_edges(self.surface):
             along = float(edge.line.calc_along(middle))
             along = float(np.clip(along, CORNER_ROOM, max(edge.length - CORNER_ROOM, CORNER_ROOM)))
@@ -163,10 +204,14 @@ class WeighingPlanner(PreGraspPlanner):
                     self.obj, centers, theta, edge.line, self._top, rules, along=along
                 )
                 for planned in rests:
-                    if self._calc_gain(belief, planned) >= self.weighing.min_gain:
-                        found.append(self._make_goal(pose, planned))
-        found.sort(key=lambda goal: goal.travel)
-        return found[:MAX_RESTS]
+                    if self._calc_gain(belief, planned) < self.weighing.min_gain:
+                        continue
+                    if self._hangs_over_only(edge, planned.pose):
+                        found.append((self._make_goal(pose, planned), planned.target))
+        # The arm is asked last, for that takes longest.
+        found.sort(key=lambda one: one[0].travel)
+        reached = (goal for goal, target in found if self._can_press(target, goal.pose))
+        return list(islice(reached, MAX_RESTS))
 
     def _make_goal(self, pose: Array, planned: PlannedPress) -> PreGraspGoal:
         """Makes a goal of a slide of where an object is to be pressed."""

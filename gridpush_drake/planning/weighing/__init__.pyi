@@ -9,5 +9,6 @@ from .press import PressSample as PressSample
 from .press import PressState as PressState
 from .press import PressTarget as PressTarget
 from .press import advance_press as advance_press
+from .press import break_off as break_off
 from .sequence import SequenceOptions as SequenceOptions
 from .sequence import plan_next_press as plan_next_press

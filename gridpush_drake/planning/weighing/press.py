@@ -67,6 +67,12 @@ class PressOutcome(StrEnum):
     """The tip went below the object's top without meeting anything."""
     NO_FORCE = "no_force"
     """A force or a place that was measured was not finite."""
+    MOVED = "moved"
+    """The object was seen to move away while it was pressed."""
+    BROKEN_OFF = "broken_off"
+    """Whoever asked for the press took it back."""
+    REFUSED = "refused"
+    """The press was not begun: it makes no sense, or the arm does not get there."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,10 @@ class PressOptions:
     Attributes:
         clearance: height over the object's top at which the tip hovers, m.
         approach_speed: speed in the air, m/s.
+        descent_speed: speed of going down while the tip is higher than `slow_above` over the
+            object's top, m/s.
+        slow_above: height over the top from which on the tip goes down slowly, m; more than the
+            height is uncertain by.
         tare_time: how long the force's offset is averaged, s.
         tilt_rate: rate at which the object tilts once it gives way, rad/s; it sets the speed.
         notice_tilt: tilt within which giving way is noticed, rad.
@@ -91,6 +101,8 @@ class PressOptions:
         dwell_time: how long the force is averaged at the tilt, s.
         max_tilt: greatest tilt; the tip goes up at once if the object tilts further, rad.
         max_force: greatest force, N. If the object does not tilt with it, the press ends.
+        force_time: how long the force is averaged to see whether it is as great as that, s. A stiff
+            arm's force grows fast.
         max_depth: how far below the object's top the tip may go without touching, m.
         force_std: standard deviation of one sample of the force, per axis, N.
         force_floor: standard deviation of what averaging does not take away, N.
@@ -98,6 +110,8 @@ class PressOptions:
 
     clearance: float = 0.004
     approach_speed: float = 0.1
+    descent_speed: float = 0.015
+    slow_above: float = 0.0015
     tare_time: float = 0.5
     tilt_rate: float = radians(5.0)
     notice_tilt: float = radians(0.2)
@@ -110,6 +124,7 @@ class PressOptions:
     dwell_time: float = 0.5
     max_tilt: float = radians(1.0)
     max_force: float = 50.0
+    force_time: float = 0.02
     max_depth: float = 0.004
     force_std: float = FORCE_STD
     force_floor: float = 0.03
@@ -270,6 +285,22 @@ def advance_press(
     return replace(after, last=sample.time)
 
 
+def break_off(now: PressState, sample: PressSample, outcome: PressOutcome) -> PressState:
+    """Ends a press early: the tip lets go and goes up.
+
+    Args:
+        now: the state so far.
+        sample: what is measured.
+        outcome: why it ends.
+
+    Returns:
+        The state then; `now` itself where the tip is on its way up already.
+    """
+    if now.phase in (PressPhase.RETREATING, PressPhase.DONE):
+        return now
+    return _retreat(now, sample, outcome)
+
+
 def _hover(
     target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
 ) -> PressState:
@@ -299,6 +330,8 @@ def _press(
     """Goes down, and looks for the object to give way."""
     assert now.command is not None
     speed = options.tilt_rate * target.calc_arm(sample.tip)
+    if now.touched is None and sample.tip[2] > target.hover[2] + options.slow_above:
+        speed = max(speed, options.descent_speed)
     now = _follow(now, sample)
     assert now.command is not None
     moved = _move(now, sample, now.command - np.array([0.0, 0.0, 1.0]), speed)
@@ -314,7 +347,8 @@ def _press(
     touches = is_full and force >= options.touch_force
     if not touches and sample.tip[2] < target.hover[2] - options.max_depth:
         return _retreat(moved, sample, PressOutcome.NO_CONTACT)
-    if force >= options.max_force:
+    latest = [one.force[2] for one, _ in window if sample.time - one.time <= options.force_time]
+    if float(np.mean(latest)) - float(now.tare[0][2]) >= options.max_force:
         return _retreat(moved, sample, PressOutcome.TOO_HEAVY)
 
     # It gives way if the tip goes on as it is commanded, and did not just come through the air.

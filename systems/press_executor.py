@@ -1,0 +1,392 @@
+"""`PressExecutor`: an arm presses on what hangs over the table's edge, and notes what it felt.
+
+The tip goes over the object and down to just above it. Then `planning.weighing.press` takes over:
+the tip goes down slowly until the object begins to tilt, and up again. What is not done here is to
+choose where to press (`planning.weighing.plan`) or to say what a press means
+(`identification.absolute`).
+"""
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context
+
+from gridpush_drake.frozen import Unchanging
+from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
+from gridpush_drake.multibody.tool_motion import (
+    ToolPose,
+    TrajectorySegment,
+    calc_tool_pose,
+    make_transform,
+)
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.weighing.press import (
+    PressOptions,
+    PressOutcome,
+    PressPhase,
+    PressSample,
+    PressState,
+    PressTarget,
+    advance_press,
+    break_off,
+)
+from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
+from gridpush_drake.systems.messages import (
+    PRESS_COMMAND_SIZE,
+    GraspStatus,
+    PressCommand,
+    PressStatus,
+    PressStep,
+    PushStatus,
+)
+from gridpush_drake.systems.object_controller import AbstractStateSystem
+from gridpush_drake.systems.push_executor import (
+    NOT_FINITE,
+    SPEED_SCALES,
+    PushTrajectoryOptions,
+    Reach,
+)
+
+MM = 1e3
+"""Millimeters in a meter."""
+
+MAX_MOVE = 0.01
+"""If the object is seen farther than this from where it lay, m, the press is broken off."""
+
+MAX_TURN = 0.1
+"""If the object is seen turned by more than this from how it lay, rad, the press is broken off."""
+
+ARM_PRESS = PressOptions(approach_speed=0.02, max_force=24.0)
+"""How an arm presses: as `PressOptions`, but slower just above the object, so that the joints'
+accelerations stay small."""
+
+WHAT_CAME = {
+    PressOutcome.TOO_HEAVY: "the object lay still up to the greatest force",
+    PressOutcome.NO_CONTACT: "the tip met nothing where the object's top should be",
+    PressOutcome.NO_FORCE: "force or place of the tip was not finite",
+    PressOutcome.MOVED: "the object was seen to move away",
+    PressOutcome.BROKEN_OFF: "it was taken back",
+}
+"""What came of a press that gave no weighing, in half a sentence."""
+
+
+@dataclass(frozen=True, eq=False)
+class PressExecutorState(Unchanging):
+    """All that the executor remembers; never changed, only replaced.
+
+    Attributes:
+        segments: the current motion through the air and those still to come.
+        segment_start: when the current one began, s.
+        command: the last command that was taken up.
+        yaw: yaw of the tool, which stays as it is, rad.
+        press: how the press stands; None before the tip is above the object.
+        status: the status on the port.
+        weighings: what came of the presses so far.
+    """
+
+    segments: tuple[TrajectorySegment, ...] = ()
+    segment_start: float = 0.0
+    command: PressCommand = field(default_factory=PressCommand)
+    yaw: float = 0.0
+    press: PressState | None = None
+    status: PressStatus = field(default_factory=PressStatus)
+    weighings: WeighingLog = field(default_factory=WeighingLog)
+
+
+class PressExecutor(AbstractStateSystem[PressExecutorState]):
+    """Presses on a part of an object that hangs over the table's edge, with an arm's fingertip.
+
+    While nothing is pressed, the pose that the other executors desire is passed on.
+
+    A command is taken up when all executors are idle and its id differs from the last one's. It is
+    refused, with the reason in the status, if its numbers are not finite, if the place is not on
+    the object and beyond the edge, or if the arm cannot follow. A command that is taken back, by
+    another one with id 0, and an object that is seen to move away end a press at once.
+
+    .. pydrake_system::
+
+        name: PressExecutor
+        input_ports:
+        - other_tip_pose
+        - push_status
+        - grasp_status
+        - press_command
+        - object_pose
+        - pusher_state
+        - force
+        output_ports:
+        - tip_pose
+        - status
+        - weighing_log
+
+    * other_tip_pose: abstract `RigidTransform`, X_WP that the other executors desire, m; at rest
+      while these are idle.
+    * push_status: abstract `PushStatus` of the executor of pushes.
+    * grasp_status: abstract `GraspStatus` of the executor of grasps; it need not be connected.
+    * press_command: vector of 10, see `PressCommand`. It need not be connected.
+    * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN where it is not seen.
+    * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s.
+    * force: vector of 3, force on the tip in W, N, with whatever offset it has.
+    * tip_pose: abstract `RigidTransform`, desired X_WP, m.
+    * status: abstract `PressStatus`, how the executor stands.
+    * weighing_log: abstract `WeighingLog`, what came of all presses so far.
+
+    Abstract state: one `PressExecutorState`.
+    """
+
+    __slots__ = NO_SLOTS
+
+    def __init__(
+        self,
+        obj: GridObject,
+        reach: Reach | None = None,
+        style: PushTrajectoryOptions | None = None,
+        options: PressOptions | None = None,
+    ) -> None:
+        """Makes an executor.
+
+        Args:
+            obj: the object.
+            reach: says why the arm cannot follow a path; None if it always can.
+            style: heights and speeds of the tip's way through the air, and its radius.
+            options: how presses are made.
+        """
+        self.style = style or PushTrajectoryOptions()
+        self.options = options or ARM_PRESS
+        super().__init__(PressExecutorState(), self.style.period)
+        self._outline = obj.outline
+        self._reach = reach
+        self._other_pose = self.DeclareAbstractInputPort(
+            "other_tip_pose", AbstractValue.Make(RigidTransform())
+        )
+        self._push_status = self.DeclareAbstractInputPort(
+            "push_status", AbstractValue.Make(PushStatus())
+        )
+        self._grasp_status = self.DeclareAbstractInputPort(
+            "grasp_status", AbstractValue.Make(GraspStatus())
+        )
+        self._command = self.DeclareVectorInputPort("press_command", PRESS_COMMAND_SIZE)
+        self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
+        self._tip = self.DeclareVectorInputPort("pusher_state", 6)
+        self._force = self.DeclareVectorInputPort("force", 3)
+        self.DeclareAbstractOutputPort(
+            "tip_pose",
+            lambda: AbstractValue.Make(RigidTransform()),
+            weakly(self._calc_tip_pose),
+            {self.time_ticket(), self._remembered, self._other_pose.ticket()},
+        )
+        self._declare_value("status", lambda now: now.status)
+        self._declare_value("weighing_log", lambda now: now.weighings)
+
+    def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
+        now = self._get_state(context)
+        if now.segments:
+            place = now.segments[0].position(context.get_time() - now.segment_start)
+        elif now.press is not None and now.press.command is not None:
+            place = now.press.command
+        else:
+            output.set_value(self._other_pose.Eval(context))
+            return
+        output.set_value(make_transform([*place, now.yaw]))
+
+    def _go_on(self, context: Context, now: PressExecutorState) -> PressExecutorState:
+        """Goes on with a press, or takes up or refuses a command."""
+        if now.status.step == PressStep.IDLE:
+            return self._take_up(context, now)
+        if now.status.step == PressStep.PRESSING:
+            return self._press(context, now)
+        return self._travel(context, now)
+
+    def _take_up(self, context: Context, now: PressExecutorState) -> PressExecutorState:
+        """Takes up or refuses a new command."""
+        if not self._command.HasValue(context) or not self._push_status.Eval(context).ready:
+            return now
+        if self._grasp_status.HasValue(context) and not self._grasp_status.Eval(context).ready:
+            return now
+        command = PressCommand.from_vector(self._command.Eval(context))
+        if command.command_id in (0, now.status.command_id):
+            return now
+        rest = self._read_rest(context)
+        if rest is None:
+            return now
+        segments, reason = self.plan(command, rest)
+        if reason:
+            refused = PressStatus(
+                command_id=command.command_id, outcome=PressOutcome.REFUSED, reason=reason
+            )
+            return replace(now, status=refused)
+        return replace(
+            now,
+            segments=segments,
+            segment_start=context.get_time(),
+            command=command,
+            yaw=rest[3],
+            press=None,
+            status=PressStatus(PressStep.APPROACHING, command.command_id),
+        )
+
+    def plan(
+        self, command: PressCommand, rest: ToolPose
+    ) -> tuple[tuple[TrajectorySegment, ...], str]:
+        """Plans the tip's way to just above the place, as fast as the arm can follow.
+
+        Args:
+            command: the press.
+            rest: pose of the tool, which is at rest.
+
+        Returns:
+            The segments, and ""; or no segments, and why the command is refused.
+        """
+        reason = self._find_fault(command)
+        if reason:
+            return (), reason
+        target = command.make_target(self.style.tip_radius)
+        above = target.hover + np.array([0.0, 0.0, self.options.clearance])
+        lowest = target.hover - np.array([0.0, 0.0, self.options.max_depth])
+        stopped: str | None = ""
+        for scale in SPEED_SCALES:
+            segments = self._make_way(np.array(rest[:3]), above, PressStep.APPROACHING, scale)
+            if self._reach is None:
+                return segments, ""
+            path = np.array([rest[:3], *(segment.end for segment in segments), lowest])
+            speeds = [*(segment.top_speed for segment in segments), self.options.approach_speed]
+            stopped = self._reach(path, np.array(speeds))
+            if stopped is None:
+                return segments, ""
+        return (), stopped or ""
+
+    def _find_fault(self, command: PressCommand) -> str:
+        """Says what is wrong with a command; empty if nothing is."""
+        if not np.isfinite(command.to_vector()).all():
+            return NOT_FINITE
+        target = command.make_target(self.style.tip_radius)
+        where = f"({command.x:.3f}, {command.y:.3f}) m"
+        if not target.calc_arm(np.array(target.place)) > 0:
+            return f"the tip would press inside the table's edge, at {where}"
+        outline = transform_shape(command.object_pose, self._outline)
+        if not outline.contains(shapely.Point(target.place)):
+            return f"the tip would press beside the object, at {where}"
+        highest = self.style.travel_height - self.style.tip_radius
+        if not 0 < target.top < highest:
+            return (
+                f"the object's top is {target.top:.3f} m high; expected more than 0 and less than "
+                f"{highest:.3f} m, above which the tip travels"
+            )
+        return ""
+
+    def _make_way(
+        self, start: Array, end: Array, step: PressStep, scale: float = 1.0
+    ) -> tuple[TrajectorySegment, ...]:
+        """Makes a way of the tip through the air: up, over and down.
+
+        Args:
+            start: (3,) p_WP, m.
+            end: (3,) p_WP, m.
+            step: what the way is part of.
+            scale: factor of the speeds.
+        """
+        style = self.style
+        high = max(style.travel_height, float(start[2]), float(end[2]))
+        x0, y0, z0 = start.tolist()
+        x1, y1, z1 = end.tolist()
+        places = [(x0, y0, z0), (x0, y0, high), (x1, y1, high), (x1, y1, z1)]
+        speeds = [style.vertical_speed, style.travel_speed, style.vertical_speed]
+        return tuple(
+            TrajectorySegment(step, first, last, scale * speed, style.travel_acceleration)
+            for (first, last), speed in zip(pairwise(places), speeds, strict=True)
+            if first != last
+        )
+
+    def _travel(self, context: Context, now: PressExecutorState) -> PressExecutorState:
+        """Goes on through the air, to the object or back."""
+        time = context.get_time()
+        done, *left = now.segments
+        if time - now.segment_start < done.duration:
+            return now
+        if left:
+            return replace(now, segments=tuple(left), segment_start=time)
+        if now.status.step == PressStep.RETURNING:
+            status = replace(now.status, step=PressStep.IDLE)
+            return replace(now, segments=(), press=None, status=status)
+        # The tip is above the place: what it is commanded goes on from there.
+        press = PressState(command=np.array(done.end), since=time, last=time)
+        status = replace(now.status, step=PressStep.PRESSING)
+        return replace(now, segments=(), press=press, status=status)
+
+    def _press(self, context: Context, now: PressExecutorState) -> PressExecutorState:
+        """Carries the press on by what is measured now."""
+        assert now.press is not None
+        sample = PressSample(
+            time=context.get_time(),
+            tip=np.array(self._tip.Eval(context)[:3]),
+            force=np.array(self._force.Eval(context)),
+        )
+        target = now.command.make_target(self.style.tip_radius)
+        press = now.press
+        if self._command.Eval(context)[0] == 0:
+            press = break_off(press, sample, PressOutcome.BROKEN_OFF)
+        if self._has_moved(now.command, self._object_pose.Eval(context)):
+            press = break_off(press, sample, PressOutcome.MOVED)
+        press = advance_press(target, self.options, press, sample)
+        rest = self._read_rest(context)
+        if press.phase != PressPhase.DONE or rest is None:
+            return replace(now, press=press)
+        return self._return(context.get_time(), now, press, target, np.array(rest[:3]))
+
+    def _read_rest(self, context: Context) -> ToolPose | None:
+        """Reads where the other executors want the tool at rest; None while that is not finite."""
+        rest = calc_tool_pose(self._other_pose.Eval(context))
+        return rest if np.isfinite(rest).all() else None
+
+    def _has_moved(self, command: PressCommand, pose: Array) -> bool:
+        """Says whether an object that is seen at a pose (3,) is no longer where it lay."""
+        if not np.isfinite(pose).all():
+            return False
+        off = pose - command.object_pose
+        far = np.linalg.norm(off[:2]) > MAX_MOVE
+        return bool(far or abs(wrap_angle(off[2])) > MAX_TURN)
+
+    def _return(
+        self,
+        time: float,
+        now: PressExecutorState,
+        press: PressState,
+        target: PressTarget,
+        rest: Array,
+    ) -> PressExecutorState:
+        """Writes down what came of a press, and begins the way back to where the tip rests (3,)."""
+        assert press.command is not None and press.outcome is not None
+        weighing = press.make_weighing(target, self.options, now.command.object_pose)
+        weighings = now.weighings
+        if weighing is not None:
+            weighings = replace(weighings, presses=(*weighings.presses, weighing))
+        return replace(
+            now,
+            segments=self._make_way(press.command, rest, PressStep.RETURNING),
+            segment_start=time,
+            press=press,
+            status=replace(
+                now.status,
+                step=PressStep.RETURNING,
+                outcome=press.outcome,
+                reason=describe_press(press, weighing),
+                weighed=weighing is not None,
+            ),
+            weighings=weighings,
+        )
+
+
+def describe_press(press: PressState, weighing: EdgePress | None) -> str:
+    """Says in half a sentence what came of a press."""
+    if weighing is not None:
+        return (
+            f"it tilts at {weighing.force:.1f} N, {MM * weighing.arm:.0f} mm beyond the edge, "
+            f"and came back from {np.degrees(press.tilt):.1f}°"
+        )
+    assert press.outcome is not None
+    return WHAT_CAME.get(press.outcome, "it tilted, but hardly any force was felt")
