@@ -8,6 +8,7 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_progress, print_json, print_line, print_notice
 from gridpush_drake.cli.interrupts import EXIT_INTERRUPTED
+from gridpush_drake.cli.nothing_told import NothingTold, tell_nothing
 from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.errors import OutputError, StationError
 from gridpush_drake.files import make_folder_beside, output_folder
@@ -69,6 +70,7 @@ def demo(
             show_default="the scenario's, 8",
         ),
     ] = None,
+    nothing_told: NothingTold = False,
     camera: Annotated[
         Literal["ideal", "rgbd"] | None,
         typer.Option(
@@ -143,6 +145,8 @@ def demo(
         scenario.camera.use(camera)
     if seed is not None:
         scenario.seed = seed
+    if nothing_told:
+        tell_nothing(scenario, task)
     if robot is not None:
         scenario.directives = make_robot_directives(robot, grasping=task is TaskName.pregrasp)
     if camera is None and scenario_file is None:

@@ -23,6 +23,7 @@ from gridpush_drake.cli.interrupts import (
     is_hangup,
     set_handlers,
 )
+from gridpush_drake.cli.nothing_told import NothingTold, tell_nothing
 from gridpush_drake.cli.open_link import (
     DEFAULT_URL,
     ByRos2,
@@ -77,6 +78,7 @@ def robot(
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,
     ros2: ByRos2 = False,
+    nothing_told: NothingTold = False,
     go: Annotated[
         bool,
         typer.Option(
@@ -122,6 +124,8 @@ def robot(
     """
     chosen = TASKS[task]
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
+    if nothing_told:
+        tell_nothing(scenario, task)
     # In simulation the robot waits until an answer is calculated; a real arm does not stand still
     scenario.simulation.answer_delay = None
     resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)

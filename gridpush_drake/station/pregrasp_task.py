@@ -1,5 +1,8 @@
 """The pre-grasp task: poke and learn an object, slide it to the table's edge, grasp and lift it.
 
+If nothing is told of the object, it is weighed on the way, where else the task would have to give
+up: the finger presses on what hangs over the edge (`planning.weighing`).
+
 `GraspFinder` finds how the station's gripper can take the object, and where on the table's edge.
 """
 
@@ -29,12 +32,17 @@ from gridpush_drake.planning.pregrasp.planner import (
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, choose_varied
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+from gridpush_drake.planning.pregrasp.weighing_planner import WeighingOptions, WeighingPlanner
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
+from gridpush_drake.planning.weighing.plan import PressRules
+from gridpush_drake.planning.weighing.press import PressTarget
+from gridpush_drake.planning.weighing.sequence import SequenceOptions
 from gridpush_drake.station.others import place_others
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import (
+    PRESS_SHARE,
     Learning,
     MakeFingerRegion,
     Station,
@@ -49,7 +57,13 @@ from gridpush_drake.station.task import (
     TaskStatus,
     Waiting,
 )
-from gridpush_drake.systems.messages import GraspCommand, PreGraspMode, PreGraspStatus, PushCommand
+from gridpush_drake.systems.messages import (
+    GraspCommand,
+    PreGraspMode,
+    PreGraspStatus,
+    PressCommand,
+    PushCommand,
+)
 from gridpush_drake.systems.pregrasp_controller import PreGraspController
 
 EDGE_STEP = 0.03
@@ -171,6 +185,10 @@ CLEARANCE = 0.006
 """Distance between finger and object where a push begins, m. The finger comes down beside an object
 that is seen to about a millimeter."""
 
+FELT_SPEED = 0.03
+"""Greatest speed of a push if the object is weighed, m/s. The forces of faster pushes accelerate
+small objects, too, and do not show their friction alone."""
+
 LIFTED_SHARE = 0.7
 """An object counts as held if its lowest point was raised by more than this share of the lift."""
 
@@ -226,13 +244,16 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         gripper.check_thickness(self.obj, scenario.object_height)
         pads = gripper.limit_pads(self.obj, force)
         self._finder = GraspFinder(station, self.obj, self.surface, pads)
-        self.planner = PreGraspPlanner(
+        kind = WeighingPlanner if scenario.nothing_told else PreGraspPlanner
+        self.planner = kind(
             self.obj,
             self.surface,
             make_options(station, gripper, force),
             limits=self._make_limits(),
             obstacles=place_others(station.others),
         )
+        if isinstance(self.planner, WeighingPlanner):
+            self.planner.weighing = make_weighing_options(station)
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
         super().__init__(builder, station, self.controller, meshcat)
 
@@ -260,7 +281,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             return self._judge_held(record)
         if status.mode == PreGraspMode.FAILED:
             return TaskStatus.FAILED, status.reason
-        at_rest = self.read("executor.status").ready and self.read("grasp.status").ready
+        at_rest = not self.is_at_work() and self.read("grasp.status").ready
         if waiting.unseen > self.lost_after and at_rest:
             return TaskStatus.LOST, f"The object has not been seen for {self.lost_after:g} s."
         if waiting.idle > self.timeout:
@@ -311,7 +332,14 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             edge_region=self._finder.find_edge(),
             can_push=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
             can_grasp=self._finder.can_grasp,
+            can_press=self._can_press if station.scenario.nothing_told else None,
         )
+
+    def _can_press(self, target: PressTarget, pose: Array) -> bool:
+        """Says whether the arm can press there, with the object at a pose (3,)."""
+        x, y, theta = pose.tolist()
+        command = PressCommand.from_target(1, target, (x, y, theta))
+        return self.station.FindPressObstacle(command) is None
 
     def _make_controller(self) -> PreGraspController:
         """Makes the controller, which grasps at half the object's height."""
@@ -323,13 +351,30 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             lift=scenario.pregrasp.lift,
             seed=scenario.seed,
             answer_delay=scenario.simulation.answer_delay,
+            weighs=scenario.nothing_told,
         )
+
+
+def make_weighing_options(station: Station) -> WeighingOptions:
+    """Makes the options by which a station's object is weighed."""
+    scenario = station.scenario
+    rules = PressRules(
+        tip_radius=station.robot.finger.tip_radius,
+        max_force=PRESS_SHARE * scenario.safety.force,
+    )
+    return WeighingOptions(
+        sequence=SequenceOptions(rules=rules),
+        max_presses=scenario.weighing.max_presses,
+        top=scenario.object_height,
+    )
 
 
 def make_options(station: Station, gripper: Gripper, force: float) -> PreGraspOptions:
     """Makes the planner's options from a station, its gripper and the force of that, N."""
     pregrasp = station.scenario.pregrasp
     speed = station.scenario.pokes.speed
+    if station.scenario.nothing_told:
+        speed = min(speed, FELT_SPEED)
     radius = station.robot.finger.tip_radius
     slide = SlideOptions()
     contact: ContactOptions = replace(

@@ -19,7 +19,7 @@ from pydrake.geometry import (
     SceneGraph,
 )
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 
 from gridpush_drake.display.server import KeepToItsThread
 from gridpush_drake.geometry.se2 import wrap_angle
@@ -36,6 +36,7 @@ from gridpush_drake.multibody.parser import (
     MakeParser,
     find_drake_models,
 )
+from gridpush_drake.multibody.table_rim import AddTableRim
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -68,12 +69,14 @@ from gridpush_drake.station.scene import (
 from gridpush_drake.station.station import (
     POSE_LOG,
     AddRobotControl,
+    FeltLoad,
     Learning,
     MakeSetting,
     RobotControl,
     Setting,
     Station,
 )
+from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor, LoadNoise
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
@@ -180,7 +183,7 @@ class World:
         scene_graph: the plant's scene graph.
         robot_in_plant: the robot's model instances in the plant.
         object_in_plant: the object's body and geometry in the plant.
-        table: the table's collision geometries.
+        table: the table's collision geometries, with those of its rim.
     """
 
     resolved: ResolvedScenario
@@ -267,6 +270,8 @@ def AddWorld(
     plant.set_stiction_tolerance(scenario.simulation.stiction_tolerance)
     scene_graph.set_name("scene_graph")
     instances, table = AddStationScene(plant, scene_graph, scenario, robot)
+    # An object that is pressed at the edge tilts about the edge itself.
+    rim = AddTableRim(plant, resolved.table_top) if scenario.nothing_told else ()
     object_in_plant = AddGridObject(
         plant,
         scene_graph,
@@ -302,7 +307,7 @@ def AddWorld(
         scene_graph=scene_graph,
         robot_in_plant=instances,
         object_in_plant=object_in_plant,
-        table=table,
+        table=(*table, *rim),
     )
 
 
@@ -348,6 +353,7 @@ class PushStation(Station):
         camera: StationCamera,
         other_cameras: tuple[PlanarPoseSensor, ...],
         true_parameters: TrueParameters,
+        load_sensor: ArmLoadSensor | None,
         meshcat: Meshcat | None,
     ) -> None:
         """Builds the Diagram of a builder's systems; `MakePushStation` calls it."""
@@ -362,6 +368,7 @@ class PushStation(Station):
         self._other_cameras = other_cameras
         self._kinematics = control.kinematics
         self._true_parameters = true_parameters
+        self._load_sensor = load_sensor
         # Drake's visualizer keeps only the C++ server. The Python object must live as long as the
         # station: `KeepToItsThread` guards the server by it.
         self._meshcat = meshcat
@@ -389,6 +396,8 @@ class PushStation(Station):
         if seed is not None and truth is not None:
             self._true_parameters.SetParameters(root_context, truth)
             self._camera.SetSeed(root_context, seed)
+            if self._load_sensor is not None:
+                self._load_sensor.SetSeed(root_context, seed)
 
     def GetTruth(self, root_context: Context) -> CellParameters:
         """Returns the true parameters of the plant's object in a Context, as `SetStart` left them.
@@ -479,7 +488,10 @@ def MakePushStation(
     true_parameters = builder.AddNamedSystem("truth", TrueParameters(world.truth))
 
     # What commands the robot, as with a real one; it is connected to the simulated arm and gripper.
-    control = _add_control(builder, world, sensors, learning)
+    load_sensor = (
+        _add_load_sensor(builder, setting, driver) if setting.scenario.nothing_told else None
+    )
+    control = _add_control(builder, world, sensors, learning, load_sensor)
     builder.Connect(
         control.kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position")
     )
@@ -503,14 +515,43 @@ def MakePushStation(
         camera=sensors.camera,
         other_cameras=other_cameras,
         true_parameters=true_parameters,
+        load_sensor=load_sensor,
         meshcat=meshcat,
     )
     station.set_name(name)
     return station
 
 
+def _add_load_sensor(builder: DiagramBuilder, setting: Setting, driver: System) -> ArmLoadSensor:
+    """Adds what tells, with noise, which forces the simulated arm feels."""
+    robot = setting.robot
+    weighing = setting.scenario.weighing
+    sensor: ArmLoadSensor = builder.AddNamedSystem(
+        "load_sensor",
+        ArmLoadSensor(
+            setting.control_plant,
+            robot.finger.tip_frame,
+            None if robot.gripper is None else robot.gripper.grasp_frame,
+            noise=LoadNoise(
+                force=weighing.force_noise,
+                torque=weighing.torque_noise,
+                force_offset=weighing.force_offset,
+                torque_offset=weighing.torque_offset,
+            ),
+            seed=setting.scenario.seed,
+        ),
+    )
+    for port in ("position_measured", "torque_external"):
+        builder.Connect(driver.GetOutputPort(port), sensor.GetInputPort(port))
+    return sensor
+
+
 def _add_control(
-    builder: DiagramBuilder, world: World, sensors: Sensors, learning: Learning | None
+    builder: DiagramBuilder,
+    world: World,
+    sensors: Sensors,
+    learning: Learning | None,
+    load_sensor: ArmLoadSensor | None,
 ) -> RobotControl:
     """Adds what commands the robot, and has the errors of a color and depth camera logged."""
     camera = sensors.camera.source
@@ -520,6 +561,12 @@ def _add_control(
             TRUE_LOG: sensors.ground_truth.GetOutputPort("object_pose"),
             COVARIANCE_LOG: camera.GetOutputPort("covariance"),
         }
+    load = None
+    if load_sensor is not None:
+        load = FeltLoad(
+            tip_force=load_sensor.GetOutputPort("tip_force"),
+            grasp_wrench=load_sensor.GetOutputPort("grasp_wrench"),
+        )
     gripper = world.robot_in_plant.gripper
     return AddRobotControl(
         builder,
@@ -529,6 +576,7 @@ def _add_control(
         object_pose=camera.GetOutputPort("object_pose"),
         gripper_state=None if gripper is None else world.plant.get_state_output_port(gripper),
         logged=logged,
+        load=load,
     )
 
 

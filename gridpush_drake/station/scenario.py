@@ -146,6 +146,30 @@ class PreGraspConfig(Config):
     hold: Annotated[Number, positive("s", high=3600.0)] = 3.0
 
 
+class WeighingConfig(Config):
+    """How the object is pressed at the table's edge and weighed, and how the arm feels forces.
+
+    It has an effect only if the robot is told nothing of the object (`nothing_told`). A press ends
+    at 80 % of `safety.force` at the latest.
+
+    Attributes:
+        max_presses: number of presses that tilted the object after which no more are made.
+        force_noise: standard deviation of each sample of a simulated arm's forces, told from its
+            joints' torques, per axis, N.
+        torque_noise: standard deviation of each sample of the torque about the gripper's pads, per
+            axis, N m.
+        force_offset: standard deviation of the offset of these forces, which is drawn once for a
+            run, N.
+        torque_offset: standard deviation of the offset of these torques, N m.
+    """
+
+    max_presses: Annotated[int, whole(1)] = 8
+    force_noise: Annotated[Number, not_negative("N")] = 0.2
+    torque_noise: Annotated[Number, not_negative("N m")] = 0.02
+    force_offset: Annotated[Number, not_negative("N")] = 0.5
+    torque_offset: Annotated[Number, not_negative("N m")] = 0.05
+
+
 class PartTruth(Config):
     """True values for a part of the object, instead of a random draw.
 
@@ -170,6 +194,8 @@ class TruthConfig(Config):
     Attributes:
         cell_mass: [least, greatest] mass of a cell, in any unit: all masses are scaled so that
             together they are the object's total mass.
+        total_mass: [least, greatest] mass of the object, kg, of which one is drawn, evenly in its
+            logarithm; null for the mass in the object's file.
         friction: [least, greatest] coefficient of friction of a cell against the table.
         contact_friction: [least, greatest] coefficient of friction of the finger against the
             object.
@@ -183,6 +209,7 @@ class TruthConfig(Config):
     """
 
     cell_mass: Annotated[Range, Field(description=RANGE)] = list(CELL_MASS_RANGE)
+    total_mass: Annotated[Range | None, Field(description=f"{RANGE}, or null")] = None
     friction: Annotated[Range, Field(description=RANGE)] = list(FRICTION_RANGE)
     contact_friction: Annotated[Range, Field(description=RANGE)] = list(CONTACT_FRICTION_RANGE)
     friction_by_part: Annotated[bool, Field(description="true or false")] = False
@@ -325,6 +352,9 @@ class PushScenario(Config):
             table, as it is known beforehand. The object's file may bound it, too; then both hold.
             The narrower the range, the better the pushes show where the mass is. null to leave it
             to the file.
+        nothing_told: whether the robot is told nothing of the object but its outline: neither mass
+            nor center of mass nor friction, so that `object_friction` has no effect. The pre-grasp
+            task then weighs the object at the table's edge where it would have to give up.
         base: "free": the object can tip and be lifted; "planar": it only slides and turns, and
             each cell bears exactly its own weight.
         finger: heights at which the finger pushes and travels.
@@ -336,6 +366,7 @@ class PushScenario(Config):
         goal: goal of the task to push the object somewhere.
         pregrasp: how the object is slid to the table's edge and grasped, in the task to do this.
             Its scene has a gripper.
+        weighing: how the object is weighed at the table's edge, if nothing is told of it.
         safety: limits beyond which a real arm is stopped.
         others: other objects on the table, around which pushes are planned; see `station.others`.
         seed: seed of everything random.
@@ -353,6 +384,7 @@ class PushScenario(Config):
     object_pose: Pose = [0.6, 0.0, 0.0]
     object_height: Annotated[Number, positive("m")] = 0.03
     object_friction: Annotated[Range | None, Field(description=f"{RANGE}, or null")] = None
+    nothing_told: Annotated[bool, Field(description="true or false")] = False
     base: Annotated[Literal["free", "planar"], Field(description="one of free, planar")] = "free"
     finger: FingerConfig = FingerConfig()
     pokes: PokeConfig = PokeConfig()
@@ -362,6 +394,7 @@ class PushScenario(Config):
     workspace: WorkspaceConfig = WorkspaceConfig()
     goal: GoalConfig = GoalConfig()
     pregrasp: PreGraspConfig = PreGraspConfig()
+    weighing: WeighingConfig = WeighingConfig()
     safety: SafetyConfig = SafetyConfig()
     others: Annotated[
         list[OtherConfig], Field(description="a list of objects, each with a pose")

@@ -27,6 +27,9 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import PushScenario, TruthConfig
 
+TOTAL_MASS_STREAM = 12
+"""Number that is added to the seed for the draw of an object's total mass."""
+
 
 def load_object(scenario: PushScenario) -> GridObject:
     """Reads the scenario's object, from its file or by the name of a shipped one.
@@ -205,6 +208,10 @@ def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters
     )
     mass = drawn.mass.copy()
     friction = drawn.friction.copy()
+    if config.total_mass is not None:
+        low, high = np.log(config.total_mass)
+        total = np.exp(np.random.default_rng((seed, TOTAL_MASS_STREAM)).uniform(low, high))
+        mass *= total / mass.sum()
     for at, part in enumerate(config.parts):
         cells = obj.labels == part.label
         if not cells.any():

@@ -7,7 +7,7 @@ its outputs say where the arm's joints and the gripper should be. The simulated 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -45,8 +45,10 @@ from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import CalcBasePose, CalcTipReach
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grid_identifier import GridIdentifier
-from gridpush_drake.systems.messages import GraspCommand, PushCommand
+from gridpush_drake.systems.lift_scale import LiftOptions, LiftScale
+from gridpush_drake.systems.messages import GraspCommand, PressCommand, PushCommand
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
+from gridpush_drake.systems.press_executor import ARM_PRESS, PressExecutor
 from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions, plan_push
 
 ESTIMATE_OUTPUTS = (
@@ -201,9 +203,10 @@ def MakeSetting(
         found: the object as it was found in the photograph; None if the robot is told the object.
         others: the other objects in the plant.
     """
+    obj = resolved.obj if found is None else found.obj
     return Setting(
         scenario=scenario,
-        obj=resolved.obj if found is None else found.obj,
+        obj=obj.forget() if scenario.nothing_told else obj,
         found=found,
         others=others,
         plant=plant,
@@ -232,12 +235,30 @@ def find_lookouts(setting: Setting) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class FeltLoad:
+    """The ports that tell what an arm feels, for a station that weighs; see `ArmLoadSensor`.
+
+    Attributes:
+        tip_force: (3,) force on the finger's tip in W, N.
+        grasp_wrench: (6,) torque about the grasp point, N m, above force, N, on the gripper in W.
+    """
+
+    tip_force: OutputPort
+    grasp_wrench: OutputPort
+
+
+PRESS_SHARE = 0.8
+"""Greatest force of a press, as a share of the force at which a real arm is stopped."""
+
+
+@dataclass(frozen=True, eq=False)
 class RobotControl:
     """The systems that `AddRobotControl` put into a builder.
 
     Attributes:
         executor: carries out pushes.
         grasping: carries out grasps; None if the scene has no gripper.
+        pressing: carries out presses at the table's edge; None if nothing is weighed.
         kinematics: the differential inverse kinematics. Its port `joint_positions` commands the
             arm.
         identifier: learns the object.
@@ -246,6 +267,7 @@ class RobotControl:
 
     executor: PushExecutor
     grasping: GraspExecutor | None
+    pressing: PressExecutor | None
     kinematics: DifferentialInverseKinematicsIntegrator
     identifier: GridIdentifier
     reach: ArmReach
@@ -260,6 +282,7 @@ def AddRobotControl(
     gripper_state: OutputPort | None,
     logged: dict[str, OutputPort] | None = None,
     tip_bounds: Callable[[Array], str | None] | None = None,
+    load: FeltLoad | None = None,
 ) -> RobotControl:
     """Adds the systems that command the robot and learn the object, and connects them.
 
@@ -276,6 +299,7 @@ def AddRobotControl(
         logged: further ports to be logged whenever the identifier reads, by the logs' names.
         tip_bounds: says why a path may not lead the tip to a place, see `ArmReach`; None where it
             may go wherever the arm reaches.
+        load: what the arm feels; None where nothing is weighed.
 
     Returns:
         The systems that were added.
@@ -313,6 +337,26 @@ def AddRobotControl(
         gate = AddPusherGate(builder, pusher_state, grasping)
         learned_state = gate.GetOutputPort("pusher_state")
     commander = executor if grasping is None else grasping
+
+    # If the object is weighed, the executor of presses comes last, and what it and the gripper feel
+    # goes to the identifier.
+    pressing = None
+    if load is not None:
+        pressing = _add_weighing(
+            builder,
+            setting,
+            load,
+            pusher_state=pusher_state,
+            object_pose=object_pose,
+            executor=executor,
+            grasping=grasping,
+            identifier=identifier,
+            style=style,
+            reach=reach,
+        )
+        if grasping is not None:
+            builder.Connect(pressing.GetOutputPort("status"), gate.GetInputPort("press_status"))
+        commander = pressing
     builder.Connect(commander.GetOutputPort("tip_pose"), kinematics.GetInputPort("X_AE_desired"))
 
     # Where tip and object are goes to whoever needs it, and into the logs.
@@ -338,10 +382,75 @@ def AddRobotControl(
     return RobotControl(
         executor=executor,
         grasping=grasping,
+        pressing=pressing,
         kinematics=kinematics,
         identifier=identifier,
         reach=reach,
     )
+
+
+def _add_weighing(
+    builder: DiagramBuilder,
+    setting: Setting,
+    load: FeltLoad,
+    *,
+    pusher_state: OutputPort,
+    object_pose: OutputPort,
+    executor: PushExecutor,
+    grasping: GraspExecutor | None,
+    identifier: GridIdentifier,
+    style: PushTrajectoryOptions,
+    reach: ArmReach,
+) -> PressExecutor:
+    """Adds what presses at the table's edge and weighs what is lifted, and exports its ports.
+
+    Args:
+        builder: the builder that has the other systems.
+        setting: robot and scene.
+        load: what the arm feels.
+        pusher_state: (6,) p_WP, m, and v_WP, m/s, of the tip.
+        object_pose: (3,) X_WB of the object as the camera sees it, m and rad.
+        executor: carries out pushes.
+        grasping: carries out grasps; None if the scene has no gripper.
+        identifier: learns the object, by weighings, too.
+        style: heights and speeds of the tip's way through the air.
+        reach: says whether the arm can follow a path.
+
+    Returns:
+        The executor of presses, which leads the arm from now on.
+    """
+    scenario = setting.scenario
+    options = replace(ARM_PRESS, max_force=PRESS_SHARE * scenario.safety.force)
+    pressing: PressExecutor = builder.AddNamedSystem(
+        "press_executor", PressExecutor(setting.obj, reach, style, options)
+    )
+    before = executor if grasping is None else grasping
+    builder.Connect(before.GetOutputPort("tip_pose"), pressing.GetInputPort("other_tip_pose"))
+    builder.Connect(executor.GetOutputPort("status"), pressing.GetInputPort("push_status"))
+    builder.Connect(object_pose, pressing.GetInputPort("object_pose"))
+    builder.Connect(pusher_state, pressing.GetInputPort("pusher_state"))
+    builder.Connect(load.tip_force, pressing.GetInputPort("force"))
+    builder.Connect(load.tip_force, identifier.GetInputPort("force"))
+    builder.Connect(pressing.GetOutputPort("status"), executor.GetInputPort("press_status"))
+    builder.ExportInput(pressing.GetInputPort("press_command"), "press_command")
+    ExportOutputs(builder, pressing, "press", ("status",))
+    weighings = pressing.GetOutputPort("weighing_log")
+
+    # The gripper weighs what it lifts.
+    if grasping is not None:
+        builder.Connect(grasping.GetOutputPort("status"), pressing.GetInputPort("grasp_status"))
+        scale = builder.AddNamedSystem(
+            "lift_scale", LiftScale(LiftOptions.of_hold(scenario.pregrasp.hold))
+        )
+        builder.Connect(weighings, scale.GetInputPort("weighing_log"))
+        builder.Connect(grasping.GetOutputPort("status"), scale.GetInputPort("grasp_status"))
+        builder.Connect(load.grasp_wrench, scale.GetInputPort("grasp_wrench"))
+        builder.ConnectInput("grasp_command", scale.GetInputPort("grasp_command"))
+        builder.Connect(object_pose, scale.GetInputPort("object_pose"))
+        weighings = scale.GetOutputPort("weighing_log")
+    builder.Connect(weighings, identifier.GetInputPort("weighing_log"))
+    builder.ExportOutput(weighings, "weighing.log")
+    return pressing
 
 
 StationMaker = Callable[..., "Station"]
@@ -360,6 +469,7 @@ class Station(Diagram):
         input_ports:
         - push_command
         - grasp_command
+        - press_command
         output_ports:
         - executor.status
         - executor.tip_pose
@@ -373,10 +483,15 @@ class Station(Diagram):
         - grasp.status
         - grasp.gripper_position
         - gripper.state
+        - press.status
+        - weighing.log
 
     - ``push_command``: vector of 6, a push, see `PushCommand`.
     - ``grasp_command``: vector of 6, a grasp, see `GraspCommand`; it need not be connected. The
       station has this port, the ports of ``grasp`` and ``gripper.state`` only with a gripper.
+    - ``press_command``: vector of 10, a press at the table's edge, see `PressCommand`; it need not
+      be connected. The station has this port, ``press.status`` and ``weighing.log`` only if nothing
+      is told of the object (`PushScenario.nothing_told`).
     - ``executor.status``: abstract `PushStatus`, how the executor of pushes stands.
     - ``executor.tip_pose``: abstract `RigidTransform`, desired X_WP of the tip, in a push as well
       as in a grasp.
@@ -391,6 +506,8 @@ class Station(Diagram):
     - ``grasp.gripper_position``: vector of 1, the opening that the gripper is asked for, m.
     - ``gripper.state``: vector of 4, positions of the left and right finger, m, and their
       velocities, m/s.
+    - ``press.status``: abstract `PressStatus`, how the executor of presses stands.
+    - ``weighing.log``: abstract `WeighingLog`, what presses and lifts told so far.
 
     Attributes:
         scenario, obj, found, others, plant, robot, table_top, home: see `Setting`.
@@ -429,6 +546,7 @@ class Station(Diagram):
         self.style = control.executor.style
         self.reach = control.reach
         self._grasping = control.grasping
+        self._pressing = control.pressing
         builder.BuildInto(self)
 
     def FindObstacle(self, command: PushCommand) -> str | None:
@@ -444,6 +562,16 @@ class Station(Diagram):
         if self._grasping is None:
             raise StationError("the scene has no gripper; expected a model named gripper")
         return self._grasping.plan(command, (*self.home, 0.0))[1] or None
+
+    def FindPressObstacle(self, command: PressCommand) -> str | None:
+        """Says why the arm cannot carry out a press when it comes from its home; None if it can.
+
+        Raises:
+            StationError: nothing is weighed.
+        """
+        if self._pressing is None:
+            raise StationError("nothing is weighed; expected a scenario with nothing_told: true")
+        return self._pressing.plan(command, (*self.home, 0.0))[1] or None
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
         """Makes a fresh Context ready to begin.

@@ -26,6 +26,7 @@ from gridpush_drake.perception.sight import Sight
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import Sample
+from gridpush_drake.pushes.weighings import WeighingLog
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
 from gridpush_drake.station.station import Station
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
@@ -86,10 +87,11 @@ SOURCES = {
     "push_status": "executor.status",
     "status": "executor.status",
     "grasp_status": "grasp.status",
+    "press_status": "press.status",
 }
 """The station's output port for each input port that a controller may have, by the input's name."""
 
-COMMANDS = ("push_command", "grasp_command")
+COMMANDS = ("push_command", "grasp_command", "press_command")
 """Names of the ports that command the station: a controller's outputs and the station's inputs."""
 
 TRUE_POSE = "object.pose_true"
@@ -97,6 +99,10 @@ TRUE_POSE = "object.pose_true"
 
 GUARD_STATUS = "guard.status"
 """Name of a port that only a real robot's station has."""
+
+WEIGHING_LOG = "weighing.log"
+PRESS_STATUS = "press.status"
+"""Names of ports that only a station has that weighs."""
 
 SHOWN = ("mass", "friction", "contact_friction", "center_of_mass", "center_of_mass_covariance")
 """The estimates that are drawn in Meshcat."""
@@ -128,6 +134,7 @@ class TaskRecord:
         estimates: the identification after each push that was learned from.
         status: how the run ended.
         message: the status in a sentence, and the pushes that were not as planned.
+        weighings: what presses and lifts told; empty if nothing was weighed.
         limit_report: how near the robot came to its limits.
         duration: duration of the run, in simulated time, s.
     """
@@ -138,6 +145,7 @@ class TaskRecord:
     stream: list[Sample] = field(default_factory=list, kw_only=True)
     sight: Sight | None = field(default=None, kw_only=True)
     estimates: list[Identification] = field(default_factory=list, kw_only=True)
+    weighings: WeighingLog = field(default_factory=WeighingLog, kw_only=True)
     status: TaskStatus = field(default=TaskStatus.RUNNING, kw_only=True)
     message: str = field(default="", kw_only=True)
     limit_report: LimitReport = field(default_factory=LimitReport, kw_only=True)
@@ -500,12 +508,14 @@ class StationTask(Generic[R]):
         record.duration = time
         record.log = self.read("estimate.push_log")
         estimate = self.read("estimate.identification")
+        if self.station.HasOutputPort(WEIGHING_LOG):
+            record.weighings = self.read(WEIGHING_LOG)
         if estimate.push_names and (not record.estimates or estimate is not record.estimates[-1]):
             record.estimates.append(estimate)
 
         # While the arm works it may hide the object from a color and depth camera: that does not
         # count as not being seen.
-        may_be_hidden = self.station.found is not None and not self.read("executor.status").ready
+        may_be_hidden = self.station.found is not None and self.is_at_work()
         if may_be_hidden or np.isfinite(self.read("object.pose")).all():
             self._last_seen = time
         if self.note(record, time):
@@ -521,6 +531,11 @@ class StationTask(Generic[R]):
         if guard.ended:
             record.status = TaskStatus.INTERRUPTED if guard.by_user else TaskStatus.STOPPED
             record.message = describe_stop(guard)
+
+    def is_at_work(self) -> bool:
+        """Says whether the arm pushes, or presses at the table's edge."""
+        pressing = self.station.HasOutputPort(PRESS_STATUS) and not self.read(PRESS_STATUS).ready
+        return pressing or not self.read("executor.status").ready
 
     def _read_guard(self) -> GuardStatus | None:
         """Returns the status of a real arm's guard; None if the robot is simulated."""

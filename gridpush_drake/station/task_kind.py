@@ -61,6 +61,7 @@ OBJECT = "object.yaml"
 PUSHES = "pushes.csv"
 HELD_OUT = "held_out.csv"
 STREAM = "stream.csv"
+WEIGHINGS = "weighings.csv"
 TRUTH = "truth.yaml"
 SCENARIO = "scenario.yaml"
 """Names of the files that a run leaves in its folder."""
@@ -265,8 +266,8 @@ def write_files(
 ) -> list[Path]:
     """Writes the files of a run.
 
-    The model is the station's own. `gridpush identify` makes the same of object.yaml and
-    pushes.csv.
+    The model is the station's own. `gridpush identify` makes the same of object.yaml, pushes.csv
+    and, if the object was weighed, weighings.csv.
 
     Args:
         task: kind of the task.
@@ -306,4 +307,7 @@ def write_files(
     if len(held_out):
         held_out.write_csv(folder / HELD_OUT, force)
         written.add(HELD_OUT)
+    if len(record.weighings):
+        record.weighings.write_csv(folder / WEIGHINGS, force)
+        written.add(WEIGHINGS)
     return [folder / name for name in task.files if name in written]

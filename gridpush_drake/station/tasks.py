@@ -4,6 +4,7 @@ What a command needs to know of a task is in a `TaskKind` (`station.task_kind`).
 is one more name in `TaskName`, and one more `TaskKind` in `TASKS`.
 """
 
+from collections.abc import Callable
 from enum import StrEnum
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gridpush_drake.display.overlay import Mark, Phase, to_css
+from gridpush_drake.identification.absolute import SIGMAS, AbsoluteEstimate, describe_sources
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.notebook import MM
@@ -39,6 +41,7 @@ from gridpush_drake.station.task_kind import (
     SCENARIO,
     STREAM,
     TRUTH,
+    WEIGHINGS,
     TaskKind,
 )
 from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PushStatus
@@ -263,6 +266,7 @@ class PreGraspKind(TaskKind):
     station = PreGraspTask
     done = TaskStatus.HELD
     scenario = GRASP_SCENARIO
+    files = (REPORT, RECORDING, MODEL, OBJECT, PUSHES, WEIGHINGS, STREAM, TRUTH, SCENARIO)
 
     def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
         """Names what the controller is doing."""
@@ -279,11 +283,14 @@ class PreGraspKind(TaskKind):
             "pokes": record.last.pokes,
             "slides": record.last.slides,
             "grasps": record.last.grasps,
+            "presses": record.last.presses,
             "raised": record.raised,
         }
         if record.estimates:
             for name, error in _calc_center_errors(record).items():
                 summary[name] = {"center_of_mass_error": error}
+        if record.estimates and record.estimates[-1].absolute is not None:
+            summary["weighed"] = summarize_weighed(record.estimates[-1].absolute, record)
         return summary
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
@@ -293,6 +300,10 @@ class PreGraspKind(TaskKind):
         lines = [f"The {name} after {pushes}: {summary['message']}"]
         if "after" in summary:
             lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))
+        if "weighed" in summary:
+            weighed = summary["weighed"]
+            lines.append(f"  weighed by {weighed['sources']}, each with a probability of 95 %:")
+            lines += [f"  {what}: {value}" for what, value in list_weighed(weighed)]
         return lines
 
     def list_expectations(self, record: PreGraspRecord) -> list[Expectation]:
@@ -316,6 +327,9 @@ class PreGraspKind(TaskKind):
         """Shows the object's way to the edge, and how safely it lies there."""
         last = record.last
         raised = f"{record.raised * MM:.0f} mm" if np.isfinite(record.raised) else "not measured"
+        facts: list[tuple[str, str]] = []
+        if record.estimates and record.estimates[-1].absolute is not None:
+            facts = list_weighed(summarize_weighed(record.estimates[-1].absolute, record))
         return ReportSummary(
             headline=f"{record.message} It took {_count_pushes(last.pokes, last.slides)}.",
             facts=(
@@ -323,6 +337,7 @@ class PreGraspKind(TaskKind):
                 ("slides", str(last.slides)),
                 ("simulated", f"{record.duration:.0f} s"),
                 ("raised by", raised),
+                *facts,
             ),
             figure=_draw_pre_grasp(record),
             caption="Left: pokes to learn, then slides to the table's edge. Right: as long as its "
@@ -335,6 +350,63 @@ class PreGraspKind(TaskKind):
                 if step.status.mode != PreGraspMode.WAITING
             ],
         )
+
+
+def summarize_weighed(absolute: AbsoluteEstimate, record: PreGraspRecord) -> dict[str, Any]:
+    """Summarizes what weighings said, in SI units, beside the truth if somebody knows that."""
+    summary = absolute.summarize() | {"sources": describe_sources(absolute)}
+    for key in ("center_of_mass", "center_of_mass_covariance"):
+        summary[key] = summary[key].tolist()
+    truth = record.truth
+    if truth is not None:
+        mass = float(truth.total_mass)
+        summary["true"] = {
+            "total_mass": mass,
+            "center_of_mass": truth.center_of_mass(record.obj).tolist(),
+            "friction": float(truth.mass @ truth.friction) / mass,
+        }
+    return summary
+
+
+def list_weighed(weighed: dict[str, Any]) -> list[tuple[str, str]]:
+    """Lists what weighings said, in words, each with its interval and beside the truth.
+
+    Args:
+        weighed: what `summarize_weighed` returned.
+    """
+    true = weighed.get("true")
+
+    def add_truth(words: str, truth: Callable[[dict[str, Any]], str]) -> str:
+        """Adds to words what is true."""
+        return words if true is None else f"{words}; truly {truth(true)}"
+
+    low, high = weighed["total_mass_interval"]
+    x, y = (MM * value for value in weighed["center_of_mass"])
+    reach = SIGMAS * MM * np.sqrt(np.diag(weighed["center_of_mass_covariance"]))
+    listed = [
+        (
+            "mass",
+            add_truth(
+                f"{weighed['total_mass']:.3f} kg, {low:.3f} to {high:.3f} kg",
+                lambda true: f"{true['total_mass']:.3f} kg",
+            ),
+        ),
+        (
+            "center of mass",
+            add_truth(
+                f"x {x:.1f} ± {reach[0]:.1f} mm, y {y:.1f} ± {reach[1]:.1f} mm",
+                lambda true: "x {:.1f} mm, y {:.1f} mm".format(
+                    *(MM * value for value in true["center_of_mass"])
+                ),
+            ),
+        ),
+    ]
+    if weighed["friction"] is not None:
+        low, high = weighed["friction_interval"]
+        words = f"{weighed['friction']:.3f}, {low:.3f} to {high:.3f}"
+        truth = add_truth(words, lambda true: f"{true['friction']:.3f}")
+        listed.append(("mean friction", truth))
+    return listed
 
 
 def _draw_pre_grasp(record: PreGraspRecord) -> Figure:

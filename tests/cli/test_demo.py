@@ -219,6 +219,58 @@ def test_refuses_an_unknown_camera(refuses, tmp_path):
     )
 
 
+def test_tells_the_robot_nothing_if_it_is_asked_to(gridpush, refuses, tmp_path, monkeypatch):
+    def take(self, resolved, *_):
+        taken.append(resolved.scenario.nothing_told)
+        raise GridPushError("no further")
+
+    taken = []
+    monkeypatch.setattr(TaskKind, "run", take)
+    for more in ([], ["--nothing-told"]):
+        gridpush("demo", "--camera", "ideal", "--out", tmp_path / "demo", *more)
+    assert taken == [False, True]
+    refuses(
+        "demo",
+        "--task",
+        "push",
+        "--nothing-told",
+        "--out",
+        tmp_path / "demo",
+        says=["--nothing-told", "goes with --task pregrasp only", "in --task push nothing"],
+    )
+
+
+@pytest.mark.slow
+def test_weighs_what_it_is_told_nothing_of_and_lifts_it(gridpush, tmp_path):
+    out = tmp_path / "untold"
+    outcome = gridpush("demo", "--nothing-told", "--camera", "ideal", "--out", out, "--json")
+    assert outcome.code == 0, outcome.err
+    summary = json.loads(outcome.out)
+    assert summary["status"] == "held"
+    assert summary["presses"] >= 1
+    assert summary["limit_report"]["touched"] == []
+    weighed, true = summary["weighed"], summary["weighed"]["true"]
+    assert weighed["lifts"] == 1
+    assert weighed["total_mass"] == pytest.approx(true["total_mass"], rel=0.03)
+    low, high = weighed["total_mass_interval"]
+    assert low <= true["total_mass"] <= high
+    # The center lies within the 99.9 % ellipse, and that is small.
+    off = np.subtract(weighed["center_of_mass"], true["center_of_mass"])
+    covariance = np.array(weighed["center_of_mass_covariance"])
+    assert off @ np.linalg.solve(covariance, off) < 13.8
+    assert np.sqrt(np.linalg.eigvalsh(covariance).max()) < 0.002
+    assert weighed["friction"] == pytest.approx(true["friction"], abs=0.05)
+    assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["pregrasp"].files)
+    report = (out / "report.html").read_text()
+    assert "truly 0.680 kg" in report
+    # From the files alone, the same model to the last digit.
+    offline = tmp_path / "offline.yaml"
+    files = [out / "object.yaml", out / "pushes.csv", "--weighings", out / "weighings.csv"]
+    again = gridpush("identify", *files, "--out", offline)
+    assert again.code == 0, again.err
+    assert offline.read_text() == (out / "model.yaml").read_text()
+
+
 @pytest.mark.parametrize("task", list(TaskName))
 @pytest.mark.parametrize(
     ("more", "renders", "kind"),
@@ -398,7 +450,9 @@ def test_pokes_slides_and_lifts_as_readme_says(gridpush, tmp_path, monkeypatch):
     )
     out = tmp_path / "gridpush_demo"
     assert read_scenario(out / "scenario.yaml").camera.kind == "rgbd"
-    assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["pregrasp"].files)
+    # Nothing was weighed.
+    expected = sorted(set(TASKS["pregrasp"].files) - {"weighings.csv"})
+    assert sorted(path.name for path in out.iterdir()) == expected
     assert "What the robot did" in (out / "report.html").read_text()
     check_same_offline(gridpush, out, tmp_path)
     log = PushLog.read_csv(out / "pushes.csv")

@@ -27,7 +27,7 @@ from gridpush_drake.identification.baselines.search import Bounds, SearchStatus,
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_log import COLUMNS, PushLog
-from gridpush_drake.station.scenario_file import find_scenario
+from gridpush_drake.station.scenario_file import find_scenario, parse_scenario
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.made_logs import make_pushed_block
 
@@ -205,6 +205,14 @@ def test_two_objects_are_a_scenario():
     assert scene == find_scenario("two_objects").read_text()
 
 
+def test_how_presses_are_set_is_a_scenario():
+    (block,) = find_blocks("docs/howto/weigh_at_the_edge.md", "yaml")
+    scenario = parse_scenario(Path("weigh.yaml"), block)
+    assert scenario.nothing_told
+    assert scenario.weighing.max_presses == 8
+    assert scenario.safety.force == 30.0
+
+
 def test_every_block_is_tried_somewhere():
     """Python runs (`EXAMPLES`); of all else there is a test, here or where the page is named in the tests."""
     found = {
@@ -228,6 +236,7 @@ def test_every_block_is_tried_somewhere():
             ("docs/howto/autodiff.md", "{code-block} python"): 1,  # tests/interop/test_examples.py
             ("docs/howto/own_object.md", "yaml"): 1,
             ("docs/howto/own_pushes.md", "csv"): 1,
+            ("docs/howto/weigh_at_the_edge.md", "yaml"): 1,
         }
     )
 

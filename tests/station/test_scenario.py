@@ -251,7 +251,15 @@ def test_a_robot_stands_for_the_scene_that_it_names(tmp_path):
 
 
 def test_a_shipped_scenario_goes_by_its_name(tmp_path, monkeypatch):
-    shipped = ["default", "grasp", "grasp_heavy", "planar", "round_table", "two_objects"]
+    shipped = [
+        "default",
+        "grasp",
+        "grasp_heavy",
+        "grasp_untold",
+        "planar",
+        "round_table",
+        "two_objects",
+    ]
     assert list_shipped_scenarios() == shipped
     for name in list_shipped_scenarios():
         by_file = read_scenario(find_models() / "scenarios" / f"{name}.yaml")

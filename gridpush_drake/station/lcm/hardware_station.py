@@ -38,18 +38,16 @@ from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import (
     AddRobotControl,
+    FeltLoad,
     Learning,
     MakeSetting,
     RobotControl,
     Setting,
     Station,
 )
-from gridpush_drake.systems.arm_guard import (
-    ArmGuard,
-)
-from gridpush_drake.systems.guard_status import (
-    GuardLimits,
-)
+from gridpush_drake.systems.arm_guard import ArmGuard
+from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor
+from gridpush_drake.systems.guard_status import GuardLimits
 from gridpush_drake.systems.object_watch import ObjectWatch
 from gridpush_drake.systems.pusher_state_sensor import ArmTipSensor
 
@@ -301,6 +299,9 @@ def MakeHardwareStation(
     if robot.gripper is not None:
         gripper_state, gripper = AddGripperMessages(builder, lcm)
 
+    # If the object is weighed, what the arm feels at its tip and in its gripper.
+    load = _add_load(builder, setting, status) if scenario.nothing_told else None
+
     # What commands the robot, as in the simulation; and between it and the arm, the guard.
     control = AddRobotControl(
         builder,
@@ -310,6 +311,7 @@ def MakeHardwareStation(
         object_pose=object_pose,
         gripper_state=gripper_state,
         tip_bounds=make_bounds(setting),
+        load=load,
     )
     if control.grasping is not None and gripper is not None:
         builder.Connect(
@@ -327,6 +329,22 @@ def MakeHardwareStation(
     station = HardwareStation(builder, setting, control, messages)
     station.set_name(name)
     return station
+
+
+def _add_load(builder: DiagramBuilder, setting: Setting, status: dict[str, OutputPort]) -> FeltLoad:
+    """Adds what tells which forces the arm feels, and returns its ports."""
+    robot = setting.robot
+    grasp_frame = None if robot.gripper is None else robot.gripper.grasp_frame
+    sensor = builder.AddNamedSystem(
+        "load_sensor",
+        ArmLoadSensor(setting.control_plant, robot.finger.tip_frame, grasp_frame),
+    )
+    for port in ("position_measured", "torque_external"):
+        builder.Connect(status[port], sensor.GetInputPort(port))
+    return FeltLoad(
+        tip_force=sensor.GetOutputPort("tip_force"),
+        grasp_wrench=sensor.GetOutputPort("grasp_wrench"),
+    )
 
 
 def _AddGuard(
