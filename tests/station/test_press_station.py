@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.dynamics.physics import GRAVITY
@@ -11,6 +12,7 @@ from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.planning.pregrasp.weighing_planner import list_edges
 from gridpush_drake.planning.weighing.plan import PressRules, list_rests
 from gridpush_drake.planning.weighing.press import PressOutcome
+from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.robot import make_robot_directives
@@ -174,3 +176,15 @@ def test_the_hidden_mass_may_be_drawn_from_a_range():
     assert min(masses) > 0.1
     assert max(masses) < 3.0
     assert max(masses) > 3 * min(masses)
+
+
+def test_a_real_arm_s_station_presses_by_what_its_joints_feel():
+    station = MakeHardwareStation(make_scenario(), lcm=DrakeLcm("memq://"))
+    assert station.HasInputPort("press_command")
+    assert station.HasOutputPort("press.status")
+    assert station.HasOutputPort("weighing.log")
+    assert station.obj.prior.total_mass is None
+    # No noise is added to what a real arm says.
+    sensor = station.GetSubsystemByName("load_sensor")
+    assert not sensor._noise.sample_std.any()
+    assert not sensor._noise.offset_std.any()
