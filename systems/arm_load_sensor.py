@@ -133,9 +133,11 @@ class ArmLoadSensor(LeafSystem):
         """Takes the next sample."""
         count = int(context.get_discrete_state(self._count).value()[0])
         seed = int(context.get_numeric_parameter(self._seed).value()[0])
+        # The offsets are the same in every sample, the noise is not.
         offset = np.random.default_rng((seed, 0)).normal(size=SIZE)
         noise = np.random.default_rng((seed, 1, count)).normal(size=SIZE)
         error = self._noise.offset_std * offset + self._noise.sample_std * noise
+        # J^T f = tau at the tip, and J^T w = tau at the grasp point.
         q = self._q.Eval(context)
         torque = self._torque.Eval(context)
         force = np.full(3, np.nan)

@@ -344,6 +344,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         """
         if state.estimate is None or len(log) == len(state.weighings):
             return state
+        # What was learned from pushes stays; the weighings are added to it anew.
         before = state.estimate
         state = replace(state, weighings=log)
         estimate = _add_weighings(before.pushed, state.counting_weighings, before)

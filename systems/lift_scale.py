@@ -134,6 +134,7 @@ class LiftScale(AbstractStateSystem[LiftScaleState]):
         """Notes poses before a grasp, then the empty gripper, then the load."""
         status: GraspStatus = self._status.Eval(context)
         phase = status.phase
+        # Only before the gripper closes does the object lie where it is seen on the table.
         if phase in BEFORE:
             now = self._note_pose(context, now)
         if phase == GraspPhase.APPROACHING and now.tare[1]:
@@ -142,6 +143,7 @@ class LiftScale(AbstractStateSystem[LiftScaleState]):
         wrench = np.array(self._wrench.Eval(context))
         if not np.isfinite(wrench).all():
             return now
+        # On its way in the gripper is empty and slow. Held up, the object weighs on it alone.
         if phase == GraspPhase.ENTERING:
             return replace(now, tare=_average(now.tare, wrench))
         if phase == GraspPhase.HOLDING and now.weighed != status.command_id:
@@ -170,6 +172,7 @@ class LiftScale(AbstractStateSystem[LiftScaleState]):
         now = replace(now, load=_average(now.load, wrench))
         if held < self._options.settle + self._options.time:
             return now
+        # The lift is written down once for each grasp.
         command = GraspCommand.from_vector(self._command.Eval(context))
         lift = self._make_lift(now, command.p_WG[:2])
         lifts = now.lifts if lift is None else (*now.lifts, lift)
@@ -184,6 +187,7 @@ class LiftScale(AbstractStateSystem[LiftScaleState]):
         """
         if not now.poses or not now.tare[1]:
             return None
+        # What was told of the empty gripper is no weight. The object pulls the gripper down.
         load = now.load[0] - now.tare[0]
         weight = -float(load[5])
         if not weight >= self._options.min_weight:

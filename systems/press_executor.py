@@ -185,6 +185,8 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         now = self._get_state(context)
+        # Through the air the trajectory leads the tip, in a press what `advance_press` commands.
+        # While nothing is pressed, the other executors do.
         if now.segments:
             place = now.segments[0].position(context.get_time() - now.segment_start)
         elif now.press is not None and now.press.command is not None:
@@ -211,6 +213,7 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
         command = PressCommand.from_vector(self._command.Eval(context))
         if command.command_id in (0, now.status.command_id):
             return now
+        # The way begins and ends where the other executors have the tip at rest.
         rest = self._read_rest(context)
         if rest is None:
             return now
@@ -245,6 +248,8 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
         reason = self._find_fault(command)
         if reason:
             return (), reason
+        # The arm is asked about the way to the hovering place and, slowly, down to where the press
+        # ends at the latest. A stretched arm may be able to follow at a lower speed.
         target = command.make_target(self.style.tip_radius)
         above = target.hover + np.array([0.0, 0.0, self.options.clearance])
         lowest = target.hover - np.array([0.0, 0.0, self.options.max_depth])
@@ -326,12 +331,14 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
             tip=np.array(self._tip.Eval(context)[:3]),
             force=np.array(self._force.Eval(context)),
         )
+        # Two things end a press early that its force does not tell.
         target = now.command.make_target(self.style.tip_radius)
         press = now.press
         if self._command.Eval(context)[0] == 0:
             press = break_off(press, sample, PressOutcome.BROKEN_OFF)
         if self._has_moved(now.command, self._object_pose.Eval(context)):
             press = break_off(press, sample, PressOutcome.MOVED)
+        # The tip is up again when the press is done; it then returns.
         press = advance_press(target, self.options, press, sample)
         rest = self._read_rest(context)
         if press.phase != PressPhase.DONE or rest is None:
