@@ -1,8 +1,8 @@
 """`gridpush bench scene`: objects that push each other, and what is learned of them.
 
-The same pushes are made in our model and in MuJoCo (`bench.scene_rows`), and the last poses are
-compared; objects of hidden masses are learned together (`bench.scene_learning`); and pushes of 1 to
-10 objects are timed.
+The same pushes are made in our model, in MuJoCo (`bench.scene_rows`) and in Drake's plant
+(`bench.scene_plant`), and the last poses are compared; objects of hidden masses are learned
+together (`bench.scene_learning`); and pushes of 1 to 10 objects are timed.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ import numpy as np
 
 from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.scene_learning import LearnJob, make_learn_table, run_learn_job
+from gridpush_drake.bench.scene_plant import MakePlantScene
 from gridpush_drake.bench.scene_rows import (
     LENGTH,
     RADIUS,
@@ -33,12 +34,16 @@ from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, MS, Table, Value, mean_of
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import calc_pose_error
 
-COUNTS = (2, 3)
-"""Numbers of objects that push each other."""
+COUNTS = (2, 3, 4)
+"""Numbers of objects that push each other, in our model and in others."""
 
-PUSHES = 20
+LEARNED = (2, 3)
+"""Numbers of objects that are learned together."""
+
+PUSHES = 100
 """Number of pushes of as many objects."""
 
 SETS = 4
@@ -59,19 +64,30 @@ class Options(StudyOptions):
     """What is measured.
 
     Attributes:
-        pushes: number of pushes of as many objects.
-        repetitions: how often a push is timed.
-        sets: number of sets of hidden masses that are learned, of as many objects in each world.
+        pushes: number of pushes of as many objects in all three simulators; 0 for none.
+        repetitions: how often a push is timed; 0 for never.
+        sets: number of sets of hidden masses that are learned, of as many objects in each world; 0
+            for none.
         worlds: where they are pushed: "model", "mujoco".
-        counts: numbers of objects that push each other.
+        counts: numbers of objects that push each other in all three simulators.
+        learned: numbers of objects that are learned.
         timed: numbers of objects of which a push is timed.
     """
 
-    pushes: int = option(PUSHES, "Pushes of as many objects.", least=1)
-    repetitions: int = option(REPETITIONS, "Runs of each timed push.", least=3)
-    sets: int = option(SETS, "Sets of hidden masses that are learned.", least=1)
+    pushes: int = option(
+        PUSHES,
+        "Pushes of 2, 3 and 4 objects each, in our model, in MuJoCo and in Drake; 0 for none.",
+        least=0,
+    )
+    repetitions: int = option(REPETITIONS, "Runs of each timed push; 0 for none.", least=0)
+    sets: int = option(
+        SETS,
+        "Sets of hidden masses that are learned, of 2 and 3 objects each; 0 for none.",
+        least=0,
+    )
     worlds: tuple[str, ...] = WORLDS
     counts: tuple[int, ...] = COUNTS
+    learned: tuple[int, ...] = LEARNED
     timed: tuple[int, ...] = TIMED
 
 
@@ -90,50 +106,57 @@ class Job:
 
 @dataclass(frozen=True)
 class Score:
-    """How far two simulators are from each other after a push.
+    """How far three simulators are from each other after a push.
 
     Attributes:
         count: number of objects.
         moved: mean displacement of all objects' cells, m.
         last_moved: that of the object that is farthest from the pusher, m.
-        error: mean distance of the cells between our model and MuJoCo, m.
-        worst: that of the object that differs most, m.
+        drake: mean distance of the cells between our model and Drake's plant, m.
+        mujoco: that between our model and MuJoCo, m.
+        between: that between Drake's plant and MuJoCo, m.
         solved: whether every step of our model was solved.
     """
 
     count: int
     moved: float
     last_moved: float
-    error: float
-    worst: float
+    drake: float
+    mujoco: float
+    between: float
     solved: bool
 
 
 def run_job(job: Job) -> Score:
-    """Makes one push in our model and in MuJoCo."""
+    """Makes one push in our model, in Drake's plant and in MuJoCo."""
     scene, push = draw_row(load_objects(job.count), job.seed)
     motion = simulate_scene(scene, push)
-    theirs = make_mujoco_scene(scene, push)(np.array([push.duration]))[0]
-    errors = [
-        calc_pose_error(obj, ours, other).cell
-        for obj, ours, other in zip(scene.objects, motion.final_poses, theirs, strict=True)
-    ]
-    moved = [
-        calc_pose_error(obj, end, begin).cell
-        for obj, end, begin in zip(scene.objects, theirs, scene.poses, strict=True)
-    ]
+    end = np.array([push.duration])
+    mujoco = make_mujoco_scene(scene, push)(end)[0]
+    drake = MakePlantScene(scene, push)(end)[0]
+
+    def compare(poses: Array, others: Array) -> list[float]:
+        return [
+            calc_pose_error(obj, pose, other).cell
+            for obj, pose, other in zip(scene.objects, poses, others, strict=True)
+        ]
+
+    moved = compare(drake, scene.poses)
     return Score(
         count=job.count,
         moved=float(np.mean(moved)),
-        last_moved=float(moved[-1]),
-        error=float(np.mean(errors)),
-        worst=float(np.max(errors)),
+        last_moved=moved[-1],
+        drake=float(np.mean(compare(motion.final_poses, drake))),
+        mujoco=float(np.mean(compare(motion.final_poses, mujoco))),
+        between=float(np.mean(compare(drake, mujoco))),
         solved=str(motion.status) == "ok",
     )
 
 
 def measure_scenes(options: Options, report: Report | None) -> list[Table]:
     """Times a push of several objects, with and without its Jacobian, on one core."""
+    if options.repetitions == 0:
+        return []
     with one_core():
         return [make_speed_table(options.timed, options.repetitions, report)]
 
@@ -191,7 +214,7 @@ def make_jobs(options: Options) -> list[Job | LearnJob]:
     jobs += [
         LearnJob(count, seed, world)
         for world in options.worlds
-        for count in options.counts
+        for count in options.learned
         for seed in sets
     ]
     return jobs
@@ -202,15 +225,18 @@ def tabulate(options: Options, done: Done) -> list[Table]:
     scores = [score for job, score in done.pairs if isinstance(job, Job)]
     learned = [score for job, score in done.pairs if isinstance(job, LearnJob)]
     groups = [
-        ((count,), [score for score in scores if score.count == count]) for count in options.counts
+        ((count,), [score for score in scores if score.count == count])
+        for count in sorted({score.count for score in scores})
     ]
     columns = {
         "pushes": len,
         "moved, mm": mean_of("moved", MM),
         "last moved, mm": mean_of("last_moved", MM),
-        "cells, mm": mean_of("error", MM),
-        "median, mm": lambda some: MM * float(np.median([score.error for score in some])),
-        "worst object, mm": lambda some: MM * max(score.worst for score in some),
+        "model to Drake, mm": mean_of("drake", MM),
+        "model to MuJoCo, mm": mean_of("mujoco", MM),
+        "Drake to MuJoCo, mm": mean_of("between", MM),
+        "median to Drake, mm": lambda some: MM * float(np.median([s.drake for s in some])),
+        "median to MuJoCo, mm": lambda some: MM * float(np.median([s.mujoco for s in some])),
         "solved": lambda some: sum(score.solved for score in some),
     }
     notes = (
@@ -218,23 +244,33 @@ def tabulate(options: Options, done: Done) -> list[Table]:
         "random masses by part, each cell on a foot that bears its weight. Every push moves all "
         "objects.",
     )
-    return [
-        Table.of("MuJoCo against the scene model", ("objects",), groups, columns, notes),
-        make_learn_table(learned),
-    ]
+    title = "Objects that push each other, in three simulators"
+    tables = []
+    if scores:
+        tables.append(Table.of(title, ("objects",), groups, columns, notes))
+    if learned:
+        tables.append(make_learn_table(learned))
+    return tables
 
 
 def shorten(options: Options) -> Options:
-    """Makes the options of the quick variant: two pushes of two objects."""
+    """Makes the options of the quick variant: two pushes and one set of two objects."""
     return replace(
-        options, pushes=2, repetitions=3, sets=1, worlds=("model",), counts=(2,), timed=(1, 2)
+        options,
+        pushes=2,
+        repetitions=3,
+        sets=1,
+        worlds=("model",),
+        counts=(2,),
+        learned=(2,),
+        timed=(1, 2),
     )
 
 
 STUDY = Study(
     name="scene",
-    help="Set MuJoCo beside the model of objects that push each other, learn them together, and "
-    "time their pushes.",
+    help="Set Drake's plant and MuJoCo beside the model of objects that push each other, learn "
+    "them together, and time their pushes.",
     options=Options,
     measure=measure_scenes,
     tasks=(

@@ -21,8 +21,11 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.prediction import calc_pose_error
-from gridpush_drake.identification.scene_learning import SceneIdentification, identify_scene
+from gridpush_drake.identification.scene_learning import (
+    SceneIdentification,
+    calc_scene_errors,
+    identify_scene,
+)
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
 
@@ -105,8 +108,8 @@ def run_learn_job(job: LearnJob) -> LearnScore:
     return LearnScore(
         count=job.count,
         world=job.world,
-        even=_calc_error(even, seen[TRAINING:]),
-        learned=_calc_error(found.scene, seen[TRAINING:]),
+        even=float(calc_scene_errors(even, seen[TRAINING:]).mean()),
+        learned=float(calc_scene_errors(found.scene, seen[TRAINING:]).mean()),
         held=_calc_held(found, truth),
     )
 
@@ -129,18 +132,6 @@ def _observe(
         poses = motion.poses[steps // OBSERVED :: steps // OBSERVED]
     drawn = poses + rng.normal(size=poses.shape) * noise
     return ObservedScenePush(name, push, scene.poses, times, drawn)
-
-
-def _calc_error(scene: Scene, pushes: Sequence[ObservedScenePush]) -> float:
-    """Calculates the mean cell error at the end of pushes, m."""
-    errors = []
-    for seen in pushes:
-        last = simulate_scene(scene.with_poses(seen.poses, may_overlap=True), seen.push)
-        for obj, mine, theirs in zip(
-            scene.objects, last.final_poses, seen.poses_observed[-1], strict=True
-        ):
-            errors.append(calc_pose_error(obj, mine, theirs).cell)
-    return float(np.mean(errors))
 
 
 def _calc_held(found: SceneIdentification, truth: Sequence[CellParameters]) -> float:

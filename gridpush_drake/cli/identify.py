@@ -8,6 +8,7 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found, search_progress
+from gridpush_drake.cli.identify_scene import identify_together
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
 from gridpush_drake.identification.learning import identify as search
@@ -65,6 +66,18 @@ def identify(
             "mean friction. docs/reference/files.md has the columns.",
         ),
     ] = None,
+    others: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            metavar="\\[NAME=]OBJECT.yaml",
+            help="Another object that is in the log, too; may be repeated. All are learned "
+            "together from pushes in which one pushes another, and each gets a model file of its "
+            "own, MODEL_NAME.yaml. The log has the columns NAME_x, NAME_y and NAME_theta for each; "
+            "NAME= may be left out if it is the object's own name, and stands before OBJECT.yaml "
+            "alike.",
+        ),
+    ] = None,
     method: Annotated[
         Method,
         typer.Option(
@@ -99,6 +112,20 @@ def identify(
         raise options.OptionError(
             "--budget: goes with a --method other than default, which ends by itself"
         )
+    if others:
+        alone = {
+            "--weighings": weighings is not None,
+            "--method": method != "default",
+            "--regime": regime == "inertial",
+        }
+        for option, given in alone.items():
+            if given:
+                raise options.OptionError(
+                    f"{option}: is for one object; several, with --with, are learned from slow "
+                    "pushes alone and by one method"
+                )
+        identify_together([object_file, *others], pushes, out, report, largest_piece, force, json)
+        return
     options.check_outputs(force, out, report, inputs=(object_file, pushes, weighings))
     obj = options.load_object(object_file, largest_piece)
     full = options.load_log(pushes, obj)

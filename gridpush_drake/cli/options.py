@@ -4,7 +4,7 @@ Each option is a type that a command uses in its signature, such as `force: Forc
 help text, `[` has to be written as `\\[`: Rich would take `[word]` for markup and leave it out.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from gridpush_drake.bench.results import Results
 from gridpush_drake.cli.console import count_noun, print_notice, work_progress
 from gridpush_drake.cli.kernels import compile_all
 from gridpush_drake.dynamics.physics import Physics
-from gridpush_drake.errors import MAX_NUMBER, GridPushError, PlanningError
+from gridpush_drake.errors import MAX_NUMBER, GridPushError, PlanningError, PushLogError
 from gridpush_drake.files import check_writable, exists, is_file, is_same
 from gridpush_drake.identification.model_file import looks_like_model, read_model
 from gridpush_drake.identification.result import Identification
@@ -27,6 +27,7 @@ from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.pushes.scene_log import SceneLog
 
 ObjectOrModel = Annotated[
     str,
@@ -386,6 +387,25 @@ def load_target(name: str, largest_piece: bool = False) -> Target:
         return Target(model.obj, model.params, model)
     obj = load_object(name, largest_piece)
     return Target(obj, CellParameters.uniform(obj))
+
+
+def split_name(text: str) -> tuple[str | None, str]:
+    """Splits NAME=FILE into the name and the file; the name is None where none is given."""
+    name, separator, file = text.partition("=")
+    if separator:
+        return name, file
+    return None, text
+
+
+def check_names(path: Path, log: SceneLog, given: Iterable[str]) -> None:
+    """Raises PushLogError where a log has other objects than those that are given."""
+    expected = list(given)
+    if sorted(log.names) != sorted(expected):
+        raise PushLogError(
+            f"{path}: has the columns of {', '.join(log.names)}; expected those of "
+            f"{', '.join(expected)}. Give each object as NAME=FILE, with the name that its columns "
+            "begin with"
+        )
 
 
 def choose_height(given: float | None, obj: GridObject) -> float:

@@ -16,6 +16,13 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_found
 from gridpush_drake.cli.view_rerun import show_model, show_pushes
 from gridpush_drake.cli.view_scene import AddModel, AddPushes, describe_colors, make_overlay
+from gridpush_drake.cli.view_scene_log import (
+    AddScenePushes,
+    describe_scene_pushes,
+    make_scene,
+    make_scene_overlay,
+    predict_scene,
+)
 from gridpush_drake.display.film import write_film
 from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.display.overlay import Overlay
@@ -25,7 +32,9 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import exists, is_file
 from gridpush_drake.identification.model_file import looks_like_model
 from gridpush_drake.identification.prediction import Prediction, predict, summarize_errors
+from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.scene_log import SceneLog
 from gridpush_drake.station.rerun_replay import show_run
 from gridpush_drake.station.run_recording import SUFFIX, read_run
 
@@ -127,6 +136,15 @@ def view(
             show_default="all pushes",
         ),
     ] = None,
+    others: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            metavar="\\[NAME=]MODEL.yaml|OBJECT",
+            help="An object of a log of several, by the name that its columns begin with; to be "
+            "repeated for each of them, with its model or only the object.",
+        ),
+    ] = None,
     shows: Annotated[
         Shows,
         typer.Option(
@@ -186,12 +204,14 @@ def view(
     Example: gridpush view gridpush_demo/pushes.csv
     """
     kind = Path(source).suffix.lower()
-    _check_options(kind, {"--object": object_file, "--model": model_file, "--push": push}, out)
+    of_log = {"--object": object_file, "--model": model_file, "--push": push, "--with": others}
+    _check_options(kind, of_log, out)
     of_page = {
         "--out": out,
         "--film": film,
         "--port": port,
         "--height": height,
+        "--with": others or None,
     }
     _check_rerun(kind, rerun, of_page)
     if height is not None and not 0 < height < float("inf"):
@@ -225,7 +245,9 @@ def view(
 
     # A page that is only written needs no port of its own, so that any free one does
     look = Look(shows=shows, height=height, port=port if out is None else 0)
-    if kind == ".csv":
+    if others:
+        scene = _show_scene_log(Path(source), others, push, look, largest_piece)
+    elif kind == ".csv":
         target = _find_target(Path(source), object_file, model_file, largest_piece)
         scene = _show_pushes(Path(source), target, push, look)
     else:
@@ -250,6 +272,10 @@ def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> No
     for name, value in of_pushes.items():
         if value and kind != ".csv":
             raise ViewError(f"{name}: goes with a push log (.csv) only")
+    if of_pushes["--with"] and (of_pushes["--object"] or of_pushes["--model"]):
+        raise ViewError(
+            "--with: names the objects of a log of several; expected no --object or --model with it"
+        )
     if of_pushes["--object"] and of_pushes["--model"]:
         raise ViewError(
             "--object: a model holds its own object; expected either --object or --model"
@@ -427,6 +453,44 @@ def _show_pushes(path: Path, target: options.Target, names: list[str] | None, lo
     found, lines = _describe_pushes(target, picked, predictions, look.shows)
     overlay = make_overlay(target, look.shows, picked, predictions)
     return Scene(page=page, overlay=overlay, found=found, lines=lines)
+
+
+def _show_scene_log(
+    path: Path, named: list[str], names: list[str] | None, look: Look, largest_piece: bool
+) -> Scene:
+    """Records a replay of pushes of several objects, beside their predictions if all are learned.
+
+    Args:
+        path: the log.
+        named: the objects, as NAME=FILE or FILE.
+        names: names of the pushes to replay; None for all.
+        look: how they are shown.
+        largest_piece: as of `options.LargestPiece`.
+
+    Raises:
+        ViewError: the log has other objects, or no push of a name.
+    """
+    targets = {}
+    for text in named:
+        name, file = options.split_name(text)
+        target = options.load_target(file, largest_piece)
+        targets[name or target.obj.name] = target
+    objects = [target.obj for target in targets.values()]
+    log = SceneLog.read_csv(path, find_pusher_radius(objects))
+    options.check_names(path, log, targets)
+    known = [seen.name for seen in log]
+    for name in names or ():
+        if name not in known:
+            raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
+    log = SceneLog([seen for seen in log if not names or seen.name in names], log.names)
+    options.compile_kernels()
+    believed = make_scene(targets, log)
+    motions = predict_scene(believed, log)
+    page = LivePage(look.port)
+    height = options.choose_height(look.height, objects[0])
+    AddScenePushes(page.meshcat, targets, log, motions, look.shows, height)
+    found, lines = describe_scene_pushes(believed, log)
+    return Scene(page=page, overlay=make_scene_overlay(log, motions), found=found, lines=lines)
 
 
 def _describe_pushes(

@@ -28,10 +28,11 @@ from gridpush_drake.display.shapes import (
     MakePlanarTransform,
     SwapVisible,
 )
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import Prediction
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import PushLog
 
 OBJECT = "object"
 """Path of the object in Meshcat."""
@@ -100,7 +101,7 @@ def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> N
         height: height of the object, m.
     """
     _AddObject(meshcat, target, CellColors(shows), height)
-    _FrameScene(meshcat, np.array(target.obj.outline.bounds).reshape(2, 2))
+    FrameScene(meshcat, np.array(target.obj.outline.bounds).reshape(2, 2))
 
 
 def make_overlay(
@@ -161,23 +162,23 @@ def AddPushes(
     _AddObject(meshcat, target, CellColors(shows), height)
     if predictions is not None:
         AddGhost(meshcat, GHOST, obj, height)
-    _FrameScene(meshcat, _calc_extent(obj, log))
+    FrameScene(meshcat, _calc_extent(obj, log))
     meshcat.StartRecording(FRAMES_PER_SECOND)
     begin = 0.0
     for i, seen in enumerate(log):
-        _AddPush(meshcat, seen, i, begin, height)
+        AddPusher(meshcat, seen.push, i, begin, height)
         first = begin + HOLD
         last = first + seen.push.duration
         times = np.append(0.0, seen.t_observed)
         poses = np.vstack([seen.pose, seen.poses_observed])
-        _RecordPoses(meshcat, OBJECT, first + times, poses, begin=begin, end=last + HOLD)
+        RecordPoses(meshcat, OBJECT, first + times, poses, begin=begin, end=last + HOLD)
         if predictions is not None:
             motion = predictions[i]
-            at = _sample(motion.times)
+            at = sample_times(motion.times)
             poses = np.column_stack(
                 [np.interp(at, motion.times, column) for column in motion.poses.T]
             )
-            _RecordPoses(meshcat, GHOST, first + at, poses, begin=begin, end=last + HOLD)
+            RecordPoses(meshcat, GHOST, first + at, poses, begin=begin, end=last + HOLD)
         begin = last + HOLD
     meshcat.StopRecording()
 
@@ -200,28 +201,27 @@ def _AddObject(meshcat: Meshcat, target: Target, colors: CellColors, height: flo
         )
 
 
-def _AddPush(meshcat: Meshcat, seen: ObservedPush, i: int, begin: float, height: float) -> None:
+def AddPusher(meshcat: Meshcat, push: Push, i: int, begin: float, height: float) -> None:
     """Draws a push's arrow and its finger, and records how the finger moves.
 
     Args:
         meshcat: where to draw it.
-        seen: the push.
+        push: the push.
         i: number of the push in the log, from 0.
         begin: when the push is shown first, s. The finger starts to move HOLD later.
         height: height of the object, m.
     """
     path = f"{PUSHES}/{i}"
-    push = seen.push
     if push.length > 0:
         AddArrow(meshcat, f"{path}/arrow", push.xy[0], push.xy[-1], height + 4 * LAYER)
     meshcat.SetObject(
         f"{path}/{FINGER}", Cylinder(push.radius, FINGER_SHARE * height), FINGER_COLOR
     )
-    at = _sample(push.t)
+    at = sample_times(push.t)
     tips = np.column_stack([push.tip_at(at), np.zeros(len(at))])
     middle = FINGER_SHARE * height / 2
     end = begin + HOLD + push.duration + HOLD
-    _RecordPoses(
+    RecordPoses(
         meshcat,
         f"{path}/{FINGER}",
         begin + HOLD + at,
@@ -233,7 +233,7 @@ def _AddPush(meshcat: Meshcat, seen: ObservedPush, i: int, begin: float, height:
     SwapVisible(meshcat, path, f"{PUSHES}/{i - 1}" if i else None, begin, 1 / FRAMES_PER_SECOND)
 
 
-def _RecordPoses(
+def RecordPoses(
     meshcat: Meshcat,
     path: str,
     times: Array,
@@ -258,7 +258,7 @@ def _RecordPoses(
         meshcat.SetTransform(path, MakePlanarTransform(pose, height), float(time))
 
 
-def _sample(times: Array) -> Array:
+def sample_times(times: Array) -> Array:
     """Returns the times at which a motion is recorded, one frame or more apart."""
     count = int(np.ceil((times[-1] - times[0]) * FRAMES_PER_SECOND)) + 1
     return times if len(times) <= count else np.linspace(times[0], times[-1], count)
@@ -271,7 +271,7 @@ def _calc_extent(obj: GridObject, log: PushLog) -> Array:
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 
-def _FrameScene(meshcat: Meshcat, extent: ArrayLike) -> None:
+def FrameScene(meshcat: Meshcat, extent: ArrayLike) -> None:
     """Draws a table below what is shown, and points the camera at it.
 
     Args:

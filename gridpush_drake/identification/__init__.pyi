@@ -22,4 +22,5 @@ from .result import Identification as Identification
 from .result import IdentificationStatus as IdentificationStatus
 from .scene_learning import SceneIdentification as SceneIdentification
 from .scene_learning import identify_scene as identify_scene
+from .scene_models import make_object_models as make_object_models
 from .weighed_model import weigh_model as weigh_model

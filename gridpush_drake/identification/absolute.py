@@ -23,13 +23,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array, make_rotation, turn_left
 from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.identification.prior_fit import fit_with_prior
 from gridpush_drake.objects.object_file import UNTOLD_FRICTION
 from gridpush_drake.pushes.weighings import (
     ANGLE_STD,
@@ -423,15 +423,14 @@ def _minimize(
     Returns:
         The loss, and v (N,).
     """
-
-    def calc_residuals(v: Array) -> Array:
-        return np.append(problem.calc_residuals(mean + root @ v)[0], v)
-
-    def calc_derivatives(v: Array) -> Array:
-        return np.vstack([problem.calc_residuals(mean + root @ v)[1] @ root, np.eye(len(v))])
-
-    found = least_squares(calc_residuals, start, calc_derivatives, **TOLERANCES)
-    return float(found.cost), found.x
+    return fit_with_prior(
+        lambda u: problem.calc_residuals(u)[0],
+        lambda u: problem.calc_residuals(u)[1],
+        mean,
+        root,
+        start,
+        TOLERANCES,
+    )
 
 
 def describe_sources(estimate: AbsoluteEstimate) -> str:

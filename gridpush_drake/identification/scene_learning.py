@@ -7,7 +7,7 @@ were seen, divided by their noise,
 
     min over z of  |r(z)|²/2 + (z - z_0)^T P^-1 (z - z_0)/2
 
-by Levenberg's and Marquardt's method, with the exact derivatives of `simulate_scene`. The prior of
+by the least squares of `prior_fit`, with the exact derivatives of `simulate_scene`. The prior of
 an object's log k is a smooth field of amplitude a (`hypotheses.calc_smooth_covariance`) and one
 number more for the object as a whole: how heavy it is beside the others. Several amplitudes are
 fitted, coarse to fine, and the one of greatest evidence, by Laplace's approximation, is taken.
@@ -17,11 +17,12 @@ against each other; and masses by themselves, as for one object (`docs/theory/mo
 The masses that are given stand for k_i = mu_i m_i g with the friction that the object's file names.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.dynamics.push import make_times_with
@@ -31,8 +32,11 @@ from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.identification.hypotheses import WEAKNESS, calc_smooth_covariance
+from gridpush_drake.identification.prediction import calc_pose_error
+from gridpush_drake.identification.prior_fit import fit_with_prior
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
 
 AMPLITUDES = (0.05, 0.3, 0.7, 1.5)
@@ -48,20 +52,13 @@ NOISE = (1e-3, 1e-3, 5e-3)
 """Standard deviations of what poses are off from their predictions, m, m and rad: those of seeing
 them, and those of the model."""
 
-ITERATIONS = 12
-"""Most steps of a fit."""
+MOVED = 4.0
+"""An object counts as moved where it was seen to end this many standard deviations of the noise
+from where it lay."""
 
-SETTLED = 1e-3
-"""Decrease of the objective, in its own unit, that ends a fit."""
-
-FIRST_DAMPING = 1e-2
-"""Damping of a fit's first step, as a share of the prior's curvature."""
-
-MAX_DAMPING = 1e6
-"""Damping at which a fit ends, for no step helps."""
-
-DAMPING_FACTOR = 10.0
-"""Factor by which the damping falls after a step that helps, and grows after one that does not."""
+LIMITS = {"xtol": 1e-4, "ftol": 1e-4, "gtol": 1e-6, "max_nfev": 25}
+"""At which changes of unknowns and loss, at which slope and after how many evaluations a fit
+ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +67,40 @@ class SceneIdentification:
 
     Attributes:
         scene: the objects, with the parameters and pair frictions that fit best.
-        covariance: (Z, Z) posterior covariance of z, see the module's description.
+        z: (Z,) the unknowns that fit best, see the module's description.
+        covariance: (Z, Z) posterior covariance of z.
+        prior_covariance: (Z, Z) covariance of z before the pushes.
         amplitude: standard deviation of log k of the smooth fields that were taken.
         evidence: logarithm of the evidence of each of `AMPLITUDES`.
-        noise_scale: root mean square of the residuals, in units of the noise that was assumed.
+        noise: standard deviations of poses that were assumed, m, m and rad.
+        noise_scale: root mean square of the residuals, in units of that noise.
         simulations: number of pushes that were simulated.
+        push_names: names of the pushes.
+        moved: (N,) whether a push moved the object by more than the noise.
+        errors_before: (P, N) cell errors at the ends of the pushes with even objects, m.
+        errors: (P, N) those with what was learned, m.
+        physics: physics of the simulations.
     """
 
     scene: Scene
+    z: Array
     covariance: Array
+    prior_covariance: Array
     amplitude: float
     evidence: Array
+    noise: tuple[float, float, float]
     noise_scale: float
     simulations: int
+    push_names: tuple[str, ...]
+    moved: NDArray[np.bool_]
+    errors_before: Array
+    errors: Array
+    physics: Physics
+
+    def list_unknowns(self, body: int) -> IntArray:
+        """Lists the places in z of an object's cells, and of its friction with the pusher."""
+        cells = sum(obj.n for obj in self.scene.objects)
+        return np.append(self._cells(body), cells + body)
 
     def calc_center(self, body: int) -> tuple[Array, Array]:
         """Calculates where an object's load is centered.
@@ -182,22 +200,81 @@ def identify_scene(
     evidence = np.array([fit.evidence for fit in fits])
     weighted = evidence - WEAKNESS * np.log(amplitudes)
     best = fits[int(np.argmax(weighted))]
+    scene = problem.make_scene(best.z, log[0].poses)
     return SceneIdentification(
-        scene=problem.make_scene(best.z, log[0].poses),
+        scene=scene,
+        z=best.z,
         covariance=best.covariance,
+        prior_covariance=best.prior_covariance,
         amplitude=float(amplitudes[int(np.argmax(weighted))]),
         evidence=evidence,
+        noise=noise,
         noise_scale=best.noise_scale,
         simulations=problem.simulations,
+        push_names=tuple(seen.name for seen in log),
+        moved=_find_moved(log, noise),
+        errors_before=calc_scene_errors(problem.make_scene(problem.z0, log[0].poses), log, physics),
+        errors=calc_scene_errors(scene, log, physics),
+        physics=physics,
     )
+
+
+def find_pusher_radius(objects: Iterable[GridObject]) -> float:
+    """Finds the pusher's radius in objects' files, m; the shipped finger's where none has it.
+
+    Raises:
+        IdentificationError: they name different ones.
+    """
+    known = {obj.prior.pusher_radius for obj in objects} - {None}
+    if len(known) > 1:
+        listed = ", ".join(f"{radius:g} m" for radius in sorted(known))
+        raise IdentificationError(
+            f"the objects' files name pushers of different radii, {listed}; expected one pusher"
+        )
+    return known.pop() if known else DEFAULT_PUSHER_RADIUS
+
+
+def calc_scene_errors(
+    scene: Scene, pushes: Iterable[ObservedScenePush], physics: Physics = QUASI_STATIC
+) -> Array:
+    """Calculates how far objects end from where they were seen last.
+
+    Args:
+        scene: the objects, with what is believed of them.
+        pushes: P pushes of them.
+        physics: spin, gravity and tolerances.
+
+    Returns:
+        (P, N) mean distance of each object's cells, m.
+    """
+    errors = []
+    for seen in pushes:
+        start = scene.with_poses(seen.poses, may_overlap=True)
+        times = make_times_with(seen.push, seen.t_observed[-1:], "quasi_static")
+        last = int(np.searchsorted(times, seen.t_observed[-1]))
+        poses = simulate_scene(start, seen.push, physics=physics, times=times).poses[last]
+        each = zip(scene.objects, poses, seen.poses_observed[-1], strict=True)
+        errors.append([calc_pose_error(obj, mine, theirs).cell for obj, mine, theirs in each])
+    return np.array(errors)
+
+
+def _find_moved(log: SceneLog, noise: tuple[float, float, float]) -> NDArray[np.bool_]:
+    """Tells which objects a push moved by more than the noise, (N,)."""
+    moved = np.zeros(len(log.names), dtype=bool)
+    for seen in log:
+        off = seen.poses_observed[-1] - seen.poses
+        off[:, 2] = np.arctan2(np.sin(off[:, 2]), np.cos(off[:, 2]))
+        moved |= (np.abs(off) > MOVED * np.asarray(noise)).any(axis=1)
+    return moved
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """The best z of one amplitude, its posterior covariance and evidence."""
+    """The best z of one amplitude, its covariances after and before, and its evidence."""
 
     z: Array
     covariance: Array
+    prior_covariance: Array
     evidence: float
     noise_scale: float
 
@@ -273,38 +350,24 @@ class _SceneProblem:
         cells = [np.linalg.cholesky(amplitude**2 * C + TOTAL_STD**2) for C in self._smooth]
         others = len(self.z0) - sum(obj.n for obj in self.objects)
         L = block_diag(*cells, FRICTION_STD * np.eye(others))
-        v = np.linalg.solve(L, z - self.z0)
+        start = np.linalg.solve(L, z - self.z0)
+        objective, v = fit_with_prior(
+            self.calc_residuals, lambda z: self.linearize(z)[1], self.z0, L, start, LIMITS
+        )
         r, J = self.linearize(self.z0 + L @ v)
-        objective = 0.5 * (r @ r + v @ v)
-        damping = FIRST_DAMPING
-        for _ in range(ITERATIONS):
-            A = J @ L
-            curvature = A.T @ A + np.eye(len(v))
-            slope = A.T @ r + v
-            improved = False
-            while damping <= MAX_DAMPING and not improved:
-                damped = curvature + damping * np.eye(len(v))
-                step = -cho_solve(cho_factor(damped), slope)
-                tried = v + step
-                rest = self.calc_residuals(self.z0 + L @ tried)
-                new = 0.5 * (rest @ rest + tried @ tried)
-                improved = new < objective
-                damping = damping / DAMPING_FACTOR if improved else damping * DAMPING_FACTOR
-            if not improved:
-                break
-            gain = objective - new
-            v = tried
-            objective = new
-            r, J = self.linearize(self.z0 + L @ v)
-            if gain < SETTLED:
-                break
         A = J @ L
         curvature = A.T @ A + np.eye(len(v))
         # the evidence by Laplace's approximation, and the posterior, with the noise that was found
         evidence = -objective - 0.5 * float(np.linalg.slogdet(curvature)[1])
         scale = float(np.sqrt(r @ r / len(r)))
         covariance = L @ np.linalg.inv(A.T @ A / max(scale, 1.0) ** 2 + np.eye(len(v))) @ L.T
-        return _Fit(self.z0 + L @ v, covariance, float(evidence), scale)
+        return _Fit(
+            z=self.z0 + L @ v,
+            covariance=covariance,
+            prior_covariance=L @ L.T,
+            evidence=float(evidence),
+            noise_scale=scale,
+        )
 
     def _simulate(
         self, z: Array, seen: ObservedScenePush, gradients: bool

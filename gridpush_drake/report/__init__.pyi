@@ -12,3 +12,4 @@ from .page import ReportSummary as ReportSummary
 from .page import make_report as make_report
 from .plan_figures import draw_plan as draw_plan
 from .plan_figures import draw_slide as draw_slide
+from .scene_page import make_scene_report as make_scene_report

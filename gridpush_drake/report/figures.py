@@ -452,13 +452,16 @@ def draw_motion(obj: GridObject, push: Push, poses: Array) -> Figure:
     return figure
 
 
-def draw_scene_motion(scene: Scene, push: Push, poses: Array) -> Figure:
+def draw_scene_motion(
+    scene: Scene, push: Push, poses: Array, observed: Array | None = None
+) -> Figure:
     """Draws how several objects moved: each from its beginning to its end, and the pusher's path.
 
     Args:
         scene: the objects.
         push: the pusher's motion.
         poses: (T+1, N, 3) of the N objects, m and rad, such as `SceneMotion.poses`.
+        observed: (N, 3) where they were seen to end, m and rad; None where nobody saw them.
     """
     figure, ax = make_chart(MOTION_WIDTH, 0.75 * MOTION_WIDTH)
     shown = np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]
@@ -468,6 +471,8 @@ def draw_scene_motion(scene: Scene, push: Push, poses: Array) -> Figure:
             draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
         draw_outline(ax, obj, pose=poses[0, i], color=FAINT, linestyle="dashed")
         draw_cells(ax, obj, pose=poses[-1, i]).set_facecolor(color)
+        if observed is not None:
+            draw_outline(ax, obj, pose=observed[i], color=INK)
     draw_tips(ax, push, LEARNED)
     ax.autoscale_view()
     return figure

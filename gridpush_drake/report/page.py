@@ -235,6 +235,9 @@ class ReportSummary:
 TEMPLATE = "report.html.j2"
 """File with the page, to be filled in."""
 
+STYLE = "style.css"
+"""File with the style of all pages."""
+
 MIN_HYPOTHESIS_WEIGHT = 0.01
 """Smallest share of the estimate with which a hypothesis of the loads is named in the report."""
 
@@ -317,10 +320,10 @@ def make_report(
 
     figures = _draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
     figures |= {
-        "learning": _embed(draw_learning(learning, floor)) if learning else None,
-        "summary": None if summary is None else _embed(summary.figure),
-        "sight": None if sight is None else _embed(draw_sight(sight)),
-        "progress": None if progress is None else _embed(draw_progress(progress, expectations)),
+        "learning": embed(draw_learning(learning, floor)) if learning else None,
+        "summary": None if summary is None else embed(summary.figure),
+        "sight": None if sight is None else embed(draw_sight(sight)),
+        "progress": None if progress is None else embed(draw_progress(progress, expectations)),
     }
     if summary is None:
         headline = _make_headline(identification, judged)
@@ -328,15 +331,14 @@ def make_report(
     else:
         headline = summary.headline
         facts = summary.facts
-    folder = files("gridpush_drake.report").joinpath("templates")
-    text = folder.joinpath(TEMPLATE).read_text(encoding="utf-8")
     environment = Environment(
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.from_string(text).render(
+    return environment.from_string(read_template(TEMPLATE)).render(
+        style=read_template(STYLE),
         name=obj.name.replace("_", " "),
         headline=headline,
         message=identification.message,
@@ -380,7 +382,7 @@ def _draw_figures(
         "overlays": draw_overlays(result.obj, outcomes) if outcomes else None,
         "errors": draw_errors(outcomes) if outcomes else None,
     }
-    return {name: None if figure is None else _embed(figure) for name, figure in figures.items()}
+    return {name: None if figure is None else embed(figure) for name, figure in figures.items()}
 
 
 def _compare(result: Identification, log: PushLog, held_out: bool) -> _Comparison:
@@ -472,5 +474,12 @@ def _tabulate_errors(comparison: _Comparison) -> dict[str, Any]:
     return {"title": f"{len(comparison.outcomes)} pushes {kind}", "rows": rows}
 
 
-def _embed(figure: Figure) -> str:
+def read_template(name: str) -> str:
+    """Reads a file of the report's templates."""
+    folder = files("gridpush_drake.report").joinpath("templates")
+    return folder.joinpath(name).read_text(encoding="utf-8")
+
+
+def embed(figure: Figure) -> str:
+    """Makes a data URI of a figure, for a page that needs nothing else."""
     return "data:image/svg+xml;base64," + base64.b64encode(to_svg(figure)).decode()

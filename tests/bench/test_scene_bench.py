@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.bench.scene import STUDY, Job, Options, Score, make_speed_table
 from gridpush_drake.bench.scene_learning import LearnJob, LearnScore, make_learn_table
+from gridpush_drake.bench.scene_plant import MakePlantScene
 from gridpush_drake.bench.scene_rows import (
     PAIR_FRICTION,
     PUSHER_FRICTION,
@@ -14,6 +15,7 @@ from gridpush_drake.bench.scene_rows import (
     make_mujoco_scene,
 )
 from gridpush_drake.bench.study import Done
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
@@ -44,6 +46,26 @@ def test_two_blocks_move_in_mujoco_as_in_the_model():
         assert error < 0.001
 
 
+def test_two_blocks_move_in_the_plant_as_in_the_model():
+    """The same in Drake's plant, where a rough tip and rough sides rub as is wanted."""
+    obj = GridObject.from_outline(rectangle(0.08, 0.05), max_cells=24)
+    heavy = np.where(obj.p_BC[:, 1] > 0, 3.0, 1.0)
+    params = CellParameters(0.5 * heavy / heavy.sum(), np.full(obj.n, 0.35), PUSHER_FRICTION)
+    scene = Scene(
+        [SceneBody(obj, params), SceneBody(obj, params, (0.083, 0.02, 0.1))], PAIR_FRICTION
+    )
+    push = Push((-0.04 - RADIUS, 0.004), (0.05, 0.0), 1.0, RADIUS)
+    ours = simulate_scene(scene, push, physics=Physics(spin="none"))
+    theirs = MakePlantScene(scene, push)(np.array([0.0, push.duration]))
+    np.testing.assert_allclose(theirs[0], scene.poses, atol=1e-9)
+    for b in range(2):
+        moved = calc_pose_error(obj, theirs[-1, b], scene.poses[b]).cell
+        error = calc_pose_error(obj, ours.final_poses[b], theirs[-1, b]).cell
+        print(f"block {b}: moved {1e3 * moved:.1f} mm, off by {1e3 * error:.2f} mm")
+        assert moved > 0.015
+        assert error < 0.0005
+
+
 def test_a_push_is_drawn_that_moves_all_objects():
     objects = load_objects(2)
     scene, push = draw_row(objects, 0)
@@ -54,7 +76,9 @@ def test_a_push_is_drawn_that_moves_all_objects():
 
 def test_its_tables():
     options = Options(counts=(2,))
-    score = Score(2, moved=0.05, last_moved=0.02, error=0.001, worst=0.002, solved=True)
+    score = Score(
+        2, moved=0.05, last_moved=0.02, drake=0.001, mujoco=0.002, between=0.003, solved=True
+    )
     learned = LearnScore(2, "model", even=0.01, learned=0.001, held=1.0)
     compared, learning = STUDY.tabulate(
         options, Done([(Job(2, 0), score), (LearnJob(2, 0, "model"), learned)])

@@ -1,0 +1,183 @@
+"""The report on objects that were learned together: one self-contained HTML page."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+
+from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.scene_learning import SceneIdentification
+from gridpush_drake.notebook import count
+from gridpush_drake.pushes.scene_log import SceneLog
+from gridpush_drake.report.draw import MM
+from gridpush_drake.report.figures import draw_model, draw_scene_motion
+from gridpush_drake.report.page import STYLE, embed, read_template
+
+TEMPLATE = "scene_report.html.j2"
+"""File with the page, to be filled in."""
+
+MAX_PUSHES = 12
+"""Most pushes that are drawn."""
+
+SIGMAS = 1.96
+"""Standard deviations from a value to the ends of its 95 % interval."""
+
+
+def make_scene_report(
+    found: SceneIdentification, models: Sequence[Identification], log: SceneLog
+) -> str:
+    """Makes the report.
+
+    Args:
+        found: what was learned.
+        models: the model of each object.
+        log: the pushes it was learned from.
+
+    Returns:
+        An HTML page that needs nothing else.
+    """
+    # every push as it is predicted, over where the objects were seen to end
+    drawn = []
+    for i, seen in enumerate(log.pushes[:MAX_PUSHES]):
+        scene = found.scene.with_poses(seen.poses, may_overlap=True)
+        motion = simulate_scene(scene, seen.push, physics=found.physics)
+        figure = draw_scene_motion(scene, seen.push, motion.poses, seen.poses_observed[-1])
+        errors = ", ".join(
+            f"{name} {error * MM:.1f} mm"
+            for name, error in zip(log.names, found.errors[i], strict=True)
+        )
+        drawn.append({"name": seen.name, "figure": embed(figure), "errors": errors})
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    names = ", ".join(log.names[:-1]) + f" and {log.names[-1]}" if len(log.names) > 1 else "one"
+    before = float(found.errors_before.mean()) * MM
+    after = float(found.errors.mean()) * MM
+    return environment.from_string(read_template(TEMPLATE)).render(
+        style=read_template(STYLE),
+        names=names.replace("_", " "),
+        headline=(
+            f"With what was learned, the objects end {after:.1f} mm from where they were seen; as "
+            f"even objects they would end {before:.1f} mm off."
+        ),
+        facts=[
+            ("objects", str(len(log.names))),
+            ("pushes learned from", str(len(log))),
+            ("error, even objects", f"{before:.1f} mm"),
+            ("error, learned", f"{after:.1f} mm"),
+        ],
+        pushes=drawn,
+        all_pushes=len(log),
+        objects=[
+            {
+                "name": name,
+                "message": model.message,
+                "figure": embed(draw_model(model)),
+                "statements": model.identifiability.statements,
+            }
+            for name, model in zip(log.names, models, strict=True)
+        ],
+        numbers=list_scene_numbers(found, log.names),
+    )
+
+
+def list_scene_numbers(found: SceneIdentification, names: Sequence[str]) -> list[tuple[str, str]]:
+    """Lists what was learned of objects beside each other, as names and values with their spread.
+
+    Args:
+        found: what was learned.
+        names: of the objects.
+    """
+    rows = []
+    for b, name in enumerate(names):
+        center, covariance = found.calc_center(b)
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        x, y = (
+            f"{value * MM:.1f} ± {spread * MM:.1f} mm"
+            for value, spread in zip(center, std, strict=True)
+        )
+        rows.append((f"center of friction of {name}, body frame", f"x {x}, y {y}"))
+    for b in range(1, len(names)):
+        ratio, spread = found.calc_load_ratio(b, 0)
+        rows.append(
+            (f"friction on the table, {names[b]} to {names[0]}", _describe_factor(ratio, spread))
+        )
+    spreads = found.calc_pair_friction_std()
+    for (i, j), spread in zip(combinations(range(len(names)), 2), spreads, strict=True):
+        mu = np.log(found.scene.pair_friction[i, j])
+        rows.append((f"friction of {names[i]} and {names[j]}", _describe_factor(mu, spread)))
+    return rows
+
+
+def _describe_factor(log: float, std: float) -> str:
+    """Writes a factor whose logarithm is known so well, with its 95 % interval."""
+    low, high = np.exp([log - SIGMAS * std, log + SIGMAS * std])
+    return f"{np.exp(log):.2f} ({low:.2f} to {high:.2f})"
+
+
+def explain_scene(
+    found: SceneIdentification, models: Sequence[Identification], names: Sequence[str]
+) -> list[str]:
+    """Says what was learned in lines of words.
+
+    Args:
+        found: what was learned.
+        models: the model of each object.
+        names: of the objects.
+    """
+    lines = []
+    for name, model in zip(names, models, strict=True):
+        lines.append(f"{name}: {count(model.obj.n, 'cell')}. {model.message}")
+    before = found.errors_before.mean() * MM
+    after = found.errors.mean() * MM
+    lines.append(f"cell error of these pushes: {after:.2f} mm; {before:.2f} mm with even objects")
+    lines += [f"{name}: {value}" for name, value in list_scene_numbers(found, names)]
+    lines.append(
+        "How heavy all objects are together, slow pushes cannot tell: the models' masses have the "
+        "ratios that were learned."
+    )
+    return lines
+
+
+def tell_scene(found: SceneIdentification, names: Sequence[str]) -> dict[str, Any]:
+    """Says the same for machines; lengths in m.
+
+    Args:
+        found: what was learned.
+        names: of the objects.
+    """
+    spreads = found.calc_pair_friction_std()
+    pairs = list(combinations(range(len(names)), 2))
+    return {
+        "objects": [
+            {
+                "name": name,
+                "object": found.scene.objects[b].name,
+                "cells": found.scene.objects[b].n,
+                "moved": bool(found.moved[b]),
+                "mean_cell_error_before": float(found.errors_before[:, b].mean()),
+                "mean_cell_error": float(found.errors[:, b].mean()),
+                "contact_friction": found.scene.params[b].contact_friction,
+                "center_of_friction": found.calc_center(b)[0].tolist(),
+                "center_of_friction_covariance": found.calc_center(b)[1].tolist(),
+                "log_load_ratio": None if b == 0 else found.calc_load_ratio(b, 0)[0],
+                "log_load_ratio_std": None if b == 0 else found.calc_load_ratio(b, 0)[1],
+            }
+            for b, name in enumerate(names)
+        ],
+        "pair_friction": [
+            {
+                "objects": [names[i], names[j]],
+                "friction": float(found.scene.pair_friction[i, j]),
+                "log_std": float(spread),
+            }
+            for (i, j), spread in zip(pairs, spreads, strict=True)
+        ],
+        "training_pushes": list(found.push_names),
+        "noise_scale": found.noise_scale,
+        "amplitude": found.amplitude,
+        "simulations": found.simulations,
+    }
