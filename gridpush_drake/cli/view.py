@@ -482,7 +482,8 @@ def _show_scene_log(
     for name in names or ():
         if name not in known:
             raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
-    log = SceneLog([seen for seen in log if not names or seen.name in names], log.names)
+    picked = tuple(seen for seen in log if not names or seen.name in names)
+    log = SceneLog(picked, log.names)
     options.compile_kernels()
     believed = make_scene(targets, log)
     motions = predict_scene(believed, log)

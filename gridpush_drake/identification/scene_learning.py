@@ -225,7 +225,8 @@ def find_pusher_radius(objects: Iterable[GridObject]) -> float:
     Raises:
         IdentificationError: they name different ones.
     """
-    known = {obj.prior.pusher_radius for obj in objects} - {None}
+    radii = [obj.prior.pusher_radius for obj in objects]
+    known = {radius for radius in radii if radius is not None}
     if len(known) > 1:
         listed = ", ".join(f"{radius:g} m" for radius in sorted(known))
         raise IdentificationError(

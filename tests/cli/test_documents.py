@@ -27,6 +27,7 @@ from gridpush_drake.identification.baselines.search import Bounds, SearchStatus,
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_log import COLUMNS, PushLog
+from gridpush_drake.pushes.scene_log import SceneLog
 from gridpush_drake.station.scenario_file import find_scenario, parse_scenario
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.made_logs import make_pushed_block
@@ -235,7 +236,7 @@ def test_every_block_is_tried_somewhere():
             ): 4,  # a robot, its scene and its gripper (tests/station/test_robot.py), two objects
             ("docs/howto/autodiff.md", "{code-block} python"): 1,  # tests/interop/test_examples.py
             ("docs/howto/own_object.md", "yaml"): 1,
-            ("docs/howto/own_pushes.md", "csv"): 1,
+            ("docs/howto/own_pushes.md", "csv"): 2,
             ("docs/howto/weigh_at_the_edge.md", "yaml"): 1,
         }
     )
@@ -258,9 +259,11 @@ def test_the_object_and_the_pushes_can_be_read(tmp_path):
     (tmp_path / "object.yaml").write_text(text)
     obj = GridObject.from_yaml(tmp_path / "object.yaml")
     assert set(obj.labels) == {1, 2}
-    (text,) = find_blocks("docs/howto/own_pushes.md", "csv")
-    (tmp_path / "pushes.csv").write_text(text)
+    alone, several = find_blocks("docs/howto/own_pushes.md", "csv")
+    (tmp_path / "pushes.csv").write_text(alone)
     assert len(PushLog.read_csv(tmp_path / "pushes.csv")) == 1
+    (tmp_path / "scene.csv").write_text(several)
+    assert SceneLog.read_csv(tmp_path / "scene.csv").names == ("hammer", "box")
 
 
 def test_every_column_and_object_is_named():

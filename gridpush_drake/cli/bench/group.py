@@ -65,8 +65,8 @@ BENCHES: dict[str, LazyCommand] = {
     ),
     "scene": LazyCommand(
         "gridpush_drake.bench.scene:STUDY",
-        "Set MuJoCo beside the model of objects that push each other, learn them together, and "
-        "time their pushes.",
+        "Set Drake's plant and MuJoCo beside the model of objects that push each other, learn them "
+        "together, and time their pushes.",
     ),
     "scene-tasks": LazyCommand(
         "gridpush_drake.bench.scene_tasks:STUDY",
