@@ -14,7 +14,7 @@ BENCHES: dict[str, LazyCommand] = {
     "speed": LazyCommand(
         "gridpush_drake.bench.speed:STUDY",
         "Time a push, its gradient, MuJoCo beside, the cost against the number of cells, "
-        "identification and start-up.",
+        "identification, decisions and start-up.",
     ),
     "paper": LazyCommand(
         "gridpush_drake.bench.paper_figures:STUDY",
