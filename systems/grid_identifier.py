@@ -4,8 +4,8 @@ Every `period` it looks at the object and the tip. `pushes.segmentation` finds t
 them down. When a push has ended, `identify` learns from the log. The estimate is the one that
 `identify` makes of this log anywhere else.
 
-After two surprises in a row (`identification.surprise`) the object is another one than was learned,
-and what was seen before them is not learned from any more.
+After two surprises in a row, or a clear one (`identification.surprise`), the object is another one
+than was learned, and what was seen before is not learned from any more.
 
 If the force on the tip is measured, it is in the log, too. If the object is weighed, the estimate
 is made in absolute numbers (`identification.weighed_model`), as `gridpush identify --weighings`
@@ -169,8 +169,8 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
     * age: vector of 1, time since the estimate was asked for, which is when a push had ended, s;
       NaN before the first.
 
-    After two surprises in a row (`identification.surprise`) the object is another one than was
-    learned: then only those two pushes and later ones are learned from.
+    After two surprises in a row, or a clear one (`identification.surprise`), the object is another
+    one than was learned: then only the pushes that surprised and later ones are learned from.
 
     Learning takes long. With an answer delay it is done in a worker, see `systems.worker`: one push
     after another, while the outputs hold and further pushes are logged. Before the first push the

@@ -125,6 +125,7 @@ class NoiseSchema(StrictSchema):
     prior_weight: Positive
     shift_weight: Positive
     discrepancy_weight: Positive
+    push_freedom: Annotated[float, Field(gt=2)] = NoiseModel.push_freedom
     outlier: Positive
 
 

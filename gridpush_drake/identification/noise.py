@@ -75,6 +75,9 @@ class NoiseModel:
         prior_weight: how many residuals the prior belief s = 1 is worth.
         shift_weight: how many shifts the prior belief t = 1 is worth.
         discrepancy_weight: how many predicted numbers the prior belief kappa = 1 is worth.
+        push_freedom: degrees of freedom of the Student's t distribution that single pushes have
+            even if kappa is known well, greater than 2. Some pushes, such as those in which the
+            pusher changes from sticking to slipping, end much farther off than most.
         outlier: if the root mean square of a push's whitened residuals is above this, in standard
             deviations, its loss grows linearly instead of quadratically (Huber).
     """
@@ -86,6 +89,7 @@ class NoiseModel:
     prior_weight: float = 20.0
     shift_weight: float = 10.0
     discrepancy_weight: float = 1.0
+    push_freedom: float = 4.0
     outlier: float = 0.7
 
     def calc_covariance(self, input_jacobian: Array, scale: NoiseScale) -> Array:
@@ -163,7 +167,24 @@ class NoiseModel:
             pushes: how many pushes kappa is known from. With none it is not in doubt, and the
                 distribution is normal.
         """
-        return POSE * pushes + self.discrepancy_weight if pushes else NORMAL
+        if not pushes:
+            return NORMAL
+        # Section 5: pushes differ among each other, and kappa is known from few of them.
+        known_from = POSE * pushes + self.discrepancy_weight
+        return 1 / (1 / self.push_freedom + 1 / known_from)
+
+    def calc_typical_share(self, pushes: int) -> float:
+        """Share of the mean square of an error that belongs to a typical push.
+
+        kappa is a root mean square, to which the few pushes that end far off contribute much.
+
+        Args:
+            pushes: as for `calc_freedom`.
+
+        Returns:
+            Scale of Student's t over its variance, both squared, if kappa were known well.
+        """
+        return 1 - 2 / self.push_freedom if pushes else 1.0
 
     def scaled(self, scale: NoiseScale) -> "NoiseModel":
         """Returns a noise model whose standard deviations are multiplied by s and t."""

@@ -178,7 +178,6 @@ def predict_spread(
     check_types("predict_spread", model=(model, (Identification,)), log=(log, LOG_TYPES))
     log = read_log(log, model.obj, require_final=False)
     obj = model.obj
-    noise = model.noise
 
     # Residuals are in the axes of the observed pose. With a final pose whose angle is zero, they
     # are in the world's; where it is does not matter to their derivatives.
@@ -196,19 +195,18 @@ def predict_spread(
     problem = PushProblem(obj, log_of_ends, model.params, physics or model.physics)
     linear = problem.linearize(model.posterior.mean)
 
-    freedom = noise.calc_freedom(len(model.push_names))
     found = []
     for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):
         covariance = calc_end_covariance(model, J, inputs)
         # The third residual is rho dtheta.
         std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
-        cell_error = calc_norm_quantile(covariance, freedom)
+        cell_error = calc_end_quantile(model, covariance, INTERVAL)
         found.append(Spread(name=seen.name, std=std, cell_error=cell_error))
     return found
 
 
 def calc_end_covariance(model: Identification, J: Array, inputs: Array) -> Array:
-    """Calculates the covariance of how far off a push's end is predicted, at infinite freedom.
+    """Calculates the covariance of how far off a push's end is predicted.
 
     Args:
         model: what was learned, with its posterior, and the noise that its pushes showed.
@@ -223,6 +221,22 @@ def calc_end_covariance(model: Identification, J: Array, inputs: Array) -> Array
     covariance = left_open + model.noise.calc_covariance(inputs, model.noise_scale)
     covariance *= model.interval_scale**2
     return np.asarray(covariance)
+
+
+def calc_end_quantile(model: Identification, covariance: Array, probability: float) -> float:
+    """Calculates the distance from its predicted end that a push keeps with some probability.
+
+    Args:
+        model: what was learned.
+        covariance: (3, 3) of the end, see `calc_end_covariance`, m².
+        probability: the probability.
+
+    Returns:
+        The distance, root mean square over the cells, m.
+    """
+    pushes = len(model.push_names)
+    typical = model.noise.calc_typical_share(pushes) * covariance
+    return calc_norm_quantile(typical, model.noise.calc_freedom(pushes), probability)
 
 
 def calc_norm_quantile(

@@ -4,9 +4,10 @@ With r = (dx_c, dy_c, rho dtheta) the residual of a push's last pose, the model 
 
     r ~ t(0, kappa² (J S J^T + Sigma))
 
-(`prediction.predict_spread`). The push is a surprise if |r| is above the quantile of 99 % of that
-distribution. Then the object is not what the model says it is, or something else moved it: its load
-has changed, it was exchanged, it caught on something.
+(`prediction.calc_end_covariance`). The push is a surprise if |r| is above the quantile of 99 % of
+that distribution. Then the object is not what the model says it is, or something else moved it: its
+load has changed, it was exchanged, it caught on something. A surprise may also be bad luck. Two in
+a row are hardly, and nor is a single one beyond the quantile of 99.99 %, which is as rare.
 
 A model that has learned from pushes which contradict each other explains them all by noise, and
 nothing surprises it any more. So after a surprise, if the newer model has become much vaguer, the
@@ -22,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.prediction import calc_end_covariance, calc_norm_quantile
+from gridpush_drake.identification.prediction import calc_end_covariance, calc_end_quantile
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import MM
@@ -34,10 +35,9 @@ SURE = 0.99
 FORGET_AFTER = 2
 """Number of surprises in a row after which what was seen before them is forgotten."""
 
-CLEAR = 3.0
-"""If a push ends more than this many times as far off as 99 % of such pushes do, it surprised
-clearly. One push of a hundred ends outside of its region by chance, and a few more do where the
-model's spread is too narrow, as it is in the simulated station; but not by so much."""
+HARDLY_CHANCE = 1 - (1 - SURE) ** FORGET_AFTER
+"""If a push ends outside of the region that holds this share of such pushes, it surprised clearly:
+that is as rare as FORGET_AFTER surprises in a row, and the same follows from it."""
 
 MUCH_VAGUER = 3.0
 """If the region of a newer model is more than this many times as wide, the model as it was before a
@@ -52,11 +52,13 @@ class Judgment:
         push: the push's name.
         distance: how far from the predicted end it ended, root mean square over the cells, m.
         limit: greatest distance that is no surprise, m.
+        clear_limit: greatest distance that may well be bad luck, m.
     """
 
     push: str
     distance: float
     limit: float
+    clear_limit: float = np.inf
 
     @property
     def surprises(self) -> bool:
@@ -66,7 +68,7 @@ class Judgment:
     @property
     def is_clear(self) -> bool:
         """Whether it ended so far outside of the region that this is hardly by chance."""
-        return not self.distance <= CLEAR * self.limit
+        return not self.distance <= self.clear_limit
 
     def describe(self) -> str:
         """The judgment of a surprise, in a sentence."""
@@ -99,11 +101,11 @@ def judge_push(
     problem = PushProblem(model.obj, PushLog((end,), table=table), model.params, model.physics)
     linear = problem.linearize(model.posterior.mean)
     covariance = calc_end_covariance(model, linear.by_z[0], linear.by_inputs[0])
-    freedom = model.noise.calc_freedom(len(model.push_names))
     return Judgment(
         push=seen.name,
         distance=float(np.linalg.norm(linear.residuals[0])),
-        limit=calc_norm_quantile(covariance, freedom, SURE),
+        limit=calc_end_quantile(model, covariance, SURE),
+        clear_limit=calc_end_quantile(model, covariance, HARDLY_CHANCE),
     )
 
 
@@ -114,7 +116,8 @@ class SurpriseRecord:
     Attributes:
         total: number of surprises so far.
         in_row: number of the last pushes that were surprises, one after another. After
-            `FORGET_AFTER` it is counted anew, because the model is then learned anew.
+            `FORGET_AFTER`, or a clear one, it is counted anew, because the model is then learned
+            anew.
         last: the surprise of the last push; None where it was none.
         forgotten: number of pushes, the first ones of the log, that are not learned from any more.
         trusted: what was learned before the first of the last surprises in a row; None where the
@@ -130,15 +133,7 @@ class SurpriseRecord:
     @property
     def is_changed(self) -> bool:
         """Whether the last push says that the object is another one than was learned."""
-        return self.in_row >= FORGET_AFTER
-
-    @property
-    def forbids_edge(self) -> bool:
-        """Whether an object that hangs over an edge may neither be pushed on nor grasped.
-
-        The last push surprised clearly, or the one before it did so, too.
-        """
-        return self.last is not None and (self.last.is_clear or self.is_changed)
+        return self.last is not None and (self.last.is_clear or self.in_row >= FORGET_AFTER)
 
     def note(self, model: Identification | None, log: PushLog) -> "SurpriseRecord":
         """The record with the last push of a log judged; itself where it cannot be judged.
@@ -162,7 +157,7 @@ class SurpriseRecord:
         )
         if noted.is_changed:
             # The pushes that surprised were made with the object as it now is.
-            noted = replace(noted, forgotten=len(log) - FORGET_AFTER)
+            noted = replace(noted, forgotten=len(log) - noted.in_row)
         return noted
 
     def _judge(self, model: Identification | None, log: PushLog) -> Judgment | None:

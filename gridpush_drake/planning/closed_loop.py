@@ -17,9 +17,9 @@ and their mean says where the object lies. Poses from before one that differs fr
 forgotten.
 
 Every push that was made is judged by the model as it was before it (`identification.surprise`). A
-loop says of a push that it surprised. After two surprises in a row the object is another one than
-was learned: the loop falls back to pokes, and does not slide on. Where the object hangs over the
-edge, one clear surprise is enough to stop.
+loop says of a push that it surprised. After two surprises in a row, or a clear one, the object is
+another one than was learned: the loop falls back to pokes, and does not slide on. Where the object
+hangs over the edge, any surprise is enough to stop.
 """
 
 from collections.abc import Sequence

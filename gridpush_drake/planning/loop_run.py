@@ -3,8 +3,8 @@
 The loop is the one that a controller in a station steps. Here nothing happens between two
 observations but a push. The worlds are in `planning.world`.
 
-After two surprises in a row (`identification.surprise`) what was seen before them is forgotten: the
-object's load has changed, and the pushes before that are another object's.
+After two surprises in a row, or a clear one (`identification.surprise`), what was seen before is
+forgotten: the object's load has changed, and the pushes before that are another object's.
 """
 
 from collections.abc import Callable

@@ -47,6 +47,31 @@ def test_fewer_pushes_make_the_tails_longer_as_students_t_has_them() -> None:
     )
 
 
+def test_regions_hold_what_they_say_of_pushes_some_of_which_are_much_farther_off_than_most() -> (
+    None
+):
+    """Each push's errors are N(0, v_p C), v_p of mean 1: Student's t of 4 degrees of freedom."""
+    noise = NoiseModel()
+    rng = np.random.default_rng(4)
+    pushes = 12
+    # kappa is learned from a few such pushes, and the next one is like them.
+    freedom = noise.push_freedom
+    shape = (20000, pushes + 1)
+    v = (freedom - 2) / rng.chisquare(freedom, shape)
+    squared = v * rng.chisquare(3, shape) / 3
+    kappa2 = np.array([noise.calc_discrepancy(one) ** 2 for one in squared[:, :-1]])
+    next_one = np.sqrt(3 * squared[:, -1] / kappa2)
+    # (Of few pushes the typical mean square is less than the mean, so that they hold a little less.)
+    for probability, tolerance in ((0.9, 0.03), (0.99, 0.01)):
+        limit = calc_norm_quantile(
+            noise.calc_typical_share(pushes) * np.eye(3), noise.calc_freedom(pushes), probability
+        )
+        assert np.mean(next_one <= limit) == pytest.approx(probability, abs=tolerance)
+    # Taken for normal, and kappa for known from all numbers that were seen, too many surprise.
+    surer = calc_norm_quantile(np.eye(3), 3.0 * pushes + 1, 0.99)
+    assert np.mean(next_one > surer) > 0.025
+
+
 def test_discrepancy_is_one_where_errors_are_as_said_and_follows_them_the_more_pushes_there_are() -> (
     None
 ):

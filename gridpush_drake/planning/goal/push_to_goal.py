@@ -10,9 +10,9 @@ Whenever the robot is ready, the object is observed until it lies still. Then `d
 where and how to push, by what was learned so far. So an object that slipped, or was moved by
 somebody, is pushed from where it lies.
 
-After two surprises in a row the object is another one than was learned. Then `POKES` pokes are
-made, which tell most of where it bears, before it is pushed on. Where it hangs over the table's
-edge, one clear surprise ends the pushing.
+After two surprises in a row, or a clear one, the object is another one than was learned. Then
+`POKES` pokes are made, which tell most of where it bears, before it is pushed on. Where it hangs
+over the table's edge, any surprise ends the pushing.
 
 `PushToGoalLoop` is the loop; `push_to_goal` steps it in a simulated world. A whole sequence by the
 model alone is planned by `push_plan`.
@@ -88,8 +88,8 @@ SURPRISED = "surprised"
 does not help."""
 
 POKES = 2
-"""Number of pokes after two surprises in a row. With the two pushes that surprised, the object is
-then learned anew from four."""
+"""Number of pokes after the object was found to be another one than was learned. With the one or
+two pushes that surprised, it is then learned anew from three or four."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,7 +340,7 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         return begun.turn_to(WAITING, reason)
 
     def _end_push(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
-        """The state after a push; after two surprises in a row pokes are due."""
+        """The state after a push; pokes are due if it says that the object has changed."""
         after = super()._end_push(now, seen)
         if after.surprises is not now.surprises and after.surprises.is_changed:
             return replace(after, pokes=POKES, fallbacks=after.fallbacks + 1)
@@ -415,7 +415,7 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
             return None
         surface = self.rules.constraints.surface
         hangs_over = surface is not None and not find_supported(self.obj, pose, surface).all()
-        if last is not None and now.surprises.forbids_edge and hangs_over:
+        if last is not None and hangs_over:
             reason = (
                 f"The object hangs over the table's edge, and surprised. {last.describe()} "
                 "It is pushed no further."

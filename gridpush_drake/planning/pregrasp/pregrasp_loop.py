@@ -15,9 +15,9 @@ what to do next; nothing is done on an old observation. A decision depends on th
 learned, and on how often something was tried. So an object that slipped, or was moved by somebody,
 is simply taken from where it lies.
 
-After two surprises in a row (`identification.surprise`) the object is another one than was learned.
-The planner then begins anew: it pokes until it knows enough, before it slides on. If an object that
-surprised clearly hangs over the edge, nothing more is done: neither slid nor grasped.
+After two surprises in a row, or a clear one (`identification.surprise`), the object is another one
+than was learned. The planner then begins anew: it pokes until it knows enough, before it slides on.
+If an object that surprised hangs over the edge, nothing more is done: neither slid nor grasped.
 
 It weighs only where its planner does (`weighing_planner`). An object that withstood a press is
 heavier than was supposed, and is pressed where less force would do.
@@ -307,7 +307,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return now if broken_off else super()._judge(now, seen)
 
     def _end_push(self, now: PreGraspState, seen: Observation) -> PreGraspState:
-        """The state after a push; after two surprises in a row the planner begins anew."""
+        """The state after a push; the planner begins anew if the object has changed."""
         after = super()._end_push(now, seen)
         if after.surprises is now.surprises or not after.surprises.is_changed:
             return after
@@ -328,7 +328,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         last = now.surprises.last
         planner = self.planner
         supported = find_supported(planner.obj, pose, planner.surface)
-        if last is not None and now.surprises.forbids_edge and not supported.all():
+        if last is not None and not supported.all():
             reason = (
                 f"The object hangs over the table's edge, and surprised. {last.describe()} "
                 "It is neither slid on nor grasped."
