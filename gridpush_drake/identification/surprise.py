@@ -32,6 +32,11 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 SURE = 0.99
 """Probability with which a push ends within the region that is no surprise."""
 
+MIN_LEARNED = 2
+"""Number of pushes that a model must be learned from before it judges another one. After a single
+push the object may be quite different from the most probable one, which the region does not
+know."""
+
 FORGET_AFTER = 2
 """Number of surprises in a row after which what was seen before them is forgotten."""
 
@@ -89,11 +94,12 @@ def judge_push(
         table: (K, 2) corners in W of the table's top, m, if loads shift at its edge.
 
     Returns:
-        The judgment; None where nothing was learned before the push, or where its end cannot be
-        judged: it was not seen, or the object hung over an edge that is not known.
+        The judgment; None where next to nothing was learned before the push, or where its end
+        cannot be judged: it was not seen, or the object hung over an edge that is not known.
     """
     unknown_edge = seen.overhang and table is None
-    if not model.push_names or not len(seen.t_observed) or unknown_edge:
+    knows_little = len(model.push_names) < MIN_LEARNED
+    if knows_little or not len(seen.t_observed) or unknown_edge:
         return None
 
     # Only the last pose counts: it is what plans are made of.

@@ -111,6 +111,7 @@ def test_what_cannot_be_judged_is_not() -> None:
     seen = log[2]
     unseen = replace(seen, t_observed=np.empty(0), poses_observed=np.empty((0, 3)))
     assert judge_push(describe_prior(obj), seen) is None
+    assert judge_push(identify(obj, log[:1]), seen) is None
     assert judge_push(found, unseen) is None
     assert judge_push(found, replace(seen, overhang=True)) is None
     corners = SupportSurface.rectangle((0.0, 0.0), (2.0, 2.0)).corners
