@@ -362,6 +362,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         if observed is None:
             return state
         log = replace(state.log, pushes=(*state.log.pushes, observed))
+        # The push is judged by what was known before it: once learned, it hardly surprises.
         before = None if state.estimate is None else state.estimate.found
         surprises = state.surprises.note(before, log)
         weighed_before = state.weighed_before
@@ -378,6 +379,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             if answer is None:
                 return state
             state = self._take_answer(state, answer, state.request.time)
+        # One push after another, so that the estimates do not depend on how fast learning is.
         while state.considered < len(state.log):
             work = self._find_work(state)
             if work is None:
@@ -395,11 +397,13 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             A function that returns an estimate, or what is wrong with the push; None if nothing is
             to be learned from it.
         """
+        # Neither pushes from before the object changed, nor those that could not be used.
         log = state.log[: state.considered + 1]
         forgotten = state.surprises.forgotten
         left_out = {seen.name for seen in log[:forgotten]} | set(state.left_out)
         chosen = self.select(log)
         chosen = chosen.subset([i for i, seen in enumerate(chosen) if seen.name not in left_out])
+        # If the last push is not among them, the estimate would be the one that is there.
         if not len(chosen) or chosen[-1] is not log[-1]:
             return None
         start = state.estimate.pushed if state.estimate is not None and self.warm_start else None
@@ -444,6 +448,7 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
         found: the identification.
         log: the pushes that it could learn from; None for the prior.
     """
+    # How far off the pushes that were learned from end, without what was refused of them.
     loss = np.nan
     if log is not None and found.push_names:
         used = remove_outliers(log, found.outliers)
