@@ -37,6 +37,9 @@ Numbers = tuple[float, float, float]
 FREE_HEIGHT = 0.01
 """A tip that is higher by this than in a push touches nothing, m."""
 
+MAX_FORCES = 20
+"""Largest number of forces that are written down of a push; more samples are averaged."""
+
 NOT_FELT = (nan, nan, nan)
 """Force of a sample in which none was measured."""
 
@@ -289,15 +292,17 @@ def make_observed_push(
     if not seen:
         return None
     times = np.array([time for time, _ in seen])
-    force_t, force = _read_force(episode, float(t[0]), end)
-    t, xy = thin_path(t, xy, times, options.path_tolerance)
+    felt_at, force = _read_force(episode, float(t[0]), end)
+    # The path keeps its places at all these times, so that a file of the push is read as it was.
+    kept = times if felt_at is None else np.union1d(times, felt_at)
+    t, xy = thin_path(t, xy, kept, options.path_tolerance)
     return ObservedPush(
         name=name,
         push=Push.along(t - t[0], xy, radius),
         pose=pose,
         t_observed=times - t[0],
         poses_observed=_continue_turns(pose, seen),
-        force_t=force_t,
+        force_t=None if felt_at is None else felt_at - t[0],
         force=force,
     )
 
@@ -314,7 +319,7 @@ def _read_force(episode: Episode, begin: float, end: float) -> tuple[Array | Non
         end: when it stopped, s.
 
     Returns:
-        Times (F,) since the beginning, s, and forces (F, 2) in W, N; None for both where the force
+        Times (F,) in the stream, s, and forces (F, 2) in W, N; None for both where the force
         was not measured in the push, or the tip was not seen lifted before.
     """
     high = episode.path[0].tip[2] + FREE_HEIGHT
@@ -332,7 +337,11 @@ def _read_force(episode: Episode, begin: float, end: float) -> tuple[Array | Non
         return None, None
     # The object feels the opposite of what the tip does.
     force = free.mean(axis=0) - np.array([seen.force for seen in felt])
-    return np.array([seen.t for seen in felt]) - begin, force[:, :2]
+    t = np.array([seen.t for seen in felt])
+    # Neighboring samples are averaged.
+    groups = np.array_split(np.arange(len(felt)), min(len(felt), MAX_FORCES))
+    means = np.array([force[group, :2].mean(axis=0) for group in groups])
+    return np.array([t[group].mean() for group in groups]), means
 
 
 def find_begin(episode: Episode, options: RecordOptions) -> float:

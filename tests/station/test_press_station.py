@@ -1,5 +1,8 @@
 """An arm that presses at the table's edge in the full station, where it is told nothing."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.lcm import DrakeLcm
@@ -8,18 +11,30 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.weighing_planner import list_edges
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import PressRules, list_rests
 from gridpush_drake.planning.weighing.press import PressOutcome
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
 from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
 from gridpush_drake.station.limit_monitor import LimitMonitor
+from gridpush_drake.station.pregrasp_task import PreGraspRecord
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scene import load_object
 from gridpush_drake.station.station import make_surface
+from gridpush_drake.station.task import TaskStatus, TaskStep
+from gridpush_drake.station.task_kind import write_files
 from gridpush_drake.station.tasks import PreGraspKind
-from gridpush_drake.systems.messages import PressCommand, PushCommand
+from gridpush_drake.systems.messages import PreGraspMode, PreGraspStatus, PressCommand, PushCommand
+from tests.identification.simulated_pokes import make_pokes
 
 NEAR = np.array([0.5, 0.15])
 """A place on the edge of the table beyond which the arms reach, m."""
@@ -188,3 +203,78 @@ def test_a_real_arm_s_station_presses_by_what_its_joints_feel():
     sensor = station.GetSubsystemByName("load_sensor")
     assert not sensor._noise.sample_std.any()
     assert not sensor._noise.offset_std.any()
+
+
+@pytest.fixture(scope="module")
+def weighed(tmp_path_factory):
+    """A record of a run in which an object was pushed, pressed and lifted, and its scenario."""
+    scenario = make_scenario()
+    obj = load_object(scenario).forget()
+    truth = CellParameters.uniform(obj, 0.7, 0.35)
+    log = make_pokes(obj, truth, 2, 5, observations=3, length=0.05)
+    log = PushLog(
+        tuple(
+            replace(seen, force_t=np.array([0.5]), force=2.0 * seen.push.velocity[None] / 0.05)
+            for seen in log
+        )
+    )
+    # A file has the tip's place in each row: what was read is written the same.
+    path = tmp_path_factory.mktemp("weighed") / "pushes.csv"
+    log.write_csv(path)
+    log = PushLog.read_csv(path)
+    press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 5.0, np.array([0.05, 0.0]), 0.0)
+    lift = Lift(np.zeros(3), np.array([0.0, 0.1]), 6.9, np.array([0.7, 0.0]))
+    weighings = WeighingLog((press,), (lift,))
+    pushed = identify(obj, log, regime="quasi_static")
+    status = PreGraspStatus(PreGraspMode.HOLDING, "The object is lifted and held.", presses=1)
+    record = PreGraspRecord(
+        obj=obj,
+        truth=truth,
+        surface=SupportSurface.rectangle((0.0, 0.0), (0.8, 0.8)),
+        last=status,
+        log=log,
+        estimates=[pushed, weigh_model(pushed, weighings)],
+        weighings=weighings,
+        status=TaskStatus.HELD,
+        message="The object was lifted and held.",
+        raised=0.1,
+    )
+    for step in (replace(status, mode=PreGraspMode.WEIGHING), status):
+        record.steps.append(TaskStep(time=1.0, status=step, pose=np.zeros(3)))
+    return record, scenario
+
+
+def test_what_was_weighed_is_told_beside_the_truth(weighed):
+    record, _ = weighed
+    absolute = record.estimates[-1].absolute
+    summary = PreGraspKind().summarize(record)
+    assert summary["presses"] == 1
+    assert summary["weighed"]["total_mass"] == absolute.total_mass
+    assert summary["weighed"]["true"]["total_mass"] == pytest.approx(0.7)
+    json.dumps(summary["weighed"])
+    lines = "\n".join(PreGraspKind().describe(summary))
+    assert "weighed by 1 press at the edge, 1 lift and " in lines
+    low, high = absolute.mass_interval
+    assert (
+        f"mass: {absolute.total_mass:.3f} kg, {low:.3f} to {high:.3f} kg; truly 0.700 kg" in lines
+    )
+    assert "center of mass: x " in lines
+    assert "mean friction: " in lines
+    assert "truly 0.350" in lines
+    # Where nobody knows the truth, nothing is said of it.
+    unknown = PreGraspKind().summarize(replace(record, truth=None))
+    assert "truly" not in "\n".join(PreGraspKind().describe(unknown))
+
+
+def test_the_files_of_a_weighed_run_make_the_same_model_again(weighed, tmp_path):
+    record, scenario = weighed
+    written = write_files(PreGraspKind(), tmp_path, scenario, record, None, force=False)
+    assert tmp_path / "weighings.csv" in written
+    assert "truly 0.700 kg" in (tmp_path / "report.html").read_text()
+    read = WeighingLog.read_csv(tmp_path / "weighings.csv")
+    assert [lift.weight for lift in read.lifts] == [6.9]
+    obj = GridObject.from_yaml(tmp_path / "object.yaml")
+    assert obj.prior.total_mass is None
+    again = identify(obj, PushLog.read_csv(tmp_path / "pushes.csv"), regime="quasi_static")
+    absolute = weigh_model(again, read).absolute
+    np.testing.assert_array_equal(absolute.mean, record.estimates[-1].absolute.mean)
