@@ -4,7 +4,7 @@ What a command needs to know of a task is in a `TaskKind` (`station.task_kind`).
 is one more name in `TaskName`, and one more `TaskKind` in `TASKS`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -303,7 +303,7 @@ class PreGraspKind(TaskKind):
         if "weighed" in summary:
             weighed = summary["weighed"]
             lines.append(f"  weighed by {weighed['sources']}, each with a probability of 95 %:")
-            lines += [f"  {what}: {value}" for what, value in list_weighed(weighed)]
+            lines += [f"  {what}: {value}, {more}" for what, value, more in list_weighed(weighed)]
         return lines
 
     def list_expectations(self, record: PreGraspRecord) -> list[Expectation]:
@@ -329,7 +329,8 @@ class PreGraspKind(TaskKind):
         raised = f"{record.raised * MM:.0f} mm" if np.isfinite(record.raised) else "not measured"
         facts: list[tuple[str, str]] = []
         if record.estimates and record.estimates[-1].absolute is not None:
-            facts = list_weighed(summarize_weighed(record.estimates[-1].absolute, record))
+            weighed = summarize_weighed(record.estimates[-1].absolute, record)
+            facts = [(f"{what}, {more}", value) for what, value, more in list_weighed(weighed)]
         return ReportSummary(
             headline=f"{record.message} It took {_count_pushes(last.pokes, last.slides)}.",
             facts=(
@@ -368,44 +369,46 @@ def summarize_weighed(absolute: AbsoluteEstimate, record: PreGraspRecord) -> dic
     return summary
 
 
-def list_weighed(weighed: dict[str, Any]) -> list[tuple[str, str]]:
-    """Lists what weighings said, in words, each with its interval and beside the truth.
+def list_weighed(weighed: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Lists what weighings said, in words: what it is, its value, and interval beside the truth.
 
     Args:
         weighed: what `summarize_weighed` returned.
     """
     true = weighed.get("true")
 
-    def add_truth(words: str, truth: Callable[[dict[str, Any]], str]) -> str:
-        """Adds to words what is true."""
-        return words if true is None else f"{words}; truly {truth(true)}"
+    def add_truth(interval: str, key: str, describe: Callable[[Any], str]) -> str:
+        """Adds to an interval what is true."""
+        return interval if true is None else f"{interval}; truly {describe(true[key])}"
+
+    def describe_mass(mass: float) -> str:
+        return f"{mass:.3f} kg"
+
+    def describe_place(place: Sequence[float]) -> str:
+        x, y = (MM * value for value in place)
+        return f"x {x:.1f} mm, y {y:.1f} mm"
+
+    def describe_friction(friction: float) -> str:
+        return f"{friction:.3f}"
 
     low, high = weighed["total_mass_interval"]
-    x, y = (MM * value for value in weighed["center_of_mass"])
     reach = SIGMAS * MM * np.sqrt(np.diag(weighed["center_of_mass_covariance"]))
     listed = [
         (
             "mass",
-            add_truth(
-                f"{weighed['total_mass']:.3f} kg, {low:.3f} to {high:.3f} kg",
-                lambda true: f"{true['total_mass']:.3f} kg",
-            ),
+            describe_mass(weighed["total_mass"]),
+            add_truth(f"{low:.3f} to {high:.3f} kg", "total_mass", describe_mass),
         ),
         (
             "center of mass",
-            add_truth(
-                f"x {x:.1f} ± {reach[0]:.1f} mm, y {y:.1f} ± {reach[1]:.1f} mm",
-                lambda true: "x {:.1f} mm, y {:.1f} mm".format(
-                    *(MM * value for value in true["center_of_mass"])
-                ),
-            ),
+            describe_place(weighed["center_of_mass"]),
+            add_truth(f"± {reach[0]:.1f} and {reach[1]:.1f} mm", "center_of_mass", describe_place),
         ),
     ]
     if weighed["friction"] is not None:
         low, high = weighed["friction_interval"]
-        words = f"{weighed['friction']:.3f}, {low:.3f} to {high:.3f}"
-        truth = add_truth(words, lambda true: f"{true['friction']:.3f}")
-        listed.append(("mean friction", truth))
+        interval = add_truth(f"{low:.3f} to {high:.3f}", "friction", describe_friction)
+        listed.append(("mean friction", describe_friction(weighed["friction"]), interval))
     return listed
 
 
