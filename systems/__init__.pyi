@@ -6,6 +6,9 @@ from .edge_presser import EdgePresser as EdgePresser
 from .estimate_visualizer import EstimateVisualizer as EstimateVisualizer
 from .feedback_push_controller import FeedbackPushController as FeedbackPushController
 from .feedback_push_controller import FeedbackPushStatus as FeedbackPushStatus
+from .follow_controller import FollowController as FollowController
+from .follow_controller import FollowControlStatus as FollowControlStatus
+from .follow_controller import FollowRules as FollowRules
 from .grasp_executor import GraspExecutor as GraspExecutor
 from .grid_identifier import GridIdentifier as GridIdentifier
 from .grid_lcp_step import GridLcpStep as GridLcpStep
@@ -26,6 +29,8 @@ from .messages import PressStep as PressStep
 from .messages import PushCommand as PushCommand
 from .messages import PushPhase as PushPhase
 from .messages import PushStatus as PushStatus
+from .messages import SteerCommand as SteerCommand
+from .messages import SteerStatus as SteerStatus
 from .object_controller import AbstractStateSystem as AbstractStateSystem
 from .object_controller import ObjectController as ObjectController
 from .object_detector import Detection as Detection
@@ -48,5 +53,7 @@ from .pusher_gate import PusherGate as PusherGate
 from .pusher_state_sensor import ArmTipSensor as ArmTipSensor
 from .pusher_state_sensor import PusherStateSensor as PusherStateSensor
 from .rgbd_noise import RgbdNoise as RgbdNoise
+from .steer_executor import SteerExecutor as SteerExecutor
+from .steer_executor import SteerOptions as SteerOptions
 from .true_parameters import TrueParameters as TrueParameters
 from .worker import Worker as Worker

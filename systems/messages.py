@@ -24,6 +24,8 @@ from gridpush_drake.planning.robot_status import PressStatus as PressStatus
 from gridpush_drake.planning.robot_status import PressStep as PressStep
 from gridpush_drake.planning.robot_status import PushPhase as PushPhase
 from gridpush_drake.planning.robot_status import PushStatus as PushStatus
+from gridpush_drake.planning.robot_status import SteerPhase as SteerPhase
+from gridpush_drake.planning.robot_status import SteerStatus as SteerStatus
 from gridpush_drake.planning.weighing.press import PressTarget
 
 PUSH_COMMAND_SIZE = 6
@@ -207,3 +209,34 @@ class GraspCommand(_Command):
     def heading(self) -> NDArray[np.float64]:
         """Unit vector (2,) in W in which the fingers point."""
         return np.array([cos(self.approach), sin(self.approach)])
+
+
+STEER_COMMAND_SIZE = 5
+"""Length of a `SteerCommand` as a vector."""
+
+
+@dataclass(frozen=True)
+class SteerCommand(_Command):
+    """A finger that is steered by its velocity, world frame.
+
+    With a new id the finger comes down at (x, y). Then it moves with the velocity on the port,
+    which changes while the id stays. With id 0 it goes up and back.
+
+    Attributes:
+        command_id: counts the commands from 1; a command is new when its id is. 0 stands for no
+            command.
+        x: x of the tip's center where the finger comes down, m.
+        y: y of the tip's center there, m.
+        vx: velocity of the tip along x, m/s.
+        vy: velocity of the tip along y, m/s.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    vx: float = 0.0
+    vy: float = 0.0
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """Velocity (2,) of the tip's center, m/s."""
+        return np.array([self.vx, self.vy])

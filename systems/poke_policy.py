@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context
-from shapely import Point, Polygon
+from shapely import LineString, Point, Polygon
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
@@ -36,6 +36,11 @@ Reach = Callable[[PushCommand], bool]
 ROUNDING = 1e-6
 """Share of the gap between tip and outline that may be missing at the start. A point that is
 calculated on the outline is not exactly on it."""
+
+
+WAYPOINTS = 4
+"""Number of poses, evenly spread over a poke, at which the object must be in its region. There may
+be something in the way, such as a post, though the object lies clear of it at the end."""
 
 
 @dataclass(frozen=True)
@@ -152,11 +157,13 @@ def choose_poke(
         command = draw_poke(obj, q, command_id, seed, attempt, style)
         if not fits(obj, q, command, style, region) or (reach is not None and not reach(command)):
             continue
-        last = predict_poke(obj, params, q, command, style)
-        cells = obj.cells_at(last)
+        poses = predict_poke(obj, params, q, command, style)
+        cells = obj.cells_at(poses[-1])
         if np.linalg.norm(cells - obj.cells_at(q), axis=1).mean() < style.min_motion:
             continue
-        leaves = not region.keep_in.covers(transform_shape(last, obj.outline))
+        leaves = not all(
+            region.keep_in.covers(transform_shape(pose, obj.outline)) for pose in poses
+        )
         centroid = cells.mean(axis=0)
         if not leaves and region.suits(centroid):
             return command, attempt + 1
@@ -210,14 +217,15 @@ def fits(
 ) -> bool:
     """Returns whether the tip has room where it starts, and stays within its workspace.
 
-    It has no room in a notch that is too narrow.
+    It has no room in a notch that is too narrow. It goes straight, and may not cross a place that
+    was cut out of the workspace, such as that of a post.
     """
     start = Point(command.start)
     end = Point(command.end)
     gap = transform_shape(pose, obj.outline).distance(start)
     if gap < (1 - ROUNDING) * (style.tip_radius + style.clearance):
         return False
-    return bool(region.workspace.covers(start) and region.workspace.covers(end))
+    return bool(region.workspace.covers(LineString([start, end])))
 
 
 def predict_poke(
@@ -227,10 +235,15 @@ def predict_poke(
     command: PushCommand,
     style: RandomPokeOptions,
 ) -> Array:
-    """Predicts the object's pose X_WB (3,), m and rad, after a push, with inertia neglected."""
+    """Predicts poses X_WB (WAYPOINTS, 3) of the object on its way, m and rad, the last at the end.
+
+    Inertia is neglected.
+    """
     velocity = (command.end - command.start) / command.distance * command.speed
     push = Push(command.start, velocity, command.distance / command.speed, style.tip_radius)
-    return simulate(obj, params, push, pose, regime="quasi_static", record=[]).final_pose
+    motion = simulate(obj, params, push, pose, regime="quasi_static", record=[])
+    rows = np.linspace(0, len(motion.poses) - 1, WAYPOINTS + 1).round().astype(int)[1:]
+    return motion.poses[rows]
 
 
 DEFAULT_PERIOD = 0.05

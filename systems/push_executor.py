@@ -27,6 +27,7 @@ from gridpush_drake.systems.messages import (
     PushCommand,
     PushPhase,
     PushStatus,
+    SteerStatus,
 )
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
@@ -223,6 +224,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         - object_pose
         - grasp_status
         - press_status
+        - steer_status
         output_ports:
         - tip_pose
         - status
@@ -236,6 +238,8 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
       It need not be connected.
     * press_status: abstract `PressStatus`; while a press is under way the tip goes to no lookout,
       either. It need not be connected.
+    * steer_status: abstract `SteerStatus`; while the finger is steered the tip goes to no lookout.
+      It need not be connected.
     * tip_pose: abstract `RigidTransform`, desired X_WP, m, with P at the tip's center and its z
       axis pointing down.
     * status: abstract `PushStatus`, how the executor stands.
@@ -278,6 +282,9 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         )
         self._press_port = self.DeclareAbstractInputPort(
             "press_status", AbstractValue.Make(PressStatus())
+        )
+        self._steer_port = self.DeclareAbstractInputPort(
+            "steer_status", AbstractValue.Make(SteerStatus())
         )
         self.DeclareAbstractOutputPort(
             "tip_pose",
@@ -346,8 +353,8 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         )
 
     def _is_elsewhere(self, context: Context) -> bool:
-        """Returns whether a grasp or a press is under way, in which others lead the tip."""
-        ports = (self._grasp_port, self._press_port)
+        """Returns whether others lead the tip: in a grasp, in a press, or while it is steered."""
+        ports = (self._grasp_port, self._press_port, self._steer_port)
         return any(port.HasValue(context) and not port.Eval(context).ready for port in ports)
 
     def _look_out(self, now: ExecutorState, time: float, content: bool) -> ExecutorState:

@@ -101,12 +101,14 @@ class Case:
         truth: its true masses and frictions.
         learned: what was learned from the pokes; None where it was not asked for.
         make_world: makes the world.
+        pokes: what it was learned from; None where it was not learned.
     """
 
     obj: GridObject
     truth: CellParameters
     learned: Identification | None
     make_world: WorldMaker
+    pokes: PushLog | None = None
 
 
 def make_case(world: str, name: str, seed: int, *, learns: bool) -> Case:
@@ -148,10 +150,11 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> Case:
             return MujocoFingerWorld(body, pose, tip, FINGER.radius, sight=SIGHT, seed=seed)
 
     learned = None
+    pokes = None
     if learns:
         pokes = PushLog(tuple(draw_poke(pokes_world, obj, rng, i) for i in range(POKES)))
         learned = identify(obj, pokes, seed=seed, regime="quasi_static")
-    return Case(obj, truth, learned, make_world)
+    return Case(obj, truth, learned, make_world, pokes)
 
 
 def draw_poke(

@@ -80,6 +80,7 @@ WORDS = {
     TaskName.identify: "Poke the {} to learn where it is heavy.",
     TaskName.push: "Push the {} to its goal.",
     TaskName.pregrasp: "Slide the {} to the table's edge, grasp it there and lift it.",
+    TaskName.follow: "Push the {} along a path between the posts.",
 }
 """What the robot is to do, in words, by the campaign's task."""
 

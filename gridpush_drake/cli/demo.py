@@ -1,4 +1,4 @@
-"""`gridpush demo`: a simulated robot learns an object by poking it, and then pushes or lifts it."""
+"""`gridpush demo`: a simulated robot learns an object by poking it, and pushes or lifts it."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -32,7 +32,9 @@ def demo(
         typer.Option(
             help="What the robot should do. identify: poke the object, learn where it is heavy, "
             "and test what was learned; push: push it to a goal pose, and learn on the way; "
-            "pregrasp: poke and learn it, slide it to the table's edge, grasp it there and lift it."
+            "pregrasp: poke and learn it, slide it to the table's edge, grasp it there and lift it; "
+            "follow: poke and learn it, and push it along a path between obstacles, with a finger "
+            "that is steered ten times a second."
         ),
     ] = TaskName.pregrasp,
     object_file: Annotated[

@@ -7,6 +7,8 @@ Importing this package registers, for `gymnasium.make` and `gymnasium.make_vec`,
                               falling ends the episode
     gridpush/Explore-v0       poke it so that its motion under other pushes can be foretold
     gridpush/PushTHidden-v0   bring the T of PushT, with a hidden load, to a goal in four strokes
+    gridpush/Follow-v0        push an object along a path, with a finger that is steered 10 times a
+                              second
 
 It needs `pip install 'gridpush-drake[gym]'`.
 """

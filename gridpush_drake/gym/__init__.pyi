@@ -2,6 +2,8 @@ from .environments import PushEnvironment as PushEnvironment
 from .environments import PushVectorEnvironment as PushVectorEnvironment
 from .episode import Episode as Episode
 from .episode import GameOptions as GameOptions
+from .following import FollowEnvironment as FollowEnvironment
+from .following import FollowGameOptions as FollowGameOptions
 from .games import Explore as Explore
 from .games import PushTHidden as PushTHidden
 from .games import PushToGoal as PushToGoal

@@ -31,6 +31,9 @@ PICTURE_SIZE = 480
 FPS = 2
 """Number of pushes a second in a film of pictures."""
 
+FOLLOW = "gridpush/Follow-v0"
+"""Name of the environment in which a finger is steered, `gym.following`."""
+
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FPS}
 """What the environments tell Gymnasium of their pictures."""
 
@@ -48,6 +51,8 @@ def register_environments() -> None:
                 vector_entry_point=f"{__name__}:PushVectorEnvironment",
                 kwargs={"game": name},
             )
+    if FOLLOW not in gymnasium.registry:
+        gymnasium.register(FOLLOW, entry_point="gridpush_drake.gym.following:FollowEnvironment")
 
 
 def make_game(game: str, options: dict[str, Any]) -> PushGame:

@@ -1,6 +1,7 @@
 """What the robot's executors say of themselves, as closed loops and controllers read it.
 
-The executors are systems (`systems.push_executor`, `systems.grasp_executor`); a simulated world
+The executors are systems (`systems.push_executor`, `systems.grasp_executor`,
+`systems.steer_executor`); a simulated world
 reports the same statuses for pushes that it carries out at once (`world.run_loop`).
 """
 
@@ -124,3 +125,37 @@ class PressStatus:
     def ready(self) -> bool:
         """Whether a new command would be taken up now."""
         return self.step == PressStep.IDLE
+
+
+class SteerPhase(StrEnum):
+    """What an executor of steering is doing."""
+
+    IDLE = "idle"
+    APPROACHING = "approaching"
+    DESCENDING = "descending"
+    STEERING = "steering"
+    RETRACTING = "retracting"
+    RETURNING = "returning"
+
+
+@dataclass(frozen=True)
+class SteerStatus:
+    """What an executor of steering says of itself.
+
+    Attributes:
+        phase: what it is doing; in "steering" the finger is down and follows its velocity.
+        command_id: number of the last command that was taken up or refused; 0 before the first.
+        refused: whether that command was refused.
+        reason: why it was refused, why the finger is held back at present, or why it went up by
+            itself; empty where none of these.
+    """
+
+    phase: SteerPhase = SteerPhase.IDLE
+    command_id: int = 0
+    refused: bool = False
+    reason: str = ""
+
+    @property
+    def ready(self) -> bool:
+        """Whether nobody steers, and a new command would be taken up now."""
+        return self.phase == SteerPhase.IDLE

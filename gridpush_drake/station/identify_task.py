@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.others import leave_out
+from gridpush_drake.station.posts import leave_out
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -139,7 +139,9 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
         scenario = resolved.scenario
         builder = DiagramBuilder()
         station = builder.AddSystem(make_station(resolved, meshcat, show_object=False))
-        self.controller = builder.AddNamedSystem("policy", _make_policy(station))
+        self.controller = builder.AddNamedSystem(
+            "policy", make_policy(station, scenario.pokes.test_count)
+        )
         super().__init__(builder, station, self.controller, meshcat)
 
     def prepare(self, context: Context, seed: int) -> None:
@@ -192,11 +194,16 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
             raise StationError(record.message)
 
 
-def _make_policy(station: Station) -> PokePolicy:
-    """Makes the policy that draws pokes as the station's scenario says."""
+def make_policy(station: Station, test_pushes: int = 0) -> PokePolicy:
+    """Makes the policy that draws pokes as the station's scenario says.
+
+    Args:
+        station: the station.
+        test_pushes: number of pokes after those to learn from.
+    """
     scenario = station.scenario
     pokes = scenario.pokes
-    keep_in = leave_out(station.table_top.buffer(-EDGE_MARGIN), station.others, EDGE_MARGIN)
+    keep_in = leave_out(station.table_top.buffer(-EDGE_MARGIN), station.obstacles, EDGE_MARGIN)
     # In a small workspace the finger gets around the object nowhere; then any place will do.
     middle = MakeFingerRegion(station, MIDDLE_MARGIN)
     region = PokeRegion(MakeFingerRegion(station), keep_in, None if middle.is_empty else middle)
@@ -214,7 +221,7 @@ def _make_policy(station: Station) -> PokePolicy:
         pokes.count,
         style,
         reach=lambda command: station.FindObstacle(command) is None,
-        test_pushes=pokes.test_count,
+        test_pushes=test_pushes,
         test_distance=pokes.test_distance,
         answer_delay=scenario.simulation.answer_delay,
     )

@@ -14,7 +14,7 @@ from pydrake.systems.framework import Context, EventStatus
 
 from gridpush_drake.station.robot import GetRobotInPlant
 from gridpush_drake.station.station import Station
-from gridpush_drake.systems.messages import GraspPhase, PushPhase
+from gridpush_drake.systems.messages import GraspPhase, PushPhase, SteerPhase
 
 GRIPPING = (GraspPhase.CLOSING, GraspPhase.LIFTING, GraspPhase.HOLDING, GraspPhase.OPENING)
 """Phases of a grasp in which the gripper's fingers may touch the object."""
@@ -39,7 +39,8 @@ class LimitReport:
         velocity_share: greatest speed of a joint, by its limit.
         torque_share: greatest torque commanded to a joint, by its limit.
         tracking_error: greatest distance of the tip from where it should have been at the time, in
-            all pushes, m.
+            all pushes and while it was steered, m.
+        force: greatest force on the finger's tip, N.
         strayed: the greatest distance in each push in which it was more than `STRAYED`, m, by the
             push's `command_id`.
         touched: names of the pairs of bodies that touched but should not have.
@@ -49,6 +50,7 @@ class LimitReport:
     velocity_share: float = 0.0
     torque_share: float = 0.0
     tracking_error: float = 0.0
+    force: float = 0.0
     strayed: dict[int, float] = field(default_factory=dict)
     touched: set[tuple[str, str]] = field(default_factory=set)
 
@@ -159,6 +161,16 @@ class LimitMonitor:
             if error > STRAYED:
                 before = report.strayed.get(push.command_id, 0.0)
                 report.strayed[push.command_id] = max(before, error)
+        is_steered = (
+            station.HasOutputPort("steer.status")
+            and read("steer.status").phase == SteerPhase.STEERING
+        )
+        if is_steered:
+            gap = read("executor.tip_pose").translation() - read("pusher.state")[:3]
+            report.tracking_error = max(report.tracking_error, float(np.linalg.norm(gap)))
+        if station.HasOutputPort("pusher.force"):
+            force = float(np.linalg.norm(read("pusher.force")))
+            report.force = max(report.force, force)
         if self._knows_contacts:
             gripping = (
                 station.HasOutputPort("grasp.status") and read("grasp.status").phase in GRIPPING
@@ -168,7 +180,7 @@ class LimitMonitor:
     def _judge_contacts(
         self, plant: MultibodyPlant, contacts: ContactResults, gripping: bool
     ) -> None:
-        """Notes the pairs of bodies that touch but should not.
+        """Notes the pairs of bodies that touch but should not, and the force on the tip.
 
         The object may touch tip and table, and the gripper's fingers while they grip. Other objects
         may touch the table.
@@ -176,12 +188,17 @@ class LimitMonitor:
         may_touch_object = {self._tip, *self._table}
         if gripping:
             may_touch_object |= self._fingers
+        on_tip = np.zeros(3)
         for i in range(contacts.num_point_pair_contacts()):
             contact = contacts.point_pair_contact_info(i)
             pair = {contact.bodyA_index(), contact.bodyB_index()}
+            if self._tip in pair:
+                sign = 1.0 if contact.bodyB_index() == self._tip else -1.0
+                on_tip += sign * contact.contact_force()
             if self._object in pair and pair & may_touch_object:
                 continue
             if pair & self._others and pair & self._table:
                 continue
             first, second = sorted(plant.get_body(index).name() for index in pair)
             self.limit_report.touched.add((first, second))
+        self.limit_report.force = max(self.limit_report.force, float(np.linalg.norm(on_tip)))

@@ -13,12 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from pydrake.geometry import GeometryId, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder
 from shapely import Polygon
-from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.grid_object import (
@@ -163,13 +161,6 @@ def place_others(others: Sequence[OtherObject]) -> tuple[Polygon, ...]:
     return tuple(
         Polygon(transform_shape(other.pose, other.part.obj.outline).exterior) for other in others
     )
-
-
-def leave_out(region: BaseGeometry, others: Sequence[OtherObject], distance: float) -> BaseGeometry:
-    """Cuts from a region what is nearer than a distance, m, to where other objects lie."""
-    if not others:
-        return region
-    return region - shapely.union_all(place_others(others)).buffer(distance)
 
 
 def _make_camera_seed(seed: int, number: int) -> int:

@@ -37,7 +37,6 @@ from gridpush_drake.planning.support_surface import SupportSurface, stayed_suppo
 from gridpush_drake.planning.weighing.plan import PressRules
 from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.planning.weighing.sequence import SequenceOptions
-from gridpush_drake.station.others import place_others
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -250,7 +249,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             self.surface,
             make_options(station, gripper, force),
             limits=self._make_limits(),
-            obstacles=place_others(station.others),
+            obstacles=station.obstacles,
         )
         if isinstance(self.planner, WeighingPlanner):
             self.planner.weighing = make_weighing_options(station)

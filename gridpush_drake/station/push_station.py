@@ -77,10 +77,14 @@ from gridpush_drake.station.station import (
     Station,
 )
 from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor, LoadNoise
+from gridpush_drake.systems.contact_force_sensor import ContactForceSensor
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 from gridpush_drake.systems.true_parameters import TrueParameters
+
+FORCE_PERIOD = 0.005
+"""Time between two samples of the force on the tip of a finger that is steered, s."""
 
 TRUE_LOG = "true_pose_log"
 COVARIANCE_LOG = "covariance_log"
@@ -324,6 +328,7 @@ class PushStation(Station):
         - body_poses
         - contact_results
         - query_object
+        - pusher.force
         - other_0.pose
         - ...
 
@@ -332,6 +337,8 @@ class PushStation(Station):
     - ``body_poses``: abstract list of `RigidTransform`, X_WB of the plant's bodies.
     - ``contact_results``: abstract `ContactResults` of the plant.
     - ``query_object``: abstract `QueryObject` of the scene graph.
+    - ``pusher.force``: vector of 3, force on the finger's tip in W, N, only if the station is made
+      with `steered`.
     - ``other_0.pose`` and so on: vector of 3, X_WB of another object as its camera sees it,
       (x, y, theta), m and rad; one port for each of the scenario's `others`.
 
@@ -437,6 +444,7 @@ def MakePushStation(
     *,
     show_object: bool = True,
     learning: Learning | None = None,
+    steered: bool = False,
     name: str = "station",
 ) -> PushStation:
     """Makes the simulated station.
@@ -457,6 +465,7 @@ def MakePushStation(
         show_object: whether the object's plain outline is shown; False if its estimate is drawn
             in its place.
         learning: which pushes are learned from; None for the first `scenario.pokes.count`.
+        steered: whether the finger can be steered by its velocity, by the port `steer_command`.
         name: name of the station in a Diagram, and of its path in Meshcat. Two stations in one
             Diagram must have different names.
 
@@ -491,7 +500,9 @@ def MakePushStation(
     load_sensor = (
         _add_load_sensor(builder, setting, driver) if setting.scenario.nothing_told else None
     )
-    control = _add_control(builder, world, sensors, learning, load_sensor)
+    control = _add_control(
+        builder, world, sensors, learning=learning, load_sensor=load_sensor, steered=steered
+    )
     builder.Connect(
         control.kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position")
     )
@@ -552,6 +563,7 @@ def _add_control(
     sensors: Sensors,
     learning: Learning | None,
     load_sensor: ArmLoadSensor | None,
+    steered: bool,
 ) -> RobotControl:
     """Adds what commands the robot, and has the errors of a color and depth camera logged."""
     camera = sensors.camera.source
@@ -567,6 +579,17 @@ def _add_control(
             tip_force=load_sensor.GetOutputPort("tip_force"),
             grasp_wrench=load_sensor.GetOutputPort("grasp_wrench"),
         )
+    tip_force = None
+    if steered:
+        body = world.plant.GetBodyByName(world.setting.robot.finger.tip_frame)
+        felt = builder.AddNamedSystem(
+            "force_sensor", ContactForceSensor(body.index(), period=FORCE_PERIOD)
+        )
+        builder.Connect(
+            world.plant.get_contact_results_output_port(), felt.GetInputPort("contact_results")
+        )
+        tip_force = felt.GetOutputPort("force")
+        builder.ExportOutput(tip_force, "pusher.force")
     gripper = world.robot_in_plant.gripper
     return AddRobotControl(
         builder,
@@ -577,6 +600,7 @@ def _add_control(
         gripper_state=None if gripper is None else world.plant.get_state_output_port(gripper),
         logged=logged,
         load=load,
+        tip_force=tip_force,
     )
 
 

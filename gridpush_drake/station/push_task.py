@@ -14,7 +14,6 @@ from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_erro
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.station.others import place_others
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -180,7 +179,7 @@ def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
     clearance = scenario.pokes.clearance
     constraints = PushConstraints(
         surface=surface,
-        obstacles=place_others(station.others),
+        obstacles=station.obstacles,
         edge_margin=EDGE_MARGIN,
         finger_region=MakeFingerRegion(station),
         push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,

@@ -35,6 +35,7 @@ from gridpush_drake.station.camera import (
     PhotographedScene,
     find_object,
 )
+from gridpush_drake.station.posts import place_posts
 from gridpush_drake.station.robot import GetRobotInPlant, Robot, check_robot, find_robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import (
@@ -189,6 +190,7 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
     table_top = FindTableOutline(plant, inspector)
     _check_on_table(("object", "object_pose"), obj, scenario.object_pose, table_top)
     _check_others(scenario, obj, others, table_top, tip_radius)
+    _check_posts(scenario, obj, others, table_top, tip_radius)
     _check_tip(robot, plant, inspector)
     _check_reach(scenario, plant, robot)
 
@@ -336,6 +338,41 @@ def _check_others(
                     "expected room"
                 )
         placed.append((field, outline))
+
+
+def _check_posts(
+    scenario: PushScenario,
+    obj: GridObject,
+    others: Sequence[GridObject],
+    table: BaseGeometry,
+    tip_radius: float,
+) -> None:
+    """Checks that each post stands on the table, apart from all objects, below the finger."""
+    lying = [("object_pose", transform_shape(scenario.object_pose, obj.outline))]
+    for at, (config, other) in enumerate(zip(scenario.others, others, strict=True)):
+        lying.append((f"others[{at}].pose", transform_shape(config.pose, other.outline)))
+    for at, (post, outline) in enumerate(
+        zip(scenario.posts, place_posts(scenario.posts), strict=True)
+    ):
+        field = f"posts[{at}]"
+        x, y = post.position
+        if not table.covers(outline):
+            raise ScenarioError(
+                f"{field}.position is [{x:g}, {y:g}]: there the post is not wholly on the table; "
+                "expected a place on it"
+            )
+        if post.height + tip_radius >= scenario.finger.travel_height:
+            raise ScenarioError(
+                f"{field}.height is {post.height:g} m; expected less than finger.travel_height "
+                f"less the tip's radius, {scenario.finger.travel_height - tip_radius:g} m, so that "
+                "the finger passes over it"
+            )
+        for name, shape in lying:
+            if shape.intersects(outline):
+                raise ScenarioError(
+                    f"{field}.position is [{x:g}, {y:g}]: there the post stands in the object of "
+                    f"{name}; expected room"
+                )
 
 
 def _check_on_table(

@@ -36,6 +36,7 @@ from gridpush_drake.station.scenario_fields import (
     Interval,
     Number,
     Pair,
+    Point,
     Pose,
     Positive,
     Range,
@@ -339,6 +340,48 @@ class OtherConfig(Config):
     height: Annotated[Number, positive("m")] = 0.03
 
 
+class PostConfig(Config):
+    """A round post that is fixed on the table: an obstacle.
+
+    Attributes:
+        position: [x, y] of its axis in W, m.
+        radius: radius of the post, m.
+        height: height of the post, m; the finger passes over it.
+    """
+
+    position: Annotated[Point, Field(description=f"[x, y], in m, at most {MAX_SIZE:g}")]
+    radius: Annotated[Number, positive("m", low=1e-3)] = 0.02
+    height: Annotated[Number, positive("m", low=1e-3)] = 0.06
+
+
+class FollowConfig(Config):
+    """How the object is pushed along a path, with a finger that is steered while it pushes.
+
+    The path ends at `goal.pose`.
+
+    Attributes:
+        path: poses [x, y, theta] of B in W that the object is to go through, m and rad, the last of
+            them the end; null to plan a path to `goal.pose` around whatever stands on the table.
+        speed: speed of the object's centroid on the path, m/s.
+        finger_speed: greatest speed of the finger while it pushes, m/s.
+        walking_speed: greatest speed of the finger on its way round the object, m/s.
+        position_tolerance: distance from the path's end at which the object has arrived, m.
+        angle_tolerance: angle from that of the path's end at which it has arrived, rad.
+        plans: number of paths that are planned, one after another, if the object does not get on.
+    """
+
+    path: Annotated[
+        list[Pose] | None,
+        Field(min_length=2, description="a list of poses [x, y, theta], two or more, or null"),
+    ] = None
+    speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.05
+    finger_speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.1
+    walking_speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.2
+    position_tolerance: Annotated[Number, positive("m", low=1e-4)] = 0.005
+    angle_tolerance: Annotated[Number, positive("rad", low=1e-3)] = radians(3)
+    plans: Annotated[int, whole(1)] = 3
+
+
 class PushScenario(Config):
     """An object, the scene it lies in, and what is to be done with it.
 
@@ -364,11 +407,13 @@ class PushScenario(Config):
         simulation: how the world is simulated.
         workspace: where the finger's tip may be.
         goal: goal of the task to push the object somewhere.
+        follow: how the object is pushed along a path, in the task to do this; its end is the goal.
         pregrasp: how the object is slid to the table's edge and grasped, in the task to do this.
             Its scene has a gripper.
         weighing: how the object is weighed at the table's edge, if nothing is told of it.
         safety: limits beyond which a real arm is stopped.
         others: other objects on the table, around which pushes are planned; see `station.others`.
+        posts: posts fixed on the table, around which pushes are planned; see `station.posts`.
         seed: seed of everything random.
         directives: all models in the scene but the objects, as Drake's model directives: a robot
             with a finger, see `station.robot`, and a model with the name `table`.
@@ -393,11 +438,15 @@ class PushScenario(Config):
     simulation: SimulationConfig = SimulationConfig()
     workspace: WorkspaceConfig = WorkspaceConfig()
     goal: GoalConfig = GoalConfig()
+    follow: FollowConfig = FollowConfig()
     pregrasp: PreGraspConfig = PreGraspConfig()
     weighing: WeighingConfig = WeighingConfig()
     safety: SafetyConfig = SafetyConfig()
     others: Annotated[
         list[OtherConfig], Field(description="a list of objects, each with a pose")
+    ] = []
+    posts: Annotated[
+        list[PostConfig], Field(description="a list of posts, each with a position")
     ] = []
     seed: Annotated[int, whole(0, MAX_SEED)] = 0
     directives: Annotated[

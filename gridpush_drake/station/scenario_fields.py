@@ -118,6 +118,9 @@ Interval = Annotated[
 ]
 """[least, greatest] of a coordinate, m; they differ."""
 
+Point = Annotated[Pair, within(-MAX_SIZE, MAX_SIZE)]
+"""[x, y] of a place in W, m."""
+
 Pose = Annotated[
     list[Number],
     Field(

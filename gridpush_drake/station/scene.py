@@ -24,6 +24,7 @@ from gridpush_drake.multibody.ground_truth import calc_support, sample_ground_tr
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.station.posts import AddPosts
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import PushScenario, TruthConfig
 
@@ -113,7 +114,7 @@ def _bound_friction(obj: GridObject, least: float, greatest: float) -> GridObjec
 
 
 def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
-    """Adds all models but the objects (robot, table, whatever else) to the parser's plant.
+    """Adds all models but the objects (robot, table, posts, whatever else) to the parser's plant.
 
     Args:
         parser: `MakeParser(plant)`; the plant is not finalised yet.
@@ -121,16 +122,18 @@ def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
             files when the scenario was resolved.
 
     Returns:
-        One entry for each model that was added.
+        One entry for each model that the directives added.
 
     Raises:
         ScenarioError: a directive cannot be carried out.
     """
     directives = ModelDirectives(directives=scenario.directives)
     try:
-        return ProcessModelDirectives(directives, parser)
+        models: list[ModelInstanceInfo] = ProcessModelDirectives(directives, parser)
     except (RuntimeError, ValueError) as error:
         raise ScenarioError(f"directives: {_first_line(str(error).splitlines())}") from error
+    AddPosts(parser.plant(), scenario.posts)
+    return models
 
 
 def _first_line(lines: Iterable[str]) -> str:

@@ -38,7 +38,8 @@ from gridpush_drake.station.grasping import (
     ExportOutputs,
     make_grasp_trajectory_options,
 )
-from gridpush_drake.station.others import OtherObject, leave_out
+from gridpush_drake.station.others import OtherObject, place_others
+from gridpush_drake.station.posts import leave_out, place_posts
 from gridpush_drake.station.resolve import ResolvedScenario
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import PushScenario
@@ -50,6 +51,7 @@ from gridpush_drake.systems.messages import GraspCommand, PressCommand, PushComm
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.press_executor import ARM_PRESS, PressExecutor
 from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions, plan_push
+from gridpush_drake.systems.steer_executor import SteerExecutor, SteerOptions
 
 ESTIMATE_OUTPUTS = (
     "mass",
@@ -186,6 +188,11 @@ class Setting:
     home: tuple[float, float, float]
     q_start: Array
 
+    @property
+    def obstacles(self) -> tuple[Polygon, ...]:
+        """What pushes are planned around, polygons in W, m: posts, and other objects."""
+        return (*place_posts(self.scenario.posts), *place_others(self.others))
+
 
 def MakeSetting(
     resolved: ResolvedScenario,
@@ -283,6 +290,7 @@ def AddRobotControl(
     logged: dict[str, OutputPort] | None = None,
     tip_bounds: Callable[[Array], str | None] | None = None,
     load: FeltLoad | None = None,
+    tip_force: OutputPort | None = None,
 ) -> RobotControl:
     """Adds the systems that command the robot and learn the object, and connects them.
 
@@ -300,6 +308,8 @@ def AddRobotControl(
         tip_bounds: says why a path may not lead the tip to a place, see `ArmReach`; None where it
             may go wherever the arm reaches.
         load: what the arm feels; None where nothing is weighed.
+        tip_force: (3,) force on the tip in W, N, where the finger can be steered by its velocity;
+            None where it cannot.
 
     Returns:
         The systems that were added.
@@ -357,6 +367,10 @@ def AddRobotControl(
         if grasping is not None:
             builder.Connect(pressing.GetOutputPort("status"), gate.GetInputPort("press_status"))
         commander = pressing
+    if tip_force is not None:
+        commander = _AddSteerExecutor(
+            builder, setting, executor, commander=commander, reach=reach, tip_force=tip_force
+        )
     builder.Connect(commander.GetOutputPort("tip_pose"), kinematics.GetInputPort("X_AE_desired"))
 
     # Where tip and object are goes to whoever needs it, and into the logs.
@@ -453,9 +467,49 @@ def _add_weighing(
     return pressing
 
 
+def _AddSteerExecutor(
+    builder: DiagramBuilder,
+    setting: Setting,
+    executor: PushExecutor,
+    commander: PushExecutor | GraspExecutor | PressExecutor,
+    reach: ArmReach,
+    tip_force: OutputPort,
+) -> SteerExecutor:
+    """Adds the executor of steering behind the other executors, and exports its ports.
+
+    Args:
+        builder: the builder that has the other executors.
+        setting: robot and scene.
+        executor: the executor of pushes.
+        commander: the executor whose tip pose is passed on while nobody steers.
+        reach: says whether the arm can follow a path.
+        tip_force: (3,) force on the tip in W, N.
+    """
+    scenario = setting.scenario
+    follow = scenario.follow
+    region = make_steer_region(setting, reach)
+    style = SteerOptions(
+        travel_height=scenario.finger.travel_height,
+        push_height=scenario.finger.push_height,
+        max_speed=max(follow.finger_speed, follow.walking_speed),
+        max_force=FORCE_SHARE * scenario.safety.force,
+    )
+    # The follower keeps to the same region by a grid of places, which is a little less exact.
+    steering: SteerExecutor = builder.AddNamedSystem(
+        "steer_executor", SteerExecutor(region.buffer(REGION_SLACK), reach, style)
+    )
+    builder.Connect(commander.GetOutputPort("tip_pose"), steering.GetInputPort("passed_tip_pose"))
+    builder.Connect(executor.GetOutputPort("status"), steering.GetInputPort("push_status"))
+    builder.Connect(steering.GetOutputPort("status"), executor.GetInputPort("steer_status"))
+    builder.Connect(tip_force, steering.GetInputPort("tip_force"))
+    builder.ExportInput(steering.GetInputPort("steer_command"), "steer_command")
+    ExportOutputs(builder, steering, "steer", ("status",))
+    return steering
+
+
 StationMaker = Callable[..., "Station"]
-"""A function that makes a station of a scenario and a Meshcat (or None), with `show_object` and
-`learning` by keyword, as `MakePushStation` does."""
+"""A function that makes a station of a scenario and a Meshcat (or None), with `show_object`,
+`learning` and `steered` by keyword, as `MakePushStation` does."""
 
 
 class Station(Diagram):
@@ -470,6 +524,7 @@ class Station(Diagram):
         - push_command
         - grasp_command
         - press_command
+        - steer_command
         output_ports:
         - executor.status
         - executor.tip_pose
@@ -480,6 +535,7 @@ class Station(Diagram):
         - ...
         - iiwa.position_measured
         - ...
+        - steer.status
         - grasp.status
         - grasp.gripper_position
         - gripper.state
@@ -492,9 +548,11 @@ class Station(Diagram):
     - ``press_command``: vector of 10, a press at the table's edge, see `PressCommand`; it need not
       be connected. The station has this port, ``press.status`` and ``weighing.log`` only if nothing
       is told of the object (`PushScenario.nothing_told`).
+    - ``steer_command``: vector of 5, a finger that is steered, see `SteerCommand`. The station has
+      this port and ``steer.status`` only if it is made with `steered`.
     - ``executor.status``: abstract `PushStatus`, how the executor of pushes stands.
-    - ``executor.tip_pose``: abstract `RigidTransform`, desired X_WP of the tip, in a push as well
-      as in a grasp.
+    - ``executor.tip_pose``: abstract `RigidTransform`, desired X_WP of the tip, whether in a push,
+      in a grasp or steered.
     - ``pusher.state``: vector of 6, p_WP, m, and v_WP, m/s, of the tip's center, calculated from
       the arm's joints.
     - ``object.pose``: vector of 3, X_WB as the camera sees it, (x, y, theta), m and rad; NaN while
@@ -502,6 +560,7 @@ class Station(Diagram):
     - ``estimate.mass`` and the other ports of the estimate: see `GridIdentifier`.
     - ``iiwa.position_measured`` and the other ports of the arm: see Drake's `SimIiwaDriver`. They
       begin with the name that the scene gives to the arm's model, which may be ``panda``.
+    - ``steer.status``: abstract `SteerStatus`, how the executor of steering stands.
     - ``grasp.status``: abstract `GraspStatus`, how the executor of grasps stands.
     - ``grasp.gripper_position``: vector of 1, the opening that the gripper is asked for, m.
     - ``gripper.state``: vector of 4, positions of the left and right finger, m, and their
@@ -510,7 +569,7 @@ class Station(Diagram):
     - ``weighing.log``: abstract `WeighingLog`, what presses and lifts told so far.
 
     Attributes:
-        scenario, obj, found, others, plant, robot, table_top, home: see `Setting`.
+        scenario, obj, found, others, obstacles, plant, robot, table_top, home: see `Setting`.
         truth: true parameters of the object in a fresh Context; None if nobody knows them.
         style: options of the finger's path in a push.
         reach: says whether the arm can follow a path.
@@ -538,6 +597,7 @@ class Station(Diagram):
         self.obj = setting.obj
         self.found = setting.found
         self.others = setting.others
+        self.obstacles = setting.obstacles
         self.plant = setting.plant
         self.robot = setting.robot
         self.table_top = setting.table_top
@@ -615,6 +675,18 @@ class Station(Diagram):
         return log.sample_times(), log.data().T
 
 
+FORCE_SHARE = 0.5
+"""Share of the scenario's greatest force at which a steered finger goes up by itself. The rest is
+for its braking."""
+
+STEER_INSET = 0.03
+"""Distance that a steered finger keeps from the limits of workspace and reach, m. There the joints
+of a stretched arm would turn too fast for it."""
+
+REGION_SLACK = 0.003
+"""Distance by which a steered finger may leave its region before it is held back, m. It is less
+than the distance that plans keep from obstacles."""
+
 RING_SEGMENTS = 32
 """Number of the sides by which a polygon replaces a quarter of a circle."""
 
@@ -627,18 +699,47 @@ def MakeFingerRegion(station: Station, inset: float = 0.0) -> BaseGeometry:
         inset: distance by which the region is made smaller on all sides, m.
 
     Returns:
-        A polygon or several in W, m: the part of the workspace that the arm reaches, without the
-        places where the tip would touch another object; it may be empty.
+        A polygon or several in W, m, see `make_finger_region`.
     """
-    workspace = station.scenario.workspace
-    height = station.scenario.finger.push_height
+    return make_finger_region(station, station.reach, inset)
+
+
+def make_finger_region(
+    setting: "Setting | Station", reach: ArmReach, inset: float = 0.0
+) -> BaseGeometry:
+    """Makes the region in which the tip's center may be while it pushes.
+
+    Args:
+        setting: robot and scene.
+        reach: says whether the arm can follow a path.
+        inset: distance by which the region is made smaller on all sides, m.
+
+    Returns:
+        A polygon or several in W, m: the part of the workspace that the arm reaches, without the
+        places where the tip would touch an obstacle; it may be empty.
+    """
+    region = _make_reach_region(setting, reach, inset)
+    return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius + inset)
+
+
+def make_steer_region(setting: "Setting | Station", reach: ArmReach) -> BaseGeometry:
+    """Makes the region in which the tip's center may be while the finger is steered, W, m.
+
+    It is that of `make_finger_region`, but for what is near the limits of workspace and reach.
+    """
+    region = _make_reach_region(setting, reach, STEER_INSET)
+    return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius)
+
+
+def _make_reach_region(setting: "Setting | Station", reach: ArmReach, inset: float) -> BaseGeometry:
+    """Makes the part of the workspace that the arm reaches, W, m, made smaller by an inset, m."""
+    workspace = setting.scenario.workspace
+    height = setting.scenario.finger.push_height
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
-    if station.robot.arm.reach is None:
-        region = station.reach.find_region(box.bounds, height).buffer(-inset)
-    else:
-        axis, least, greatest = CalcTipReach(station.plant, station.robot, height)
-        region = MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
-    return leave_out(region, station.others, station.robot.finger.tip_radius + inset)
+    if setting.robot.arm.reach is None:
+        return reach.find_region(box.bounds, height).buffer(-inset)
+    axis, least, greatest = CalcTipReach(setting.plant, setting.robot, height)
+    return MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
 
 
 def MakeRing(axis: NDArray[np.float64], least: float, greatest: float) -> shapely.Polygon:

@@ -88,10 +88,12 @@ SOURCES = {
     "status": "executor.status",
     "grasp_status": "grasp.status",
     "press_status": "press.status",
+    "pusher_state": "pusher.state",
+    "steer_status": "steer.status",
 }
 """The station's output port for each input port that a controller may have, by the input's name."""
 
-COMMANDS = ("push_command", "grasp_command", "press_command")
+COMMANDS = ("push_command", "grasp_command", "press_command", "steer_command")
 """Names of the ports that command the station: a controller's outputs and the station's inputs."""
 
 TRUE_POSE = "object.pose_true"
@@ -103,6 +105,9 @@ GUARD_STATUS = "guard.status"
 WEIGHING_LOG = "weighing.log"
 PRESS_STATUS = "press.status"
 """Names of ports that only a station has that weighs."""
+
+STEER_STATUS = "steer.status"
+"""Name of a port that only a station has in which the finger can be steered."""
 
 SHOWN = ("mass", "friction", "contact_friction", "center_of_mass", "center_of_mass_covariance")
 """The estimates that are drawn in Meshcat."""
@@ -533,9 +538,9 @@ class StationTask(Generic[R]):
             record.message = describe_stop(guard)
 
     def is_at_work(self) -> bool:
-        """Says whether the arm pushes, or presses at the table's edge."""
-        pressing = self.station.HasOutputPort(PRESS_STATUS) and not self.read(PRESS_STATUS).ready
-        return pressing or not self.read("executor.status").ready
+        """Says whether the arm pushes, presses at the table's edge, or is steered."""
+        ports = ["executor.status", PRESS_STATUS, STEER_STATUS]
+        return not all(self.read(port).ready for port in ports if self.station.HasOutputPort(port))
 
     def _read_guard(self) -> GuardStatus | None:
         """Returns the status of a real arm's guard; None if the robot is simulated."""

@@ -3,19 +3,18 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.feedback import (
+from gridpush_drake.bench.feedback import STUDY, list_models
+from gridpush_drake.bench.feedback_runs import (
     EVEN,
     GOAL,
     LEARNED,
     PATH,
     SHOVE,
     STROKES,
-    STUDY,
     TRUE,
     Followed,
     Job,
     find_side,
-    list_models,
     make_path,
     run_job,
 )
@@ -127,6 +126,12 @@ def test_the_jobs_and_their_tables():
     assert row["RMS within 3 mm"].startswith("1 (")
     assert row["RMS, median, mm"] == pytest.approx(2.5)
     assert [each[1] for each in goal.rows] == [LEARNED, EVEN]
+    chosen = STUDY.make_jobs(
+        STUDY.options(worlds=(LCP,), objects=(NAME,), models=(LEARNED,), runs=1)
+    )
+    assert [(job.kind, job.model) for job in chosen] == [
+        (kind, LEARNED) for kind in (PATH, GOAL, SHOVE)
+    ]
     quick = STUDY.make_jobs(STUDY.shorten(STUDY.options()))
     assert {job.world for job in quick} == {LCP}
     assert {job.seed for job in quick} == {0}
@@ -136,6 +141,8 @@ def test_the_jobs_and_their_tables():
     ("chosen", "message"),
     [
         ({"kinds": ("dance",)}, "kind: 'dance'; expected one of path, goal, shove"),
+        ({"models": ("best",)}, "model: 'best'; expected one of learned"),
+        ({"models": (STROKES,), "kinds": (PATH,), "worlds": (LCP,)}, "expected one of learned"),
         ({"worlds": ("mars",)}, "world: 'mars'; expected one of lcp"),
         ({"runs": 0}, "runs: none"),
         ({"objects": ("teapot",), "worlds": (LCP,)}, "teapot"),

@@ -258,6 +258,7 @@ def test_a_shipped_scenario_goes_by_its_name(tmp_path, monkeypatch):
         "grasp_untold",
         "planar",
         "round_table",
+        "slalom",
         "two_objects",
     ]
     assert list_shipped_scenarios() == shipped

@@ -61,7 +61,7 @@ def test_chosen_pushes_fit_and_stay_in_bounds(name):
         assert REGION.workspace.contains(Point(command.start)) and REGION.workspace.contains(
             Point(command.end)
         )
-        last = predict_poke(obj, CellParameters.uniform(obj), POSE, command, STYLE)
+        last = predict_poke(obj, CellParameters.uniform(obj), POSE, command, STYLE)[-1]
         assert REGION.keep_in.contains(place(obj, last))
         moved = np.linalg.norm(obj.cells_at(last) - obj.cells_at(POSE), axis=1).mean()
         assert moved >= STYLE.min_motion
@@ -135,11 +135,11 @@ def test_object_at_the_border_is_pushed_back():
     for number in range(1, 9):
         pose = np.array([0.145, 0.145, 0.0])
         command, _ = choose(obj, number, pose=pose, region=region)
-        last = predict_poke(obj, CellParameters.uniform(obj), pose, command, STYLE)
+        last = predict_poke(obj, CellParameters.uniform(obj), pose, command, STYLE)[-1]
         assert region.keep_in.covers(place(obj, last))
     outside = np.array([0.4, 0.0, 0.0])
     command, attempts = choose(obj, pose=outside, region=region)
-    last = predict_poke(obj, CellParameters.uniform(obj), outside, command, STYLE)
+    last = predict_poke(obj, CellParameters.uniform(obj), outside, command, STYLE)[-1]
     assert attempts == STYLE.candidates
     assert np.linalg.norm(last[:2]) < np.linalg.norm(outside[:2]) - 0.03
 

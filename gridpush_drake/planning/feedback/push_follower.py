@@ -26,6 +26,7 @@ from gridpush_drake.dynamics.kernels.finger_push import (
     PushedModel,
     Room,
     X,
+    follow_tip,
 )
 from gridpush_drake.dynamics.kernels.plan_search import (
     ANGLE,
@@ -97,6 +98,9 @@ still, and is 1 again for the plan after that."""
 LEAST_GAIN = 1e-3
 """By how much a plan to a goal must cost less than standing still, in decisions."""
 
+TOUCHED = 1e-4
+"""Motion of the object in a decision from which on the finger pushes it, m."""
+
 PROGRESS = 0.002
 """Nearing of the goal, or way on the path, that counts as getting on, m."""
 
@@ -152,6 +156,7 @@ class PushFollower:
         self.options = options or FollowOptions()
         self.track = PoseTrack(obj.radius_of_gyration, track)
         self.progress = 0.0
+        self._pace = 0.0
         self._best = np.inf
         self._best_at = -np.inf
         self._shoves = 0
@@ -202,6 +207,7 @@ class PushFollower:
             PlanningError: the pose is not three finite numbers.
         """
         self.progress = 0.0
+        self._pace = 0.0
         poses = np.empty((0, 3))
         if isinstance(goal, PosePath):
             self._way = ObjectWay(self.obj, goal)
@@ -220,6 +226,11 @@ class PushFollower:
         if self._room is None or not covers_places(self._room, places):
             self._room = make_room(self.obj, self.constraints, self.finger, places)
         self._refused = self._find_refusal()
+
+    @property
+    def refusal(self) -> FollowStatus | None:
+        """Why the goal or the path cannot be followed, whatever is seen; None where it can."""
+        return self._refused
 
     @property
     def model(self) -> PushedModel:
@@ -305,6 +316,8 @@ class PushFollower:
         center = transform(pose, self._middle[None])[0]
         if self._way is not None:
             self.progress = self._way.project(center, float(pose[2]), self.progress)
+            step = self._way.path.speed * self.options.period
+            self._pace = min(self.progress, self._pace + step)
             gained = -self.progress
         else:
             gained = 0.0
@@ -345,8 +358,8 @@ class PushFollower:
         if follows:
             assert self._way is not None
             ahead = self._way.path.speed * options.period * np.arange(count + 1)
-            references = self._way.at(self.progress + ahead)
-            along = self._way.along(self.progress + ahead)
+            references = self._way.at(self._pace + ahead)
+            along = self._way.along(self._pace + ahead)
         else:
             center = transform(self.goal, self._middle[None])[0]
             references = np.tile(np.append(center, self.goal[2]), (count + 1, 1))
@@ -427,10 +440,25 @@ class PushFollower:
                 longest = candidates.longest
                 if not refine_plan(self._models, wish, self._room, state, targets, longest):
                     break
-        velocity = np.asarray((self._plan[0] - tip) / self.options.period)
+        velocity = self._limit((self._plan[0] - tip) / self.options.period, state)
         self._plan[:-1] = self._plan[1:]
         self._length -= 1
         return velocity
+
+    def _limit(self, velocity: Array, state: Array) -> Array:
+        """Shortens a velocity (2,), m/s, to what the finger may have at a state (STATE,).
+
+        While it pushes it is slower than on its way round the object: until the next decision
+        nobody corrects it, and poses come late.
+        """
+        after = state.copy()
+        tip = state[TIP_X : TIP_Y + 1]
+        follow_tip(self.model, after, (tip + self.options.period * velocity)[None])
+        moved = after[X : THETA + 1] - state[X : THETA + 1]
+        pushes = np.hypot(np.hypot(*moved[:2]), self.obj.radius_of_gyration * moved[2]) > TOUCHED
+        most = self.finger.speed if pushes else self.finger.walking_speed
+        speed = float(np.linalg.norm(velocity))
+        return np.asarray(velocity * min(1.0, most / max(speed, most)))
 
     def _draw_candidates(self) -> Candidates:
         """Draws what the search tries."""

@@ -250,6 +250,7 @@ def MakeHardwareStation(
     lcm: DrakeLcmInterface,
     show_object: bool = True,
     learning: Learning | None = None,
+    steered: bool = False,
     name: str = "station",
 ) -> HardwareStation:
     """Makes the station of a robot on LCM.
@@ -264,6 +265,7 @@ def MakeHardwareStation(
         lcm: LCM on which the robot is.
         show_object: has no effect.
         learning: which pushes are learned from; None for the first `scenario.pokes.count`.
+        steered: whether the finger can be steered by its velocity, by the port `steer_command`.
         name: name of the station in a Diagram.
 
     Returns:
@@ -312,6 +314,7 @@ def MakeHardwareStation(
         gripper_state=gripper_state,
         tip_bounds=make_bounds(setting),
         load=load,
+        tip_force=tip.GetOutputPort("force") if steered else None,
     )
     if control.grasping is not None and gripper is not None:
         builder.Connect(

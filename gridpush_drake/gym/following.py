@@ -1,0 +1,410 @@
+"""`FollowEnvironment`: a finger is steered ten times a second, to push an object along a path.
+
+The other environments are of single pushes, decided beforehand (`gym.environments`). Here contact
+is kept: an action is the finger's velocity, and poses come late, with noise and gaps, as in
+`planning.feedback.LcpFingerWorld`. What is hidden is drawn as in the other games.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, cast
+
+import gymnasium
+import numpy as np
+import shapely
+from gymnasium.spaces import Box, Dict, Space
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+from shapely.geometry.polygon import orient
+
+from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.geometry.se2 import Array, check_vector, make_direction, rotate, transform
+from gridpush_drake.gym.episode import (
+    CONTACT_FRICTION_RANGE,
+    FRICTION_RANGE,
+    MASS_RANGE,
+    OBJECTS,
+    flatten_pose,
+)
+from gridpush_drake.gym.known_shape import KnownShape, load_shape
+from gridpush_drake.gym.rendering import GOAL, PLAIN, SMOOTHING, TIP, WOOD
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.feedback.finger_world import LcpFingerWorld, Sight
+from gridpush_drake.planning.feedback.follow_log import SeenPose
+from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
+from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
+
+FINGER = FeedbackFinger(radius=0.008, speed=0.1, walking_speed=0.2)
+"""The finger. An action of length 1 is its walking speed."""
+
+PERIOD = 0.1
+"""Time of a step, s."""
+
+AHEAD = 12
+"""Poses of the path ahead of the object that are observed."""
+
+AHEAD_SPACING = 0.02
+"""Length of the path between two of them, m."""
+
+PATH_LENGTH = 0.4
+"""Length of a path, m."""
+
+PATH_POINTS = 60
+"""Points by which a path is made."""
+
+MAX_BEND = 0.9
+"""Greatest angle by which a path's heading swings to either side, rad."""
+
+PATH_SPEED = 0.05
+"""Speed of a path, m/s: a player may be faster or slower."""
+
+BEHIND = 0.012
+"""Gap between finger and object at the beginning, m."""
+
+REACHED = 0.005
+"""Distance of the cells' centroid from the path's end at which it is reached, m."""
+
+PER_METER = 10.0
+"""Reward for a meter of progress along the path."""
+
+PER_METER_OFF = 5.0
+"""What a step costs for a meter that the centroid is off the path."""
+
+PER_STEP = 0.01
+"""What each step costs."""
+
+FAR = 2.0
+"""Limit of the places that are observed, m."""
+
+PICTURE_SIZE = 480
+"""Side of what `render` gives, pixels."""
+
+VIEW = 0.4
+"""Half the side of that picture, m."""
+
+LINE = 0.003
+"""Width of lines in that picture, m."""
+
+
+@dataclass(frozen=True)
+class FollowGameOptions:
+    """What an episode is drawn from.
+
+    Attributes:
+        objects: names of shipped objects, or objects; one is drawn for each episode.
+        max_steps: number of steps after which an episode is cut off.
+        delay: time after which a pose comes, s.
+        missing: share of the poses that never come.
+        position_std: standard deviation of a seen position, per axis, m.
+        angle_std: standard deviation of a seen angle, rad.
+
+    Raises:
+        PlanningError: a number is out of range, or there is no object.
+        ObjectError: no shipped object has one of the names.
+    """
+
+    objects: Sequence[str | GridObject] = OBJECTS
+    max_steps: int = 300
+    delay: float = 0.1
+    missing: float = 0.1
+    position_std: float = 0.0005
+    angle_std: float = 0.003
+
+    def __post_init__(self) -> None:
+        expected = "expected the names of shipped objects, or objects"
+        if isinstance(self.objects, str):
+            raise PlanningError(f"objects: {self.objects!r} is not a list; {expected}")
+        object.__setattr__(self, "objects", tuple(self.objects))
+        if not self.objects:
+            raise PlanningError(f"objects: none is given; {expected}")
+        require_positive(PlanningError, max_steps=self.max_steps)
+        self.make_sight()
+
+    def make_sight(self) -> Sight:
+        """Makes how the object is seen. Raises PlanningError where a number is out of range."""
+        return Sight(
+            delay=self.delay,
+            missing=self.missing,
+            position_std=self.position_std,
+            angle_std=self.angle_std,
+        )
+
+
+@dataclass(eq=False)
+class FollowEpisode:
+    """An episode; all that changes is in `world`, and in the numbers.
+
+    Attributes:
+        shape: the object, as a player sees it.
+        hidden: its true masses and frictions.
+        path: where it should go.
+        way: the path, measured.
+        world: object and finger.
+        seen: the pose that came last.
+        came: all poses that came since the last step.
+        progress: how far it truly came on the path, m.
+        off: true distances of the centroid from the path so far, m.
+        steps: number of steps so far.
+    """
+
+    shape: KnownShape
+    hidden: CellParameters
+    path: PosePath
+    way: ObjectWay
+    world: LcpFingerWorld
+    seen: SeenPose
+    came: list[SeenPose]
+    progress: float = 0.0
+    off: list[float] = field(default_factory=list)
+    steps: int = 0
+
+
+class FollowEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
+    """`gridpush/Follow-v0`: an object of hidden masses is pushed along a path, with feedback.
+
+    A step is 0.1 s. An action is the finger's velocity (2,) in W, in units of 0.2 m/s; a longer one
+    than 1 is shortened. An observation is a dictionary; lengths are in m:
+
+        pose          (4,) x, y, cosine and sine of theta of the object's body frame, as it was seen
+                      last, with noise
+        age           (1,) of that pose, s
+        tip           (2,) where the finger's center is
+        path          (12, 4) poses of the body frame on the path ahead of the pose that was seen,
+                      2 cm apart, as the pose; at its end the last one is repeated
+        progress      (1,) how far it came on the path by that pose, m
+        outline       (256,) 64 places of the outline: point and inward normal (4 each), body frame
+        occupancy     (48, 48, 1) 255 where the object is, 1 cm a pixel, about its cells' centroid
+
+    Reward: 10 a meter of true progress along the path, less 5 a meter of the centroid's distance
+    from it and 0.01 in each step, and 1 for coming within 5 mm of its end, which ends the episode.
+    `info` has "score", the root mean square distance from the path so far, m, and "is_success".
+
+    Attributes:
+        options: what is drawn.
+        episode: the present one; None before the first `reset`.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
+
+    finger: ClassVar[FeedbackFinger] = FINGER
+    """The finger."""
+
+    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
+        """Makes the environment.
+
+        Args:
+            render_mode: "rgb_array", or None for no pictures.
+            options: fields of `FollowGameOptions`.
+        """
+        self.options = FollowGameOptions(**options)
+        self.render_mode = render_mode
+        self.episode: FollowEpisode | None = None
+        self._shapes = [
+            load_shape(one) if isinstance(one, str) else KnownShape(one)
+            for one in self.options.objects
+        ]
+        shape = self._shapes[0]
+        limit = np.array([FAR, FAR, 1.0, 1.0], dtype=np.float32)
+        limits = np.tile(limit, (AHEAD, 1))
+        duration = self.options.max_steps * PERIOD
+        longest = np.float32(duration + 1.0)
+        brightest = np.iinfo(np.uint8).max
+        spaces: dict[str, Box] = {
+            "pose": Box(-limit, limit),
+            "age": Box(0.0, longest, (1,)),
+            "tip": Box(-FAR, FAR, (2,)),
+            "path": Box(-limits, limits),
+            "progress": Box(0.0, FAR, (1,)),
+            "outline": Box(-1.0, 1.0, (shape.outline.size,)),
+            "occupancy": Box(0, brightest, shape.occupancy.shape, np.uint8),
+        }
+        # Gymnasium's stubs leave its type open
+        every = Dict(cast(dict[str, Space[Any]], spaces))
+        self.observation_space = cast(Space[dict[str, NDArray[Any]]], every)
+        self._spaces = spaces
+        self.action_space = Box(-1.0, 1.0, (2,), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Begins another episode."""
+        super().reset(seed=seed, options=options)
+        self.episode = self._begin(self.np_random)
+        return self._observe(self.episode), self._inform(self.episode, False)
+
+    def step(
+        self, action: NDArray[Any]
+    ) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
+        """Moves the finger for 0.1 s."""
+        episode = self.episode
+        assert episode is not None, "call reset first"
+        chosen = check_vector(PlanningError, "action", action, 2)
+        size = float(np.linalg.norm(chosen))
+        direction = chosen / max(size, 1.0)
+        velocity = FINGER.walking_speed * direction
+        world = episode.world
+        episode.came = []
+        looks = round(PERIOD / world.sight.period)
+        for _ in range(looks):
+            came = world.move(velocity)
+            episode.came.extend(came)
+        if episode.came:
+            episode.seen = episode.came[-1]
+        episode.steps += 1
+        # what it was worth, by where the object truly is
+        center = self._find_center(episode, world.pose)
+        before = episode.progress
+        episode.progress = episode.way.project(center, float(world.pose[2]), before)
+        off = float(episode.way.measure_distance(center[None])[0])
+        episode.off.append(off)
+        end = episode.way.at(episode.way.length)[:2]
+        left = float(np.linalg.norm(center - end))
+        won = left < REACHED
+        gained = PER_METER * (episode.progress - before)
+        reward = gained - PER_METER_OFF * off - PER_STEP
+        if won:
+            reward += 1.0
+        cut_off = not won and episode.steps >= self.options.max_steps
+        return self._observe(episode), float(reward), won, cut_off, self._inform(episode, won)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draws the scene from above (480, 480, 3): path, object, and finger."""
+        if self.render_mode is None or self.episode is None:
+            return None
+        return draw_following(self.episode)
+
+    def _begin(self, rng: np.random.Generator) -> FollowEpisode:
+        """Draws an object, what is hidden of it, and its path."""
+        chosen = int(rng.integers(len(self._shapes)))
+        shape = self._shapes[chosen]
+        obj = shape.obj
+        largest = np.iinfo(np.int64).max
+        mass_seed = int(rng.integers(largest))
+        noise_seed = int(rng.integers(largest))
+        contact_friction = float(rng.uniform(*CONTACT_FRICTION_RANGE))
+        hidden = CellParameters.random(obj, mass_seed, MASS_RANGE, FRICTION_RANGE)
+        hidden = replace(hidden, contact_friction=contact_friction)
+        path = draw_path(obj, rng)
+        pose = np.array(path.poses[0])
+        world = LcpFingerWorld(
+            obj,
+            hidden,
+            pose,
+            tip=place_behind(obj, path),
+            radius=FINGER.radius,
+            sight=self.options.make_sight(),
+            seed=noise_seed,
+        )
+        # the object was seen to lie there before the episode began
+        options = self.options
+        std = np.array([options.position_std, options.position_std, options.angle_std])
+        seen = SeenPose(0.0, pose + std * rng.standard_normal(3))
+        return FollowEpisode(
+            shape=shape,
+            hidden=hidden,
+            path=path,
+            way=ObjectWay(obj, path),
+            world=world,
+            seen=seen,
+            came=[seen],
+        )
+
+    def _observe(self, episode: FollowEpisode) -> dict[str, NDArray[Any]]:
+        """Returns what a player sees."""
+        seen = episode.seen.pose
+        center = self._find_center(episode, seen)
+        progress = episode.way.project(center, float(seen[2]), episode.progress)
+        lengths = AHEAD_SPACING * np.arange(1, AHEAD + 1)
+        ahead = episode.way.at(progress + lengths)
+        middle = episode.shape.obj.p_BC.mean(axis=0)
+        origins = ahead[:, :2] - rotate(ahead[:, 2], middle)
+        headings = ahead[:, 2]
+        poses = np.column_stack([origins, np.cos(headings), np.sin(headings)])
+        values = {
+            "pose": flatten_pose(seen),
+            "age": np.array([episode.world.time - episode.seen.time]),
+            "tip": episode.world.tip,
+            "path": poses,
+            "progress": np.array([progress]),
+            "outline": episode.shape.outline.ravel(),
+            "occupancy": episode.shape.occupancy,
+        }
+        observation = {}
+        for name, space in self._spaces.items():
+            limited = np.clip(values[name], space.low, space.high)
+            observation[name] = limited.astype(space.dtype)
+        return observation
+
+    def _find_center(self, episode: FollowEpisode, pose: Array) -> Array:
+        """Place (2,) of the cells' centroid at a pose (3,), W, m."""
+        return transform(pose, episode.shape.obj.p_BC.mean(axis=0)[None])[0]
+
+    def _inform(self, episode: FollowEpisode, won: bool) -> dict[str, Any]:
+        """Returns the score so far, and whether the aim is reached."""
+        off = np.array(episode.off or [0.0])
+        score = float(np.sqrt((off**2).mean()))
+        return {"score": score, "is_success": won}
+
+
+def find_side(obj: GridObject) -> float:
+    """Finds the direction of the inward normal of the longest side of the hull, body frame, rad."""
+    hull = orient(obj.outline.convex_hull).exterior
+    sides = np.diff(shapely.get_coordinates(hull), axis=0)
+    longest = np.linalg.norm(sides, axis=1).argmax()
+    x, y = sides[longest]
+    return float(np.arctan2(x, -y))
+
+
+def draw_path(obj: GridObject, rng: np.random.Generator) -> PosePath:
+    """Draws a path of `PATH_LENGTH` from the origin on that swings to both sides.
+
+    The object goes with the longest side of its hull behind.
+    """
+    s = np.linspace(0.0, 1.0, PATH_POINTS)
+    begin, phase = rng.uniform(-np.pi, np.pi, 2)
+    bend = rng.uniform(0.0, MAX_BEND)
+    swing = np.sin(2 * np.pi * s + phase) - np.sin(phase)
+    heading = begin + bend * swing
+    step = PATH_LENGTH / (PATH_POINTS - 1)
+    ways = np.cumsum(step * make_direction(heading[:-1]), axis=0)
+    points = np.vstack([np.zeros(2), ways])
+    return PosePath.through(obj, points, PATH_SPEED, -find_side(obj))
+
+
+def place_behind(obj: GridObject, path: PosePath) -> Array:
+    """Finds a place (2,) of the finger behind the object as its path begins, W, m."""
+    pose = path.poses[0]
+    back = -make_direction(np.array(pose[2] + find_side(obj)))
+    corners = transform(pose, shapely.get_coordinates(obj.outline))
+    center = transform(pose, obj.p_BC.mean(axis=0)[None])[0]
+    extent = float(((corners - center) @ back).max())
+    reach = extent + FINGER.radius + BEHIND
+    return np.asarray(center + reach * back)
+
+
+def draw_following(episode: FollowEpisode) -> NDArray[np.uint8]:
+    """Draws an episode from above (480, 480, 3): path, object, and finger."""
+    obj = episode.shape.obj
+    size = SMOOTHING * PICTURE_SIZE
+    scale = size / (2 * VIEW)
+    middle = episode.way.at(episode.way.length / 2)[:2]
+    image = Image.new("RGB", (size, size), WOOD)
+    brush = ImageDraw.Draw(image)
+
+    def place(points: Array) -> list[tuple[float, float]]:
+        # x to the right and y up
+        flipped = (points - middle) * (1, -1)
+        pixels = (flipped + VIEW) * scale
+        return [(float(x), float(y)) for x, y in pixels]
+
+    outline = np.array(obj.outline.exterior.coords)[:, :2]
+    width = max(1, round(LINE * scale))
+    brush.polygon(place(transform(episode.world.pose, outline)), fill=PLAIN)
+    lengths = np.linspace(0.0, episode.way.length, PATH_POINTS)
+    line = episode.way.at(lengths)[:, :2]
+    brush.line(place(line), fill=GOAL, width=width)
+    brush.line(place(transform(episode.path.goal, outline)), fill=GOAL, width=width)
+    finger = shapely.Point(episode.world.tip).buffer(FINGER.radius)
+    brush.polygon(place(shapely.get_coordinates(finger)), fill=TIP)
+    return np.asarray(image.reduce(SMOOTHING))
