@@ -583,6 +583,15 @@ def _check_header(path: Path, line: int, header: list[str]) -> None:
     if twice is not None:
         fail(path, line, twice, f"is there twice; {form}")
     unknown = [name for name in header if name not in COLUMNS]
+    objects = [name.removesuffix("_theta") for name in header if name.endswith("_theta")]
+    if len(objects) > 1 and "object" not in objects:
+        fail(
+            path,
+            line,
+            "object_x",
+            f"is missing: the columns are those of several objects, {', '.join(objects)}; expected "
+            "a log of one. Several are learned together by gridpush identify --with",
+        )
     for name in (name for name in REQUIRED if name not in header):
         close = [other for other in unknown if other.lower() == name]
         close = close or difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)

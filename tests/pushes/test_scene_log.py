@@ -68,3 +68,14 @@ def test_pushes_of_other_objects_are_refused():
     log = make_log()
     with pytest.raises(PushLogError, match="2 objects; expected 1"):
         SceneLog(log.pushes, ("hammer",))
+
+
+def test_a_log_of_several_objects_is_no_push_log(tmp_path):
+    path = tmp_path / "scene.csv"
+    path.write_text(
+        "push,t,tip_x,tip_y,cup_x,cup_y,cup_theta,can_x,can_y,can_theta\n"
+        "one,0,0,0,0,0,0,1,0,0\none,1,0.1,0,0.1,0,0,1,0,0\n"
+    )
+    with pytest.raises(PushLogError, match=r"several objects, cup, can; .* --with"):
+        PushLog.read_csv(path)
+    assert SceneLog.read_csv(path).names == ("cup", "can")
