@@ -223,6 +223,11 @@ def test_a_push_is_tracked_and_learned_from_by_the_camera_alone(renderer):
     position, angle = sight.calc_rms()
     assert position < 1e-3 and angle < np.radians(0.5)
     assert (np.abs(sight.errors[sight.seen]) < 4 * sight.std[sight.seen] + 1e-9).mean() > 0.99
+    # the camera is told of pushes, for when the arm hides the object
+    camera = task.station.GetSubsystemByName("camera")
+    context = camera.GetMyContextFromRoot(task.simulator.get_context())
+    for name in ("pusher_state", "mass", "friction", "contact_friction"):
+        assert camera.GetInputPort(name).HasValue(context)
     off = record.log[0].final_pose - task.read("object.pose_true")
     assert np.linalg.norm(off[:2]) < 1e-3
     assert record.obj is task.station.found.obj and record.truth.n == record.obj.n
