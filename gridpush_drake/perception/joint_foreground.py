@@ -135,6 +135,13 @@ FAITHFUL = 14.0
 """Least difference of the object's and the table's color nearby at which color draws the boundary,
 units of CIE L*a*b*; with less it stays where the evidence says."""
 
+MENDED = 41
+"""Width of the brush that widens the pieces into which an object has fallen where its boundary was
+drawn, pixels: what lies between two of them is object."""
+
+MIN_PIECE = 0.05
+"""A piece with less than this share of an object's pixels is left out then."""
+
 INSIDE_RADIUS = 7.5
 """Standard deviation of the weights in the object's mean color nearby, pixels."""
 
@@ -382,7 +389,35 @@ def _draw_boundary(mask: Mask, found: Foreground) -> Mask:
     of_object = _blur_where(found.difference, inside, INSIDE_RADIUS)
     of_table = _blur_where(found.difference, ~dilate(mask, BORDER), OUTSIDE_RADIUS)
     contrast = np.sqrt(((of_object - of_table) ** 2).sum(axis=-1))
-    return keep_largest(np.where(contrast > FAITHFUL, drawn, mask))
+    return _mend(np.where(contrast > FAITHFUL, drawn, mask), mask)
+
+
+def _mend(drawn: Mask, before: Mask) -> Mask:
+    """Joins what was one piece before its boundary was drawn.
+
+    Beside a part that differs much from the table, color counts also on the beginning of one that
+    hardly does, and takes it for table: then the object falls apart there.
+
+    Args:
+        drawn: (height, width) bool, the mask with its boundary drawn.
+        before: (height, width) bool, the mask before that, in one piece.
+
+    Returns:
+        The mask in one piece.
+    """
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        drawn.astype(np.uint8), connectivity=4
+    )
+    least = MIN_PIECE * drawn.sum()
+    large = [i for i in range(1, count) if stats[i, cv2.CC_STAT_AREA] >= least]
+    if len(large) < 2:
+        return keep_largest(drawn)
+
+    # The pixels between two large pieces are what they were before.
+    near = np.zeros(drawn.shape, dtype=np.int64)
+    for i in large:
+        near += dilate(labels == i, MENDED)
+    return keep_largest(np.isin(labels, large) | (before & (near > 1)))
 
 
 def _blur(image: NDArray[Any], deviation: float) -> Image:

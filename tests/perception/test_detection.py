@@ -79,6 +79,20 @@ def test_a_part_of_the_table_s_color_that_is_hardly_higher_is_found_and_doubted(
     assert not detect([(whole, POSE, LOW, BROWN)], shade=0.0).doubtful
 
 
+def test_a_part_that_hardly_differs_beside_one_that_does_is_kept():
+    """Color draws the boundary of the black part, and must not cut the pale one off."""
+    camera = make_camera()
+    pale = (176, 174, 166)
+    prisms = [(GRIP, POSE, 0.008, pale), (HEAD, POSE, 0.008, (25, 25, 25))]
+    whole = np.array([HEAD[0], GRIP[1], GRIP[2], HEAD[3]])
+    found = detect(prisms, shade=0.0, camera=camera)
+    true = cover(camera, whole, POSE, 0.008) > 0.5
+    pale_part = cover(camera, GRIP, POSE, 0.008) > 0.5
+    assert (found.mask & pale_part).sum() > 0.95 * pale_part.sum()
+    assert (found.mask & true).sum() / (found.mask | true).sum() > 0.8
+    assert found.doubtful
+
+
 def test_what_the_arm_hid_is_no_object_though_its_depth_is_missing():
     camera = make_camera()
     frame = paint(camera, [(L_SHAPE, POSE, HEIGHT, BROWN)])
