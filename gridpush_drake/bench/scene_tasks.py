@@ -19,8 +19,6 @@ from time import thread_time
 from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
-from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import (
@@ -33,12 +31,10 @@ from gridpush_drake.bench.table import (
     check_figure,
     write_panels,
 )
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
+from gridpush_drake.dynamics.scene.bodies import Scene
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array, make_direction, transform_shape
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions
 from gridpush_drake.planning.scene.belief import SceneBelief
@@ -50,6 +46,12 @@ from gridpush_drake.planning.scene.loop import (
     ScenePlanner,
     SceneRun,
     run_scene_task,
+)
+from gridpush_drake.planning.scene.random_scenes import (
+    FRICTION_RANGE,
+    heap_up,
+    hide,
+    scatter,
 )
 from gridpush_drake.planning.scene.rearrangement import (
     FINE,
@@ -90,45 +92,17 @@ SEEDS = 20
 TABLE = 1.2
 """Side of the table, m."""
 
-MASS_RANGE = (0.1, 5.0)
-"""Least and greatest mass of a cell; one is drawn for each part. Only their ratios matter."""
-
-FRICTION_RANGE = (0.3, 0.4)
-"""Least and greatest friction of a part against the table, which is known beforehand."""
-
-CONTACT_FRICTION_RANGE = (0.35, 0.65)
-"""Least and greatest friction of the finger on an object."""
-
-PAIR_FRICTION_RANGE = (0.1, 0.5)
-"""Least and greatest friction of two objects against each other."""
-
 POSITION_STD = 0.0005
 """Standard deviation of seen positions, per axis, m."""
 
 ANGLE_STD = 0.003
 """Standard deviation of seen angles, rad."""
 
-BOX = 0.22
-"""Greatest distance of an object's origin from the table's middle, along x and y, m; it grows where
-the objects do not fit."""
-
-GROW = 1.02
-"""Factor by which it grows with each place that does not fit."""
-
 START_GAP = 0.01
 """Least distance of two objects at the beginning of rearranging, m."""
 
 END_GAP = 0.02
 """Least distance of two goals, m."""
-
-HEAP_GAP = 0.0015
-"""Distance at which objects of a heap stop on their way to its middle, m."""
-
-HEAP_STEP = 0.002
-"""Step of that way, m."""
-
-HEAP_REACH = 1.0
-"""Where that way begins, m from the middle."""
 
 MAX_ARM = 0.1
 """Farthest that an object is grasped from its estimated center of mass, m."""
@@ -230,8 +204,8 @@ def _rearrange(job: Job, rng: np.random.Generator, surface: SupportSurface) -> O
     """Brings objects from random poses to random goal poses."""
     names = rng.permutation(OBJECTS)[: job.count]
     objects = load_objects(names.tolist())
-    scene = hide(objects, scatter(objects, rng, START_GAP), rng)
-    goals = scatter(objects, rng, END_GAP)
+    scene = hide(objects, scatter(objects, rng, START_GAP, TABLE / 4), rng)
+    goals = scatter(objects, rng, END_GAP, TABLE / 4)
     options = FINE if job.part == FINELY else RearrangeOptions()
     planner = RearrangePlanner(objects, goals, options, SceneRules(surface), seed=job.seed)
     run, world, seconds = carry_out(job, scene, surface, planner, SceneLearning())
@@ -337,60 +311,6 @@ def _judge(
 def load_objects(names: Sequence[str]) -> list[GridObject]:
     """Loads shipped objects."""
     return [GridObject.from_yaml(find_shipped_object(name)) for name in names]
-
-
-def hide(objects: Sequence[GridObject], poses: Array, rng: np.random.Generator) -> Scene:
-    """Draws the true masses and frictions of objects that lie at poses (N, 3), m and rad."""
-    bodies = []
-    for obj, pose in zip(objects, poses, strict=True):
-        seed = int(rng.integers(np.iinfo(np.int32).max))
-        params = CellParameters.random(obj, seed, MASS_RANGE, FRICTION_RANGE)
-        rough = float(rng.uniform(*CONTACT_FRICTION_RANGE))
-        bodies.append(SceneBody(obj, replace(params, contact_friction=rough), pose))
-    return Scene(bodies, float(rng.uniform(*PAIR_FRICTION_RANGE)))
-
-
-def scatter(objects: Sequence[GridObject], rng: np.random.Generator, gap: float) -> Array:
-    """Draws poses (N, 3) of objects with a gap, m, between any two, m and rad."""
-    poses = []
-    taken: BaseGeometry = shapely.Polygon()
-    box = BOX
-    for obj in objects:
-        while True:
-            pose = np.append(rng.uniform(-box, box, 2), rng.uniform(-np.pi, np.pi))
-            outline = transform_shape(pose, obj.outline)
-            if taken.is_empty or outline.distance(taken) >= gap:
-                break
-            box = min(box * GROW, TABLE / 4)
-        poses.append(pose)
-        taken = shapely.union(taken, outline)
-    return np.array(poses)
-
-
-def heap_up(objects: Sequence[GridObject], rng: np.random.Generator) -> Array:
-    """Slides objects towards the first one until they touch, all but: poses (N, 3), m and rad.
-
-    The heap's middle is the origin.
-    """
-    poses: list[Array] = []
-    taken: BaseGeometry = shapely.Polygon()
-    for obj in objects:
-        direction = make_direction(rng.uniform(-np.pi, np.pi))
-        angle = rng.uniform(-np.pi, np.pi)
-        distance = 0.0 if taken.is_empty else HEAP_REACH
-        pose = np.append(distance * direction, angle)
-        while distance > 0:
-            distance -= HEAP_STEP
-            nearer = np.append(distance * direction, angle)
-            if transform_shape(nearer, obj.outline).distance(taken) < HEAP_GAP:
-                break
-            pose = nearer
-        poses.append(pose)
-        taken = shapely.union(taken, transform_shape(pose, obj.outline))
-    placed = np.array(poses)
-    left, low, right, high = taken.bounds
-    placed[:, :2] -= ((left + right) / 2, (low + high) / 2)
-    return placed
 
 
 def make_jobs(options: Options) -> list[Job]:

@@ -8,4 +8,5 @@ from .games import Explore as Explore
 from .games import PushTHidden as PushTHidden
 from .games import PushToGoal as PushToGoal
 from .games import SlideToEdge as SlideToEdge
+from .rearranging import RearrangeEnvironment as RearrangeEnvironment
 from .world import EnvironmentWorld as EnvironmentWorld

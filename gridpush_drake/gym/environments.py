@@ -37,6 +37,9 @@ FOLLOW = "gridpush/Follow-v0"
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FPS}
 """What the environments tell Gymnasium of their pictures."""
 
+REARRANGE = "gridpush/Rearrange-v0"
+"""Name of the environment with several objects, `gym.rearranging.RearrangeEnvironment`."""
+
 Observation = dict[str, NDArray[Any]]
 """What a player sees, by name."""
 
@@ -53,6 +56,10 @@ def register_environments() -> None:
             )
     if FOLLOW not in gymnasium.registry:
         gymnasium.register(FOLLOW, entry_point="gridpush_drake.gym.following:FollowEnvironment")
+    if REARRANGE not in gymnasium.registry:
+        gymnasium.register(
+            REARRANGE, entry_point="gridpush_drake.gym.rearranging:RearrangeEnvironment"
+        )
 
 
 def make_game(game: str, options: dict[str, Any]) -> PushGame:

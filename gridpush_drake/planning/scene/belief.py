@@ -83,6 +83,8 @@ class SceneBelief:
             draws: number of further models.
             seed: seed of the draws.
         """
+        # In a scene loads do not shift, however high the objects are pushed.
+        objects = [lay_flat(obj) for obj in objects]
         even = [CellParameters.uniform(obj) for obj in objects]
         scene = _make_scene(objects, even, poses, pair_friction)
         rng = np.random.default_rng(seed)
@@ -121,6 +123,13 @@ class SceneBelief:
         """
         models = draw_scenes(found, draws, seed)
         return cls(found.scene, tuple(models), found)
+
+
+def lay_flat(obj: GridObject) -> GridObject:
+    """Returns an object of which is not known how high it is pushed: in a scene no loads shift."""
+    if obj.prior.push_height is None:
+        return obj
+    return replace(obj, prior=replace(obj.prior, push_height=None))
 
 
 def draw_scenes(found: SceneIdentification, count: int, seed: int) -> list[Scene]:

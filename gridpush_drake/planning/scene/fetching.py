@@ -335,6 +335,8 @@ class FetchLearning:
         scene: learns all objects together, for the pushes that clear the way; None for not at all.
         still: farthest that another object may be seen to move in such a push, m.
         min_move: least distance that the wanted one must move in it, m.
+        obj: the wanted object with the height at which it is pushed; that of the scene, of which
+            none is known, where None.
     """
 
     wanted: int
@@ -343,6 +345,7 @@ class FetchLearning:
     scene: SceneLearning | None = None
     still: float = 0.004
     min_move: float = 0.002
+    obj: GridObject | None = None
 
     def learn(
         self,
@@ -352,9 +355,9 @@ class FetchLearning:
     ) -> SceneBelief | None:
         """Learns anew, where the last push tells something; see `SceneLearner`."""
         found = None if self.scene is None else self.scene.learn(belief, pushes, seed)
-        if not pushes or not self._tells(pushes[-1], belief.objects[self.wanted]):
+        obj = self.obj or belief.objects[self.wanted]
+        if not pushes or not self._tells(pushes[-1], obj):
             return found
-        obj = belief.objects[self.wanted]
         clean = [self._single_out(seen) for seen in pushes if self._tells(seen, obj)]
         log = PushLog(tuple(clean))
         learned = UncertainModel.of_identification(

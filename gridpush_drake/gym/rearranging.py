@@ -1,0 +1,281 @@
+"""`RearrangeEnvironment`: several objects of hidden masses are pushed to goals, as a game.
+
+Each step is one push of one object, in the plain world of several objects
+(`planning.scene.SimulatedSceneWorld`): whatever else the pushed object touches is pushed on.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import shapely
+from gymnasium.spaces import Box, Dict
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.gym.episode import OBJECTS, flatten_pose
+from gridpush_drake.gym.known_shape import FINGER, PLACES, KnownShape, load_shape
+from gridpush_drake.gym.rendering import FLOOR, GOAL, LINE, SMOOTHING, TIP, WOOD
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.scene.random_scenes import hide, scatter
+from gridpush_drake.planning.scene.rearrangement import RearrangePlanner
+from gridpush_drake.planning.scene.search import place_outlines
+from gridpush_drake.planning.scene.world import SimulatedSceneWorld
+from gridpush_drake.planning.support_surface import SupportSurface
+
+TABLE = 1.2
+"""Side of the table, m; its middle is the world's origin."""
+
+ROOM = 0.5
+"""Distance beyond the table's edge that the space of poses reaches, m."""
+
+START_GAP = 0.01
+"""Least distance of two objects at the beginning, m."""
+
+GOAL_GAP = 0.03
+"""Least distance of two goals, m."""
+
+PER_METER = 10.0
+"""Reward for a meter that all objects together come nearer to their goals."""
+
+FALLEN = -1.0
+"""Reward for pushing an object off the table, which ends the episode."""
+
+PICTURE_SIZE = 480
+"""Side of what `render` gives, pixels."""
+
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 2}
+"""What the environment tells Gymnasium of its pictures."""
+
+COLORS = ((96, 120, 160), (170, 110, 70), (90, 140, 90), (150, 90, 140), (120, 120, 60))
+"""Colors of the objects, RGB from 0 to 255."""
+
+
+class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]]):
+    """Several objects are to be brought to goals, one push a step.
+
+    An action is (object, place, direction, distance), each from -1 to 1: which of the objects, in
+    equal shares of that range, and the push of it as `PushEnvironment` has it. Where the finger
+    does not fit beside the object, because another one lies there, nothing moves. An observation is
+    a dictionary; lengths are in m, and everything is as it was seen, with noise:
+
+        poses         (N, 4) x, y, cosine and sine of theta of each object
+        goals         (N, 4) the same of the goals
+        outlines      (N, 256) each object's outline, as `PushEnvironment` has it
+        last_action   (4,) zeros before the first push
+        table         (2,) half of the table's sides; its middle is the world's origin
+
+    `info` has "score", the sum over all objects of the mean distance of their cells from where they
+    should be, m, and "is_success": every object lies within 2 cm and 0.2 rad of its goal.
+
+    Attributes:
+        world: the present episode's world.
+        shapes: its objects.
+        goals: (N, 3) their goals, m and rad.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        render_mode: str | None = None,
+        *,
+        count: int = 3,
+        objects: Sequence[str | GridObject] = OBJECTS,
+        max_pushes: int = 40,
+        position_std: float = 0.0005,
+        angle_std: float = 0.003,
+    ) -> None:
+        """Makes the environment.
+
+        Args:
+            render_mode: "rgb_array", or None for no pictures.
+            count: number of objects.
+            objects: names of shipped objects, or objects; `count` of them are drawn for each
+                episode.
+            max_pushes: number of pushes after which an episode is cut off.
+            position_std: standard deviation of seen positions, per axis, m.
+            angle_std: standard deviation of seen angles, rad.
+
+        Raises:
+            PlanningError: a number is out of range, or there are fewer objects than `count`.
+            ObjectError: no shipped object has one of the names.
+        """
+        require_positive(PlanningError, count=count, max_pushes=max_pushes)
+        if isinstance(objects, str) or len(objects) < count:
+            raise PlanningError(
+                f"objects: {objects!r}; expected the names of at least {count} shipped objects, or "
+                "as many objects"
+            )
+        self.render_mode = render_mode
+        self.shapes: list[KnownShape] = []
+        self.goals = np.empty((0, 3))
+        self.world: SimulatedSceneWorld | None = None
+        self._known = [
+            load_shape(one) if isinstance(one, str) else KnownShape(one) for one in objects
+        ]
+        self._count = count
+        self._max_pushes = max_pushes
+        self._position_std = position_std
+        self._angle_std = angle_std
+        self._surface = SupportSurface.rectangle((0.0, 0.0), (TABLE, TABLE))
+        self._last_action = np.zeros(4)
+        self._last_push: Push | None = None
+        self._seen = np.zeros((count, 3))
+        self.action_space = Box(-1.0, 1.0, (4,), np.float32)
+        self.observation_space = Dict(self._make_spaces())  # type: ignore[assignment]
+
+    def _make_spaces(self) -> dict[str, gymnasium.Space[Any]]:
+        """Makes the spaces of the observation."""
+        far = TABLE / 2 + ROOM
+        limit = np.tile(np.array([far, far, 1.0, 1.0], dtype=np.float32), (self._count, 1))
+        return {
+            "poses": Box(-limit, limit),
+            "goals": Box(-limit, limit),
+            "outlines": Box(-1.0, 1.0, (self._count, 4 * PLACES)),
+            "last_action": Box(-1.0, 1.0, (4,)),
+            "table": Box(0.0, far, (2,)),
+        }
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Begins another episode."""
+        super().reset(seed=seed, options=options)
+        rng = self.np_random
+        drawn = rng.permutation(len(self._known))[: self._count]
+        self.shapes = [self._known[int(i)] for i in drawn]
+        objects = [shape.obj for shape in self.shapes]
+        start = scatter(objects, rng, START_GAP, TABLE / 4)
+        self.goals = scatter(objects, rng, GOAL_GAP, TABLE / 4)
+        self.world = SimulatedSceneWorld(
+            hide(objects, start, rng),
+            self._surface,
+            position_std=self._position_std,
+            angle_std=self._angle_std,
+            seed=rng,
+        )
+        self._planner = RearrangePlanner(objects, self.goals)
+        self._last_action = np.zeros(4)
+        self._last_push = None
+        self._seen = self._look(self.world)
+        return self._observe(), {"score": self._measure(), "is_success": self._is_done()}
+
+    def step(
+        self, action: NDArray[Any]
+    ) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
+        """Makes one push."""
+        world = self.world
+        assert world is not None, "call reset first"
+        before = self._measure()
+        given = np.asarray(action, dtype=np.float64)
+        if given.shape != (4,) or not np.isfinite(given).all():
+            raise PlanningError(f"action: {action!r}; expected four finite numbers")
+        self._last_action = np.clip(given, -1.0, 1.0)
+        push = self._make_push(self._last_action)
+        self._last_push = push
+        if self._fits(push):
+            world.execute(push)
+        else:
+            world.pushes += 1
+        fell = any(world.truth.fallen)
+        if not fell:
+            self._seen = self._look(world)
+        score = self._measure()
+        won = self._is_done() and not fell
+        reward = FALLEN if fell else PER_METER * (before - score)
+        cut_off = not (won or fell) and world.pushes >= self._max_pushes
+        return self._observe(), reward, won or fell, cut_off, {"score": score, "is_success": won}
+
+    def find_action(self, body: int, push: Push) -> NDArray[np.float32]:
+        """Finds the action (4,) that comes nearest to a push that begins at an object.
+
+        Args:
+            body: number of the object.
+            push: the push, with the radius of the game's finger.
+        """
+        share = 2 * (body + 0.5) / self._count - 1
+        rest = self.shapes[body].find_action(push, self._seen[body])
+        return np.append(share, rest).astype(np.float32)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draws the scene from above: objects, goals and the last push."""
+        if self.render_mode is None or self.world is None:
+            return None
+        scale = SMOOTHING * PICTURE_SIZE / (TABLE + 2 * EDGE)
+        image = Image.new("RGB", (SMOOTHING * PICTURE_SIZE,) * 2, FLOOR)
+        brush = ImageDraw.Draw(image)
+        width = max(1, round(LINE * scale))
+
+        def place(points: Array) -> list[tuple[float, float]]:
+            pixels = (np.asarray(points) * (1, -1) + TABLE / 2 + EDGE) * scale
+            return [(float(x), float(y)) for x, y in pixels]
+
+        objects = [shape.obj for shape in self.shapes]
+        brush.polygon(place(self._surface.corners), fill=WOOD)
+        for b, outline in enumerate(place_outlines(objects, self.world.truth.poses)):
+            brush.polygon(place(outline.exterior.coords), fill=COLORS[b % len(COLORS)])
+        for b, outline in enumerate(place_outlines(objects, self.goals)):
+            line = place(outline.exterior.coords)
+            brush.line(line, fill=GOAL, width=2 * width)
+            brush.line(line, fill=COLORS[b % len(COLORS)], width=width)
+        if self._last_push is not None:
+            brush.line(place(self._last_push.xy), fill=TIP, width=width)
+        return np.asarray(image.reduce(SMOOTHING))
+
+    def _make_push(self, action: Array) -> Push:
+        """Makes the push of an action (4,)."""
+        body = min(int((action[0] + 1) / 2 * self._count), self._count - 1)
+        return self.shapes[body].make_push(action[1:], self._seen[body])
+
+    def _fits(self, push: Push) -> bool:
+        """Says whether the finger can come down where a push begins, by what is seen."""
+        outlines = place_outlines([shape.obj for shape in self.shapes], self._seen)
+        return bool((shapely.distance(outlines, shapely.Point(push.start)) > FINGER.radius).all())
+
+    def _look(self, world: SimulatedSceneWorld) -> Array:
+        """Looks at the objects, none of which has fallen."""
+        seen = world.observe()
+        assert seen is not None
+        return seen
+
+    def _measure(self) -> float:
+        """Calculates the score, m, by where the objects truly lie."""
+        assert self.world is not None
+        return float(
+            sum(
+                calc_goal_error(shape.obj, pose, goal)
+                for shape, pose, goal in zip(
+                    self.shapes, self.world.truth.poses, self.goals, strict=True
+                )
+            )
+        )
+
+    def _is_done(self) -> bool:
+        """Says whether every object truly lies at its goal."""
+        assert self.world is not None
+        return bool(self._planner.find_reached(self.world.truth.poses).all())
+
+    def _observe(self) -> dict[str, NDArray[Any]]:
+        """Makes the observation, as its space has it."""
+        values = {
+            "poses": np.array([flatten_pose(pose) for pose in self._seen]),
+            "goals": np.array([flatten_pose(goal) for goal in self.goals]),
+            "outlines": np.array([shape.outline.ravel() for shape in self.shapes]),
+            "last_action": self._last_action,
+            "table": np.full(2, TABLE / 2),
+        }
+        spaces = self._make_spaces()
+        return {
+            name: np.clip(value, spaces[name].low, spaces[name].high).astype(np.float32)  # type: ignore[attr-defined]
+            for name, value in values.items()
+        }
+
+
+EDGE = 0.1
+"""Width of the floor that is seen around the table, m."""

@@ -1,0 +1,153 @@
+"""The loop that a robot's controller steps: it looks, decides, waits, learns, and gives up in time."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
+from gridpush_drake.planning.robot_status import (
+    GraspOutcome,
+    GraspPhase,
+    GraspStatus,
+    PushPhase,
+    PushStatus,
+)
+from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision
+from gridpush_drake.planning.scene.scene_loop import SceneLoop, SceneMode, SceneObservation
+from tests.helpers.shapes import make_shape
+
+POSES = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 3.1]])
+PUSH = Push((-0.2, 0.0), (0.05, 0.0), 1.0, 0.008)
+
+
+@dataclass
+class Scripted:
+    """Gives decisions in their order, and keeps what it was shown."""
+
+    decisions: list
+    shown: list = field(default_factory=list)
+
+    def decide(self, poses, belief, steps):
+        self.shown.append((poses, belief, list(steps)))
+        return self.decisions.pop(0)
+
+
+@dataclass
+class Counting:
+    """Learns nothing, and counts how often it was asked."""
+
+    asked: list = field(default_factory=list)
+
+    def learn(self, belief, pushes, seed):
+        self.asked.append(len(pushes))
+        return SceneBelief(belief.scene)
+
+
+def make_loop(decisions, **options):
+    objects = [make_shape("square", 20), make_shape("bar", 20)]
+    planner = Scripted(decisions)
+    belief = SceneBelief.of_prior(objects, POSES, draws=0)
+    return SceneLoop(planner, belief, **options), planner
+
+
+def watch(loop, now, poses, robot, begin, times=6, gripper=None):
+    for i in range(times):
+        seen = SceneObservation(begin + 0.05 * i, np.array(poses), robot, gripper or GraspStatus())
+        now = loop.step(now, seen)
+    return now
+
+
+def decide(action, push=None):
+    return SceneDecision(action, "so it is", push=push, body=1)
+
+
+def test_a_push_is_made_seen_and_learned_from():
+    learner = Counting()
+    loop, _ = make_loop(
+        [decide(SceneAction.PUSH, PUSH), decide(SceneAction.DONE)], learning=learner
+    )
+    now = watch(loop, loop.begin(), POSES, PushStatus(), 0.0)
+    assert (now.status.mode, now.push_id, now.push) == (SceneMode.PUSHING, 1, PUSH)
+    assert now.status.reason == "So it is."
+    # while it is under way nothing is decided
+    busy = PushStatus(PushPhase.PUSHING, command_id=1)
+    assert watch(loop, now, POSES, busy, 0.3) is now
+    after = POSES + [[0.05, 0.0, 0.1], [0.0, 0.0, 0.05]]
+    wrapped = after - [[0.0, 0.0, 0.0], [0.0, 0.0, 2 * np.pi]]
+    now = watch(loop, now, wrapped, PushStatus(command_id=1, executed=1), 1.0)
+    assert now.status.mode is SceneMode.DONE and now.status.pushes == 1
+    assert learner.asked == [1] and now.belief is not loop.belief
+    np.testing.assert_allclose(now.log[0].poses, POSES)
+    np.testing.assert_allclose(now.log[0].poses_observed[0], after)
+    # what is over stays so
+    assert watch(loop, now, POSES, PushStatus(), 2.0) is now
+
+
+def test_objects_that_move_are_waited_for():
+    loop, planner = make_loop([decide(SceneAction.DONE)])
+    now = loop.begin()
+    for i in range(10):
+        moving = POSES + [[0.01 * i, 0.0, 0.0], [0.0, 0.0, 0.0]]
+        now = loop.step(now, SceneObservation(0.05 * i, moving, PushStatus()))
+    assert not planner.shown
+    now = watch(loop, now, moving, PushStatus(), 1.0)
+    np.testing.assert_allclose(planner.shown[0][0], moving)
+    assert now.status.over
+
+
+def test_a_refused_push_is_told_to_the_planner_and_many_end_the_task():
+    loop, planner = make_loop([decide(SceneAction.PUSH, PUSH)] * 20)
+    now = loop.begin()
+    for number in range(1, 20):
+        now = watch(loop, now, POSES, PushStatus(command_id=number - 1, reason="too far"), number)
+        if now.status.over:
+            break
+    assert now.status.mode is SceneMode.FAILED and "too far" in now.status.reason
+    assert len(now.steps) == loop.options.max_refusals and now.log == ()
+    assert planner.shown[-1][2][0].refused == "too far"
+
+
+def test_an_object_out_of_sight_is_lost_after_a_while():
+    loop, _ = make_loop([])
+    hidden = POSES.copy()
+    hidden[1] = np.nan
+    now = watch(loop, loop.begin(), POSES, PushStatus(), 0.0, times=2)
+    now = watch(loop, now, hidden, PushStatus(), 0.2, times=2)
+    assert not now.status.over
+    now = watch(loop, now, hidden, PushStatus(), 9.0, times=1)
+    assert now.status.mode is SceneMode.LOST and "Object 1" in now.status.reason
+
+
+def test_it_is_given_up_after_as_many_pushes_as_asked():
+    loop, _ = make_loop([decide(SceneAction.PUSH, PUSH)] * 3, max_pushes=1)
+    now = watch(loop, loop.begin(), POSES, PushStatus(), 0.0)
+    now = watch(loop, now, POSES, PushStatus(command_id=1, executed=1), 1.0)
+    assert now.status.mode is SceneMode.FAILED and "after 1 pushes" in now.status.reason
+
+
+@pytest.mark.parametrize(
+    ("outcome", "mode"),
+    [(GraspOutcome.HELD, SceneMode.HOLDING), (GraspOutcome.REFUSED, SceneMode.FAILED)],
+)
+def test_a_grasp_is_asked_for_and_followed(outcome, mode):
+    found = SideGrasp.__new__(SideGrasp)
+    loop, _ = make_loop([decide(SceneAction.GRASP)], find_grasp=lambda *seen: found)
+    now = watch(loop, loop.begin(), POSES, PushStatus(), 0.0)
+    assert now.status.mode is SceneMode.GRASPING and now.grasp is found and now.grasp_id == 1
+    closing = GraspStatus(GraspPhase.CLOSING, command_id=1)
+    assert watch(loop, now, POSES, PushStatus(), 1.0, gripper=closing) is now
+    ended = GraspStatus(GraspPhase.HOLDING, command_id=1, outcome=outcome)
+    now = watch(loop, now, POSES, PushStatus(), 2.0, gripper=ended)
+    assert now.status.mode is mode and now.status.over
+
+
+def test_where_no_grasp_is_in_reach_it_says_so():
+    loop, _ = make_loop([decide(SceneAction.GRASP)], find_grasp=lambda *seen: None)
+    now = watch(loop, loop.begin(), POSES, PushStatus(), 0.0)
+    assert now.status.mode is SceneMode.FAILED and "grasp" in now.status.reason
+    without, _ = make_loop([decide(SceneAction.GRASP)])
+    now = watch(without, without.begin(), POSES, PushStatus(), 0.0)
+    assert now.status.mode is SceneMode.DONE
