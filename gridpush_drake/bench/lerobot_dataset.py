@@ -81,6 +81,9 @@ WORDS = {
     TaskName.push: "Push the {} to its goal.",
     TaskName.pregrasp: "Slide the {} to the table's edge, grasp it there and lift it.",
     TaskName.follow: "Push the {} along a path between the posts.",
+    TaskName.separate: "Push the {} and the other objects apart.",
+    TaskName.rearrange: "Push the {} and the other objects to their goals.",
+    TaskName.fetch: "Clear the way for the {}, and grasp it at the table's edge.",
 }
 """What the robot is to do, in words, by the campaign's task."""
 

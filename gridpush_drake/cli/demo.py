@@ -34,7 +34,9 @@ def demo(
             "and test what was learned; push: push it to a goal pose, and learn on the way; "
             "pregrasp: poke and learn it, slide it to the table's edge, grasp it there and lift it; "
             "follow: poke and learn it, and push it along a path between obstacles, with a finger "
-            "that is steered ten times a second."
+            "that is steered ten times a second. "
+            "With several objects: separate: push them apart; rearrange: push each to a goal; "
+            "fetch: clear the way for one, and grasp it at the table's edge."
         ),
     ] = TaskName.pregrasp,
     object_file: Annotated[
@@ -78,7 +80,8 @@ def demo(
         typer.Option(
             help="What the robot sees. rgbd: it has a simulated color and depth camera, finds the "
             "object's outline in a picture and follows it; ideal: it is told the exact outline, "
-            "and the object's poses with a little noise, which takes less than half the time.",
+            "and the object's poses with a little noise, which takes less than half the time. Tasks "
+            "with several objects are told all poses.",
             show_default="that of --scenario; without one rgbd, or ideal if nothing can be "
             "rendered",
         ),
@@ -150,9 +153,9 @@ def demo(
     if nothing_told:
         tell_nothing(scenario, task)
     if robot is not None:
-        scenario.directives = make_robot_directives(robot, grasping=task is TaskName.pregrasp)
+        scenario.directives = make_robot_directives(robot, grasping=chosen.grasps)
     if camera is None and scenario_file is None:
-        scenario.camera.use(_choose_camera())
+        scenario.camera.use("ideal" if chosen.several else _choose_camera())
     resolved = resolve(scenario, scenario_file, told=told)
 
     # Everything that can be refused is refused now, before minutes are spent

@@ -128,9 +128,9 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
         self._last_push: Push | None = None
         self._seen = np.zeros((count, 3))
         self.action_space = Box(-1.0, 1.0, (4,), np.float32)
-        self.observation_space = Dict(self._make_spaces())  # type: ignore[assignment]
+        self.observation_space = Dict({**self._make_spaces()})  # type: ignore[assignment]
 
-    def _make_spaces(self) -> dict[str, gymnasium.Space[Any]]:
+    def _make_spaces(self) -> dict[str, Box]:
         """Makes the spaces of the observation."""
         far = TABLE / 2 + ROOM
         limit = np.tile(np.array([far, far, 1.0, 1.0], dtype=np.float32), (self._count, 1))
@@ -270,10 +270,11 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
             "last_action": self._last_action,
             "table": np.full(2, TABLE / 2),
         }
-        spaces = self._make_spaces()
         return {
-            name: np.clip(value, spaces[name].low, spaces[name].high).astype(np.float32)  # type: ignore[attr-defined]
-            for name, value in values.items()
+            name: np.clip(value, space.low, space.high).astype(np.float32)
+            for (name, value), space in zip(
+                values.items(), self._make_spaces().values(), strict=True
+            )
         }
 
 

@@ -80,13 +80,17 @@ class LimitMonitor:
         limit_report: what was observed so far.
     """
 
-    def __init__(self, station: Station, period: float = DEFAULT_PERIOD) -> None:
+    def __init__(
+        self, station: Station, period: float = DEFAULT_PERIOD, *, pushes_others: bool = False
+    ) -> None:
         """Makes the monitor.
 
         Args:
             station: the station; it may be a part of the Diagram that is simulated.
             period: time between two observations, s; with 0 it observes at every step.
+            pushes_others: whether the tip may touch the other objects, and all objects each other.
         """
+        self._pushes_others = pushes_others
         self.limit_report = LimitReport()
         # A weak reference: a Simulator holds its monitor in C++, where Python's garbage collector
         # does not see it, and the station would never be freed.
@@ -183,9 +187,13 @@ class LimitMonitor:
         """Notes the pairs of bodies that touch but should not, and the force on the tip.
 
         The object may touch tip and table, and the gripper's fingers while they grip. Other objects
-        may touch the table.
+        may touch the table, and, where they are pushed, the tip and each other.
         """
         may_touch_object = {self._tip, *self._table}
+        may_touch_others = set(self._table)
+        if self._pushes_others:
+            may_touch_object |= self._others
+            may_touch_others |= {self._tip, *self._others}
         if gripping:
             may_touch_object |= self._fingers
         on_tip = np.zeros(3)
@@ -197,7 +205,7 @@ class LimitMonitor:
                 on_tip += sign * contact.contact_force()
             if self._object in pair and pair & may_touch_object:
                 continue
-            if pair & self._others and pair & self._table:
+            if pair <= self._others | may_touch_others and pair & self._others:
                 continue
             first, second = sorted(plant.get_body(index).name() for index in pair)
             self.limit_report.touched.add((first, second))

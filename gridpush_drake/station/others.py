@@ -2,8 +2,9 @@
 
 Each is a free body with cells, contact spheres and sides of its own. Its true masses and frictions
 are drawn from the seed, and a camera of its own sees its pose (`other_0.pose`, `other_1.pose`,
-...). Nobody learns it. Pushes are planned around the place where it lies at the beginning:
-`MakeFingerRegion` keeps the finger away from it, and each task the pushed object.
+...). In a task with one object nobody learns it, and pushes are planned around the place where it
+lies at the beginning: `MakeFingerRegion` keeps the finger away from it, and each task the pushed
+object. In a task with several objects (`station.scene_task`) it is pushed like any other.
 
 The pictures of a color and depth camera show the other objects as well. Where one of them hides the
 pushed object, those cells are taken for unseen, as they are behind the robot.
@@ -54,13 +55,13 @@ def draw_other_truth(
     """Draws the true masses and frictions of another object.
 
     Args:
-        scenario: the scenario, with the ranges of the draw. Values that it gives for parts are the
-            pushed object's, and are left out here.
+        scenario: the scenario, with the ranges of the draw, and the values that it gives for parts
+            of this object.
         part: the object in the plant.
         number: its place in the scenario's `others`, from 0.
         seed: seed of the run. Each object's draw has a seed of its own that is made from it.
     """
-    ranges = scenario.truth.model_copy(update={"parts": []})
+    ranges = scenario.truth.model_copy(update={"parts": scenario.others[number].parts})
     own_seed = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
     return MakeTruth(part.obj, ranges, own_seed)
 

@@ -8,6 +8,7 @@ up: the finger presses on what hangs over the edge (`planning.weighing`).
 
 from dataclasses import dataclass, replace
 from math import atan2
+from typing import Any
 
 import numpy as np
 import shapely
@@ -317,11 +318,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
 
     def calc_raised(self) -> float:
         """Calculates the height of the object's lowest corner above the table now, m."""
-        X_WB = self.read("body_poses")[int(self.station.object_in_plant.body.index())]
-        outline = np.asarray(self.obj.outline.exterior.coords)[:, :2]
-        # The corners of the object's bottom: B's origin is at the height of the bottom.
-        p_BK = np.column_stack([outline, np.zeros(len(outline))])
-        return float((X_WB.rotation().matrix() @ p_BK.T)[2].min() + X_WB.translation()[2])
+        return calc_raised(self)
 
     def _make_limits(self) -> ArmLimits:
         """Makes the limits of what the planner may ask of the arm."""
@@ -366,6 +363,16 @@ def make_weighing_options(station: Station) -> WeighingOptions:
         max_presses=scenario.weighing.max_presses,
         top=scenario.object_height,
     )
+
+
+def calc_raised(task: StationTask[Any]) -> float:
+    """Calculates the height of the pushed object's lowest corner above the table now, m."""
+    station = task.station
+    X_WB = task.read("body_poses")[int(station.object_in_plant.body.index())]
+    outline = np.asarray(station.obj.outline.exterior.coords)[:, :2]
+    # The corners of the object's bottom: B's origin is at the height of the bottom.
+    p_BK = np.column_stack([outline, np.zeros(len(outline))])
+    return float((X_WB.rotation().matrix() @ p_BK.T)[2].min() + X_WB.translation()[2])
 
 
 def make_options(station: Station, gripper: Gripper, force: float) -> PreGraspOptions:

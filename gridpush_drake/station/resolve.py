@@ -318,8 +318,8 @@ def _check_others(
     tip_radius: float,
 ) -> None:
     """Checks that each other object lies on the table, apart from all others, below the finger."""
-    # The field that places an object, and its outline in W, of each object that was looked at.
-    placed = [("object_pose", transform_shape(scenario.object_pose, obj.outline))]
+    # The field that places an object, its name, and its outline in W, of each object so far.
+    placed = [("object_pose", obj.name, transform_shape(scenario.object_pose, obj.outline))]
     for at, (config, other) in enumerate(zip(scenario.others, others, strict=True)):
         field = f"others[{at}].pose"
         _check_on_table((f"others[{at}].object", field), other, config.pose, table)
@@ -331,13 +331,13 @@ def _check_others(
                 "over it"
             )
         outline = transform_shape(config.pose, other.outline)
-        for name, before in placed:
+        for before_field, before_name, before in placed:
             if before.intersects(outline):
                 raise ScenarioError(
-                    f"{field} is {config.pose}: there the object lies in that of {name}; "
-                    "expected room"
+                    f"{field} is {config.pose}: there the object lies in that of {before_field}: "
+                    f"{other.name} in {before_name}; expected room"
                 )
-        placed.append((field, outline))
+        placed.append((field, other.name, outline))
 
 
 def _check_posts(

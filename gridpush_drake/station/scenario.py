@@ -325,12 +325,15 @@ def _default_directives() -> list[ModelDirective]:
 
 
 class OtherConfig(Config):
-    """Another object on the table: a free body, about which nothing is learned.
+    """Another object on the table: a free body. Only tasks with several objects push it.
 
     Attributes:
         object: name of a shipped object, or an object file, relative to the scenario's own file.
         pose: [x, y, theta] of its body frame in W at the beginning, m and rad.
         height: height of the object, m.
+        goal: [x, y, theta] of its body frame in W where it should lie at last, m and rad; null if
+            it may lie anywhere. Only the task to rearrange objects asks for it.
+        parts: true values that are given instead of drawn, as in `truth.parts`.
     """
 
     object: Annotated[
@@ -338,6 +341,19 @@ class OtherConfig(Config):
     ]
     pose: Pose
     height: Annotated[Number, positive("m")] = 0.03
+    goal: Annotated[Pose | None, Field(description="[x, y, theta], m and rad, or null")] = None
+    parts: Annotated[list[PartTruth], Field(description="a list of parts, each with a label")] = []
+
+
+class ObjectConfig(OtherConfig):
+    """One of several objects on the table, in a scenario's `objects`.
+
+    Attributes:
+        wanted: whether the task is about this object: it is learned, fetched and grasped, and
+            becomes the scenario's `object`. If none is wanted, the first one is.
+    """
+
+    wanted: Annotated[bool, Field(description="true or false")] = False
 
 
 class PostConfig(Config):
@@ -412,8 +428,12 @@ class PushScenario(Config):
             Its scene has a gripper.
         weighing: how the object is weighed at the table's edge, if nothing is told of it.
         safety: limits beyond which a real arm is stopped.
-        others: other objects on the table, around which pushes are planned; see `station.others`.
+        others: other objects on the table, around which pushes are planned, or which are pushed,
+            too, in a task with several objects; see `station.others`.
         posts: posts fixed on the table, around which pushes are planned; see `station.posts`.
+        objects: all objects in one list, instead of `object`, `object_pose`, `object_height` and
+            `others`: the wanted one takes the place of the first three, and the rest are the
+            others, in their order.
         seed: seed of everything random.
         directives: all models in the scene but the objects, as Drake's model directives: a robot
             with a finger, see `station.robot`, and a model with the name `table`.
@@ -448,6 +468,9 @@ class PushScenario(Config):
     posts: Annotated[
         list[PostConfig], Field(description="a list of posts, each with a position")
     ] = []
+    objects: Annotated[
+        list[ObjectConfig], Field(description="a list of objects, each with a pose")
+    ] = []
     seed: Annotated[int, whole(0, MAX_SEED)] = 0
     directives: Annotated[
         list[InstanceOf[ModelDirective]],
@@ -463,6 +486,39 @@ class PushScenario(Config):
             super().__init__(**fields)
         except ValidationError as error:
             raise ScenarioError(explain(error, EXPECTED, RENAMED)) from error
+        if self.objects:
+            self._take_objects(fields)
+
+    def _take_objects(self, fields: dict[str, Any]) -> None:
+        """Makes `object` and `others` of the list of all objects.
+
+        Raises:
+            ScenarioError: the same is said in both forms, or more than one object is wanted.
+        """
+        for name in ONE_OBJECT:
+            if name in fields:
+                raise ScenarioError(f"objects and {name} are both given; expected one of them")
+        wanted = [at for at, each in enumerate(self.objects) if each.wanted]
+        if len(wanted) > 1:
+            raise ScenarioError(
+                f"objects[{wanted[1]}].wanted is true, and so is objects[{wanted[0]}].wanted; "
+                "expected one wanted object at most"
+            )
+        first = wanted[0] if wanted else 0
+        listed = self.objects
+        self.object = listed[first].object
+        self.object_pose = listed[first].pose
+        self.object_height = listed[first].height
+        if listed[first].goal is not None:
+            self.goal = self.goal.model_copy(update={"pose": listed[first].goal})
+        if listed[first].parts:
+            self.truth = self.truth.model_copy(update={"parts": listed[first].parts})
+        self.others = [
+            OtherConfig(**{name: getattr(each, name) for name in OtherConfig.model_fields})
+            for at, each in enumerate(listed)
+            if at != first
+        ]
+        self.objects = []
 
     def check(self) -> None:
         """Checks all fields again: they may have been changed since the scenario was made.
@@ -472,6 +528,9 @@ class PushScenario(Config):
         """
         PushScenario(**dict(self))
 
+
+ONE_OBJECT = ("object", "object_pose", "object_height", "others")
+"""Fields that say in another form what `objects` says."""
 
 EXPECTED = list_expected(PushScenario)
 """What each field should hold, in words, by the field's place, such as "finger.push_height"."""

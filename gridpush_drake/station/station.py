@@ -691,16 +691,21 @@ RING_SEGMENTS = 32
 """Number of the sides by which a polygon replaces a quarter of a circle."""
 
 
-def MakeFingerRegion(station: Station, inset: float = 0.0) -> BaseGeometry:
+def MakeFingerRegion(
+    station: Station, inset: float = 0.0, *, around_others: bool = True
+) -> BaseGeometry:
     """Makes the region in which the tip's center may be while it pushes.
 
     Args:
         station: the station.
         inset: distance by which the region is made smaller on all sides, m.
+        around_others: whether places where the tip would touch another object are left out.
 
     Returns:
         A polygon or several in W, m, see `make_finger_region`.
     """
+    if not around_others:
+        return _make_reach_region(station, station.reach, inset)
     return make_finger_region(station, station.reach, inset)
 
 

@@ -268,6 +268,9 @@ class StationTask(Generic[R]):
     timeout: ClassVar[float]
     """If nothing new happens for this long, the task is stuck; simulated time, s."""
 
+    pushes_others: ClassVar[bool] = False
+    """Whether the task is to push the other objects on the table, too."""
+
     def __init__(
         self, builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat | None
     ) -> None:
@@ -343,7 +346,7 @@ class StationTask(Generic[R]):
         simulator = self.simulator
         self.begin(seed, drive)
         context = simulator.get_mutable_context()
-        monitor = LimitMonitor(self.station)
+        monitor = LimitMonitor(self.station, pushes_others=self.pushes_others)
         record = self.make_record()
         record.truth = self.station.GetTruth(context)
         record.limit_report = monitor.limit_report

@@ -91,6 +91,8 @@ class TaskKind:
         has_goal: whether there is something to reach, so that a run may end without reaching it.
         files: names of the files that a run leaves in its folder, the report first.
         marks: entries of the recording's legend, besides those of the estimate.
+        grasps: whether the robot needs a gripper.
+        several: whether it is a task with several objects, whose poses the robot is told.
     """
 
     station: Callable[..., Any]
@@ -99,6 +101,8 @@ class TaskKind:
     has_goal: bool = True
     files: tuple[str, ...] = FILES
     marks: tuple[Mark, ...] = ()
+    grasps: bool = False
+    several: bool = False
 
     def make_scenario(self) -> PushScenario:
         """Makes the scenario in which the task is done if none is given."""
@@ -239,6 +243,20 @@ class TaskKind:
             recording=recording,
         )
 
+    def write_own(self, folder: Path, record: Any, recording: str | None, force: bool) -> list[str]:
+        """Writes files that only this kind of task leaves; here none.
+
+        Args:
+            folder: folder in which they are written.
+            record: the record of the run.
+            recording: name of the recording's file in it; None without one.
+            force: whether existing files may be replaced.
+
+        Returns:
+            The files' names.
+        """
+        return []
+
     def summarize(self, record: Any) -> dict[str, Any]:
         """Summarizes a run in SI units, for JSON; "done" tells if the robot reached its goal."""
         limits = record.limit_report
@@ -296,12 +314,14 @@ def write_files(
     write_scenario(folder / SCENARIO, scenario, force)
     write_stream_csv(record.stream, folder / STREAM, force, calc_pose_age(scenario.camera))
 
+    recording = RECORDING if meshcat is not None else None
+    written.update(task.write_own(folder, record, recording, force))
+
     # Model and report need an estimate, which there is after the first push.
     training, held_out = task.split_log(record)
     if record.estimates:
         training.write_csv(folder / PUSHES, force)
         write_model(folder / MODEL, record.estimates[-1], force)
-        recording = RECORDING if meshcat is not None else None
         write_whole(folder / REPORT, task.make_report(record, recording), force)
         written |= {PUSHES, MODEL, REPORT}
     if len(held_out):

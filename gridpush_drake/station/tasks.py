@@ -35,6 +35,7 @@ from gridpush_drake.station.identify_task import IdentifyTask, IdentifyTaskRecor
 from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
 from gridpush_drake.station.push_task import GOAL_COLOR, PushTask, PushTaskRecord
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scene_kinds import FetchKind, RearrangeKind, SeparateKind
 from gridpush_drake.station.task import ADVANCE, TaskRecord, TaskStatus
 from gridpush_drake.station.task_kind import (
     BEFORE_LOOKING,
@@ -102,6 +103,9 @@ class TaskName(StrEnum):
     push = "push"
     pregrasp = "pregrasp"
     follow = "follow"
+    separate = "separate"
+    rearrange = "rearrange"
+    fetch = "fetch"
 
 
 class IdentifyKind(TaskKind):
@@ -289,6 +293,7 @@ class PreGraspKind(TaskKind):
     done = TaskStatus.HELD
     scenario = GRASP_SCENARIO
     files = (REPORT, RECORDING, MODEL, OBJECT, PUSHES, WEIGHINGS, STREAM, TRUTH, SCENARIO)
+    grasps = True
 
     def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
         """Names what the controller is doing."""
@@ -557,6 +562,9 @@ TASKS: dict[str, TaskKind] = {
     TaskName.push: PushKind(),
     TaskName.pregrasp: PreGraspKind(),
     TaskName.follow: FollowKind(),
+    TaskName.separate: SeparateKind(),
+    TaskName.rearrange: RearrangeKind(),
+    TaskName.fetch: FetchKind(),
 }
 """The kinds of tasks by their names. A name is a `TaskName`, or simply its text."""
 

@@ -1,0 +1,176 @@
+"""What a robot did with several objects: its figure, and a page of its own.
+
+Nothing of the page is about one learned object, as that of `report.page` is.
+"""
+
+from collections.abc import Sequence
+from importlib.resources import files
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.notebook import MM
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.report.draw import (
+    FAINT,
+    FONT,
+    INK,
+    PAGE_WIDTH,
+    PART_COLORS,
+    add_legend_below,
+    draw_arrow,
+    draw_cells,
+    draw_outline,
+    draw_table,
+    frame_points,
+    make_grid,
+    tidy,
+)
+from gridpush_drake.report.page import TEMPLATE, ReportSummary, embed
+
+PANEL_HEIGHT = 4.4
+"""Height of the panels, inches."""
+
+ROOM = 0.05
+"""Room about what is drawn, m."""
+
+LEGEND_COLUMNS = 3
+"""Columns of a legend."""
+
+PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{{ name }}</title>
+{{ style }}
+</head>
+<body>
+<main>
+<h1>{{ name }}</h1>
+<p class="headline">{{ summary.headline }}</p>
+<dl class="facts">
+{% for label, value in summary.facts %}
+<div><dt>{{ label }}</dt><dd>{{ value }}</dd></div>
+{% endfor %}
+</dl>
+{% if recording %}
+<p><a href="{{ recording }}">Watch the recording of the run</a>
+({{ recording }}, beside this report).</p>
+{% endif %}
+<section>
+<h2>What the robot did</h2>
+<p class="soft">{{ summary.caption }}</p>
+<figure class="wide"><img src="{{ figure }}" alt="{{ summary.caption }}"></figure>
+<div class="scroll">
+<table>
+<thead><tr>{% for head in summary.heads %}<th>{{ head }}</th>{% endfor %}</tr></thead>
+<tbody>
+{% for step in summary.steps %}
+<tr><th>{{ step[0] }}</th>{% for cell in step[1:] %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}
+</tbody>
+</table>
+</div>
+</section>
+</main>
+</body>
+</html>
+"""
+"""The page, to be filled in; its style is that of the report of one object."""
+
+
+def make_scene_report(name: str, summary: ReportSummary, recording: str | None = None) -> str:
+    """Makes the report of a task with several objects.
+
+    Args:
+        name: what was done with which objects.
+        summary: what came of it.
+        recording: the file with the recording of the run, as seen from the report; None without.
+
+    Returns:
+        An HTML page that needs nothing else.
+    """
+    folder = files("gridpush_drake.report").joinpath("templates")
+    text = folder.joinpath(TEMPLATE).read_text(encoding="utf-8")
+    begin, end = text.index("<style>"), text.index("</style>") + len("</style>")
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    page = environment.from_string(PAGE.replace("{{ style }}", text[begin:end]))
+    return page.render(
+        name=name, summary=summary, figure=embed(summary.figure), recording=recording
+    )
+
+
+def draw_scene_run(
+    objects: Sequence[GridObject],
+    names: Sequence[str],
+    poses: Array,
+    pushes: Sequence[Push],
+    values: Array,
+    measured: tuple[str, float | None],
+    *,
+    goals: Array | None = None,
+    surface: SupportSurface | None = None,
+) -> Figure:
+    """Draws a run: on the left where the objects went, on the right what was measured.
+
+    Args:
+        objects: the N objects.
+        names: what to call them.
+        poses: (P+1, N, 3) where they were seen before each push and at last, m and rad.
+        pushes: the P pushes.
+        values: (P+1, N) what was measured of each, m.
+        measured: what that is, in words, and where it should come to, m; None for nowhere.
+        goals: (N, 3) goal poses, m and rad, NaN where there is none; None where there are none.
+        surface: the table; None for one without end.
+
+    Returns:
+        The figure.
+    """
+    figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
+    colors = [PART_COLORS[b % len(PART_COLORS)] for b in range(len(objects))]
+    handles = [
+        Line2D([], [], color=color, linewidth=4, label=name)
+        for color, name in zip(colors, names, strict=True)
+    ]
+
+    # Where they went.
+    ax = axes[0, 0]
+    if surface is not None:
+        draw_table(ax, surface.corners)
+    shown = [push.xy for push in pushes]
+    for b, obj in enumerate(objects):
+        for pose in poses[1:-1, b]:
+            draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.3)
+        draw_outline(ax, obj, pose=poses[0, b], color=FAINT, linestyle="dashed")
+        draw_cells(ax, obj, pose=poses[-1, b]).set_facecolor(colors[b])
+        shown.append(obj.cells_at(poses[[0, -1], b]).reshape(-1, 2))
+        if goals is not None and np.isfinite(goals[b]).all():
+            draw_outline(ax, obj, pose=goals[b], color=INK, linestyle="dotted")
+            shown.append(obj.cells_at(goals[b]))
+    for push in pushes:
+        draw_arrow(ax, push.xy[0], push.xy[-1], INK)
+    frame_points(ax, shown, ROOM)
+    ax.set_title("Dashed at first, filled at the end", fontsize=FONT, color=INK)
+    add_legend_below(ax, handles, LEGEND_COLUMNS)
+
+    # What was measured.
+    ax = axes[0, 1]
+    for b, color in enumerate(colors):
+        ax.plot(np.arange(len(values)), MM * values[:, b], color=color, marker="o", zorder=3)
+    words, wanted = measured
+    if wanted is not None:
+        ax.axhline(MM * wanted, color=FAINT, linestyle="dashed", linewidth=1.2, zorder=2)
+    ax.set_ylim(bottom=0.0)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    tidy(ax, "pushes made", f"{words}, mm")
+    ax.set_title(words.capitalize(), fontsize=FONT, color=INK)
+    return figure

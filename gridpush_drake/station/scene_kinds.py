@@ -1,0 +1,223 @@
+"""Kinds of tasks with several objects, as the commands know them: separate, rearrange, fetch."""
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from gridpush_drake.display.overlay import Mark, to_css
+from gridpush_drake.files import write_whole
+from gridpush_drake.geometry.se2 import Array, transform
+from gridpush_drake.notebook import MM, count
+from gridpush_drake.planning.scene.scene_loop import SceneMode
+from gridpush_drake.planning.scene.separation import MARGIN, calc_clearances_along
+from gridpush_drake.pushes.scene_log import SceneLog
+from gridpush_drake.report.page import ReportSummary
+from gridpush_drake.report.scene_run import draw_scene_run, make_scene_report
+from gridpush_drake.station.push_task import GOAL_COLOR
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scene_task import (
+    FetchTask,
+    RearrangeTask,
+    SceneTaskRecord,
+    SeparateTask,
+)
+from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.station.task_kind import (
+    FIRST_TITLE,
+    OBJECT,
+    PUSHES,
+    RECORDING,
+    REPORT,
+    SCENARIO,
+    STREAM,
+    TRUTH,
+    TaskKind,
+)
+from gridpush_drake.systems.messages import PushStatus
+
+TITLES = {
+    SceneMode.WAITING: FIRST_TITLE,
+    SceneMode.PUSHING: "Push {}",
+    SceneMode.GRASPING: "Grasping and lifting",
+    SceneMode.HOLDING: "Lifted and held",
+    SceneMode.DONE: "Done",
+    SceneMode.LOST: "An object is out of sight",
+    SceneMode.FAILED: "Given up",
+}
+"""Titles beside the recording for the controller's modes; {} is the push's number."""
+
+SCENE_FILES = (REPORT, RECORDING, OBJECT, PUSHES, STREAM, TRUTH, SCENARIO)
+"""Files that a run leaves. pushes.csv has the poses of all objects; object.yaml and truth.yaml are
+the first one's."""
+
+
+class SceneKind(TaskKind):
+    """A task with several objects.
+
+    Attributes:
+        verb: what is done with them, in a word, for a title.
+    """
+
+    done = TaskStatus.REACHED
+    files = SCENE_FILES
+    several = True
+    verb: ClassVar[str]
+
+    def count_steps(self, scenario: PushScenario) -> int:
+        """Counts the pushes that may be made."""
+        return scenario.goal.max_pushes
+
+    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
+        """Names the push that is being made."""
+        return f"push {status.executed + (not status.ready)}, {status.phase}", status.executed
+
+    def name_phase(self, status: Any) -> str:
+        """Returns a title with the push's number."""
+        return TITLES[status.mode].format(status.pushes + 1)
+
+    def measure(self, record: SceneTaskRecord, poses: Array) -> Array:
+        """Measures the objects in states (P, N, 3): (P, N) m, by which the task goes on."""
+        return calc_clearances_along(record.objects, poses)
+
+    def describe_measure(self, record: SceneTaskRecord) -> tuple[str, float | None]:
+        """Says what `measure` measures, and where it should come to, m."""
+        return "room around each", MARGIN
+
+    def summarize(self, record: SceneTaskRecord) -> dict[str, Any]:
+        """Adds to the summary the objects, the pushes, and what was measured at the end."""
+        words, _ = self.describe_measure(record)
+        last = self.measure(record, record.poses[None])[0]
+        return super().summarize(record) | {
+            "objects": list(record.names),
+            "pushes": record.pushes,
+            "measured": words,
+            "at_end": [float(value) for value in last],
+        }
+
+    def describe(self, summary: dict[str, Any]) -> list[str]:
+        """Tells what came of it, and what was measured of each object at the end."""
+        lines = [f"After {count(summary['pushes'], 'push')}: {summary['message']}"]
+        for name, value in zip(summary["objects"], summary["at_end"], strict=True):
+            lines.append(f"  {name}, {summary['measured']}: {value * MM:.1f} mm")
+        return lines
+
+    def make_summary(self, record: SceneTaskRecord) -> ReportSummary:
+        """Shows where the objects lay after every push."""
+        # where they were seen at rest, and what that is worth
+        poses = list_rest_poses(record)
+        values = self.measure(record, poses)
+        words, wanted = self.describe_measure(record)
+        # a row of the table for each push
+        made = [step for step in record.steps if step.push is not None]
+        steps = [
+            (
+                f"{step.time:.1f}\N{NO-BREAK SPACE}s",
+                record.names[step.status.body] if step.status.body >= 0 else "",
+                step.status.reason,
+            )
+            for step in made
+        ]
+        return ReportSummary(
+            headline=record.message,
+            facts=(
+                ("objects", str(len(record.objects))),
+                ("pushes", str(record.pushes)),
+                ("simulated", f"{record.duration:.0f} s"),
+            ),
+            figure=draw_scene_run(
+                record.objects,
+                record.names,
+                poses,
+                [seen.push for seen in record.scene_log],
+                values,
+                (words, wanted),
+                goals=record.goals,
+                surface=record.surface,
+            ),
+            caption="Left: the objects before, after each push and at the end, the pushes as "
+            f"arrows, goals dotted. Right: {words}, as it was seen.",
+            heads=("time", "pushed", "why"),
+            steps=steps,
+        )
+
+    def make_report(self, record: SceneTaskRecord, recording: str | None = None) -> str:
+        """Makes the report, as HTML."""
+        name = f"{self.verb}: {', '.join(record.names)}"
+        return make_scene_report(name, self.make_summary(record), recording)
+
+    def write_own(
+        self, folder: Path, record: SceneTaskRecord, recording: str | None, force: bool
+    ) -> list[str]:
+        """Writes the report, and what was seen of all objects in each push."""
+        if not record.scene_log:
+            return []
+        names = tuple(name.replace(" ", "_") for name in record.names)
+        SceneLog(record.scene_log, names).write_csv(folder / PUSHES, force)
+        write_whole(folder / REPORT, self.make_report(record, recording), force)
+        return [PUSHES, REPORT]
+
+
+class SeparateKind(SceneKind):
+    """A robot pushes objects that touch apart, until each has room around it."""
+
+    station = SeparateTask
+    scenario = "separate"
+    verb = "Separate"
+
+
+class RearrangeKind(SceneKind):
+    """A robot pushes objects to goals, and learns them on the way."""
+
+    station = RearrangeTask
+    scenario = "rearrange"
+    verb = "Rearrange"
+    marks = (Mark(to_css(GOAL_COLOR), "where the objects should lie"),)
+
+    def measure(self, record: SceneTaskRecord, poses: Array) -> Array:
+        """Measures how far the objects' middles are from where they should be, (P, N) m."""
+        distances = []
+        for b, obj in enumerate(record.objects):
+            middle = obj.p_BC.mean(axis=0)[None]
+            off = transform(poses[:, b], middle)[:, 0] - transform(record.goals[b], middle)[0]
+            distances.append(np.nan_to_num(np.linalg.norm(off, axis=1)))
+        return np.stack(distances, axis=1)
+
+    def describe_measure(self, record: SceneTaskRecord) -> tuple[str, float | None]:
+        """Says what `measure` measures."""
+        return "distance from the goal", None
+
+
+class FetchKind(SceneKind):
+    """A robot clears the way for one object, slides it to the table's edge and lifts it."""
+
+    station = FetchTask
+    scenario = "fetch"
+    verb = "Fetch"
+    done = TaskStatus.HELD
+    grasps = True
+
+    def summarize(self, record: SceneTaskRecord) -> dict[str, Any]:
+        """Adds to the summary how far the object was raised, and what the pushes were for."""
+        # every push is for something
+        kinds = [step.status.kind for step in record.steps if step.push is not None]
+        return super().summarize(record) | {
+            "raised": record.raised,
+            "kinds": {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)},
+        }
+
+    def describe(self, summary: dict[str, Any]) -> list[str]:
+        """Tells whether the object was lifted, and what the pushes were for."""
+        kinds = ", ".join(f"{number} to {kind}" for kind, number in summary["kinds"].items())
+        lines = [f"The {summary['objects'][0]}: {summary['message']}"]
+        if kinds:
+            lines.append(f"  {count(summary['pushes'], 'push')}: {kinds}")
+        return lines
+
+
+def list_rest_poses(record: SceneTaskRecord) -> Array:
+    """Lists where the objects were seen at rest, (P+1, N, 3): before each push, and at last."""
+    if not record.scene_log:
+        return record.begin[None]
+    poses = [seen.poses for seen in record.scene_log]
+    return np.array([*poses, record.scene_log[-1].poses_observed[-1]])

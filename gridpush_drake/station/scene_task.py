@@ -1,0 +1,452 @@
+"""Tasks with several objects in the station: separate them, rearrange them, or fetch one.
+
+The scenario's `object` is object 0, and its `others` are the objects after it, in their order. All
+are seen by ideal cameras.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Multiplexer
+
+from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.notebook import MM
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.closed_loop import LoopOptions
+from gridpush_drake.planning.pregrasp.goals import ArmLimits
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
+from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.scene.fetching import FetchLearning, FetchOptions, FetchPlanner
+from gridpush_drake.planning.scene.loop import (
+    SceneDecision,
+    SceneLearner,
+    SceneLearning,
+    ScenePlanner,
+)
+from gridpush_drake.planning.scene.rearrangement import RearrangeOptions, RearrangePlanner
+from gridpush_drake.planning.scene.scene_loop import (
+    FindSceneGrasp,
+    SceneLoop,
+    SceneMode,
+    SceneStatus,
+)
+from gridpush_drake.planning.scene.search import SceneRules, SceneSearchOptions
+from gridpush_drake.planning.scene.separation import SeparatePlanner, calc_clearances
+from gridpush_drake.pushes.scene_log import ObservedScenePush
+from gridpush_drake.station.pregrasp_task import (
+    CLEARANCE,
+    LIFTED_SHARE,
+    GraspFinder,
+    calc_raised,
+    make_options,
+)
+from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.push_task import EDGE_MARGIN, GOAL_COLOR, MAX_PUSH
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.station import (
+    Learning,
+    MakeFingerRegion,
+    Station,
+    StationMaker,
+    make_surface,
+)
+from gridpush_drake.station.task import (
+    GO_ON,
+    ControlledRecord,
+    Judgment,
+    StationTask,
+    TaskStatus,
+    Waiting,
+)
+from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.systems.scene_controller import SceneController
+
+GOALS_PATH = "goals"
+"""Path in Meshcat of the objects' outlines at their goals."""
+
+NOISE = (2e-3, 2e-3, 1e-2)
+"""Standard deviations of what poses in the station are off from their predictions, m, m and rad."""
+
+LOOK_OPTIONS = LoopOptions(timeout=3.0)
+"""How objects are observed: one may be out of sight for a while behind the arm."""
+
+DRAWS = 3
+"""Number of further models that pushes are tried on."""
+
+
+@dataclass(repr=False)
+class SceneTaskRecord(ControlledRecord[SceneStatus]):
+    """What came of a run. It is filled while the task runs.
+
+    Attributes:
+        objects: the N objects, object 0 being `obj`.
+        names: what to call them.
+        goals: (N, 3) goal poses, m and rad; NaN where there are none.
+        poses: (N, 3) true X_WB of the objects at the end, m and rad, where that of an object other
+            than the first is as its camera saw it; NaN for one that fell.
+        begin: (N, 3) the same before anything was done.
+        scene_log: what was seen of each push.
+        raised: height of the lowest point of object 0 above the table at the end, m; NaN if nobody
+            knows it.
+    """
+
+    objects: tuple[GridObject, ...]
+    names: tuple[str, ...]
+    goals: Array
+    poses: Array
+    begin: Array
+    scene_log: tuple[ObservedScenePush, ...] = field(default=(), kw_only=True)
+    raised: float = field(default=float("nan"), kw_only=True)
+
+    @property
+    def pushes(self) -> int:
+        """Number of pushes that were made."""
+        return self.last.pushes
+
+    @property
+    def clearances(self) -> NDArray[np.float64]:
+        """(N,) distance of each object from the nearest other one at the end, m."""
+        return np.asarray(calc_clearances(self.objects, self.poses))
+
+
+class SceneTask(StationTask[SceneTaskRecord]):
+    """The station with a controller for a task with several objects.
+
+    A kind of task overrides `make_planner`, and whatever else is different.
+
+    Attributes:
+        surface: the table, as planners know it.
+        objects: the N objects, as the robot knows them.
+        planner: decides for the controller.
+    """
+
+    lost_after = 10.0
+    timeout = 120.0
+    pushes_others = True
+    has_goals = False
+
+    def __init__(
+        self,
+        scenario: PushScenario | ResolvedScenario,
+        meshcat: Meshcat | None = None,
+        make_station: StationMaker = MakePushStation,
+    ) -> None:
+        """Makes the Diagram.
+
+        Args:
+            scenario: the scenario, resolved or not, with other objects.
+            meshcat: Meshcat in which the station is shown; None for none.
+            make_station: makes the station; a simulated one by default.
+
+        Raises:
+            ScenarioError: the scenario makes no sense, has one object, or a color and depth camera.
+            PlanningError: goals overlap, or the wanted object cannot be grasped.
+            StationError: see `MakeHardwareStation`.
+        """
+        resolved = resolve(scenario)
+        scenario = resolved.scenario
+        self._check(scenario)
+        # the station, which learns nothing by itself
+        builder = DiagramBuilder()
+        self.station: Station = builder.AddSystem(
+            make_station(resolved, meshcat, show_object=False, learning=Learning(max_pushes=0))
+        )
+        station = self.station
+        if len(station.others) != len(scenario.others):
+            raise ScenarioError(
+                "others: this robot's station sees the first object only; expected a simulated "
+                "station, as in gridpush demo"
+            )
+        # what the robot knows of the table and the objects
+        self.surface = make_surface(station.table_top)
+        self.objects = (station.obj, *(other.part.obj for other in station.others))
+        self.names = name_objects(self.objects)
+        poses = np.array([scenario.object_pose, *(other.pose for other in station.others)])
+        self.goals = make_goals(scenario) if self.has_goals else np.full_like(poses, np.nan)
+        # what decides, between the ports of a system
+        self.planner = self.make_planner()
+        loop = SceneLoop(
+            planner=self.planner,
+            belief=SceneBelief.of_prior(self.objects, poses, draws=DRAWS, seed=scenario.seed),
+            learning=self.make_learning(),
+            max_pushes=scenario.goal.max_pushes * len(self.objects),
+            find_grasp=self.make_find_grasp(),
+            options=LOOK_OPTIONS,
+            seed=scenario.seed,
+        )
+        self.controller = builder.AddNamedSystem(
+            "controller",
+            SceneController(
+                loop, grasp_height=scenario.object_height / 2, lift=scenario.pregrasp.lift
+            ),
+        )
+        self._connect_poses(builder)
+        super().__init__(builder, station, self.controller, meshcat)
+        if meshcat is not None and self.has_goals:
+            self._draw_goals(meshcat)
+
+    def _check(self, scenario: PushScenario) -> None:
+        """Checks that there are several objects, which ideal cameras see."""
+        if not scenario.others:
+            raise ScenarioError(
+                "others: empty; expected other objects on the table: this task is for several"
+            )
+        if scenario.camera.kind != "ideal":
+            raise ScenarioError(
+                f"camera: kind is {scenario.camera.kind}; expected ideal: a task with several "
+                "objects is told the poses of all"
+            )
+        if scenario.base != "free":
+            raise ScenarioError(f"base is {scenario.base}; expected free, as the other objects are")
+
+    def _connect_poses(self, builder: DiagramBuilder) -> None:
+        """Connects the poses of all objects with the controller."""
+        poses = builder.AddNamedSystem("object_poses", Multiplexer([3] * len(self.objects)))
+        ports = ["object.pose", *(f"{other.name}.pose" for other in self.station.others)]
+        for number, name in enumerate(ports):
+            builder.Connect(self.station.GetOutputPort(name), poses.get_input_port(number))
+        builder.Connect(poses.get_output_port(), self.controller.GetInputPort("object_poses"))
+
+    def make_planner(self) -> ScenePlanner:
+        """Makes what decides for the controller."""
+        raise NotImplementedError
+
+    def make_learning(self) -> SceneLearner | None:
+        """Makes what learns the objects; None for nobody."""
+        return None
+
+    def make_find_grasp(self) -> FindSceneGrasp | None:
+        """Makes what finds grasps; None where none is made."""
+        return None
+
+    def make_rules(self) -> SceneRules:
+        """Makes the rules of pushes: the table's edge, and what the arm reaches."""
+        station = self.station
+        return SceneRules(
+            surface=self.surface,
+            edge_margin=EDGE_MARGIN,
+            finger_region=MakeFingerRegion(station, around_others=False),
+            push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
+        )
+
+    def make_search(self) -> SceneSearchOptions:
+        """Makes the options of the search for pushes from the robot's finger and the scenario."""
+        return SceneSearchOptions(
+            lengths=(0.005, MAX_PUSH),
+            radius=self.station.robot.finger.tip_radius,
+            speed=self.station.scenario.pokes.speed,
+            clearance=CLEARANCE,
+        )
+
+    def make_record(self) -> SceneTaskRecord:
+        """Makes the empty record of a run."""
+        poses = self._read_poses()
+        return SceneTaskRecord(
+            obj=self.station.obj,
+            truth=self.station.truth,
+            surface=self.surface,
+            last=SceneStatus(),
+            objects=self.objects,
+            names=self.names,
+            goals=self.goals,
+            poses=poses,
+            begin=np.array([self.station.scenario.object_pose, *self._list_other_poses()]),
+        )
+
+    def _list_other_poses(self) -> list[tuple[float, float, float]]:
+        """Lists where the scenario has the other objects, (x, y, theta), m and rad."""
+        return [other.pose for other in self.station.others]
+
+    def note(self, record: SceneTaskRecord, time: float) -> bool:
+        """Writes down where the objects are, and what the controller does."""
+        record.poses = self._read_poses()
+        new = self.note_step(record, time)
+        if new:
+            context = self.controller.GetMyContextFromRoot(self.simulator.get_context())
+            record.scene_log = self.controller.GetState(context).log
+        return new or not self.read("executor.status").ready
+
+    def judge(self, record: SceneTaskRecord, waiting: Waiting) -> Judgment:
+        """Decides whether the task is done, an object is lost, or it can get no further."""
+        status = record.last
+        if self.simulated and np.isnan(record.poses).any():
+            fallen = np.flatnonzero(np.isnan(record.poses).any(axis=1)).tolist()
+            names = ", ".join(self.names[b] for b in fallen)
+            return TaskStatus.DROPPED, f"{names} fell during push {status.pushes + 1}."
+        if status.mode is SceneMode.DONE:
+            return TaskStatus.REACHED, status.reason
+        if status.mode is SceneMode.HOLDING:
+            return self._judge_held(record)
+        if status.mode is SceneMode.FAILED:
+            return TaskStatus.FAILED, status.reason
+        if status.mode is SceneMode.LOST:
+            return TaskStatus.LOST, status.reason
+        if waiting.idle > self.timeout:
+            return TaskStatus.STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
+        return GO_ON
+
+    def _judge_held(self, record: SceneTaskRecord) -> Judgment:
+        """Judges whether the gripper truly holds the object; here there is none."""
+        return TaskStatus.HELD, record.last.reason
+
+    def _read_poses(self) -> Array:
+        """Reads where all objects are, (N, 3) m and rad: the first truly, where that is known."""
+        ports = [self.judged_pose, *(f"{other.name}.pose" for other in self.station.others)]
+        return np.array([self.read(port) for port in ports])
+
+    def _draw_goals(self, meshcat: Meshcat) -> None:
+        """Draws the objects' translucent outlines at their goals."""
+        meshcat.Delete(GOALS_PATH)
+        heights = [self.station.object_in_plant.height]
+        heights += [other.part.height for other in self.station.others]
+        for b, (obj, pose, height) in enumerate(
+            zip(self.objects, self.goals, heights, strict=True)
+        ):
+            if np.isfinite(pose).all():
+                path = f"{GOALS_PATH}/{b}"
+                AddGhost(meshcat, path, obj, height, GOAL_COLOR)
+                meshcat.SetTransform(path, MakePlanarTransform(pose))
+
+
+class SeparateTask(SceneTask):
+    """The station with a controller that pushes objects apart."""
+
+    def make_planner(self) -> SeparatePlanner:
+        """Makes the planner; pushes begin where the robot's finger fits."""
+        search = replace(self.make_search(), candidates=24, firsts=2, seconds=6, compared=3)
+        return SeparatePlanner(
+            self.objects,
+            rules=self.make_rules(),
+            search=search,
+            seed=self.station.scenario.seed,
+        )
+
+
+class RearrangeTask(SceneTask):
+    """The station with a controller that pushes objects to goals, and learns them on the way."""
+
+    has_goals = True
+
+    def make_planner(self) -> RearrangePlanner:
+        """Makes the planner, towards the scenario's goals."""
+        options = RearrangeOptions(
+            position_tolerance=self.station.scenario.goal.tolerance, search=self.make_search()
+        )
+        return RearrangePlanner(
+            self.objects,
+            self.goals,
+            options,
+            self.make_rules(),
+            seed=self.station.scenario.seed,
+        )
+
+    def make_learning(self) -> SceneLearning:
+        """Learns all objects together."""
+        return SceneLearning(noise=NOISE)
+
+
+class FetchTask(SceneTask):
+    """The station with a controller that clears the way, and grasps the wanted object, object 0."""
+
+    def make_planner(self) -> FetchPlanner:
+        """Makes the planner, with what the gripper can take."""
+        station = self.station
+        scenario = station.scenario
+        if station.robot.gripper is None:
+            raise ScenarioError(
+                "directives: there is no model gripper; expected a scene that can grasp"
+            )
+        # what the gripper can take, and hold
+        gripper = station.robot.gripper.make_gripper()
+        force = gripper.limit_force(scenario.pregrasp.force)
+        gripper.check_thickness(station.obj, scenario.object_height)
+        pads = gripper.limit_pads(station.obj, force)
+        self._finder = GraspFinder(station, station.obj, self.surface, pads)
+        # how the way is cleared, and the object is slid
+        rules = self.make_rules()
+        options = FetchOptions(
+            pregrasp=make_options(station, gripper, force),
+            search=replace(self.make_search(), candidates=32, firsts=3, seconds=8),
+        )
+        limits = ArmLimits(
+            finger_region=rules.finger_region,
+            edge_region=self._finder.find_edge(),
+            can_push=rules.push_rule,
+            can_grasp=self._finder.can_grasp,
+        )
+        return FetchPlanner(
+            self.objects,
+            wanted=0,
+            surface=self.surface,
+            options=options,
+            limits=limits,
+            rules=rules,
+            seed=scenario.seed,
+        )
+
+    def make_learning(self) -> FetchLearning:
+        """Learns the wanted object from pushes in which nothing else moved."""
+        friction = self.station.scenario.object_friction
+        return FetchLearning(
+            0,
+            self.surface,
+            friction_range=None if friction is None else (friction[0], friction[1]),
+            obj=self.station.obj,
+        )
+
+    def make_find_grasp(self) -> FindSceneGrasp:
+        """Makes what finds a grasp that holds the wanted object where it lies."""
+        finder = self._finder
+
+        def find(poses: Array, decision: SceneDecision, belief: SceneBelief) -> SideGrasp | None:
+            model = belief.models.get(0) or UncertainModel.of_prior(self.objects[0])
+            goal = decision.goal
+            at_worst = goal is not None and isinstance(goal.part, FlatPart)
+            masses = model.masses
+            grasp = finder.find_grasp(poses[0], masses.middle, masses, at_worst)
+            if grasp is None and goal is not None:
+                grasp = finder.find_grasp(poses[0], goal.part.p_BG, masses, at_worst)
+            return grasp
+
+        return find
+
+    def note(self, record: SceneTaskRecord, time: float) -> bool:
+        """Writes down how high the wanted object is, too."""
+        if self.simulated:
+            record.raised = calc_raised(self)
+        new = super().note(record, time)
+        return new or not self.read("grasp.status").ready
+
+    def _judge_held(self, record: SceneTaskRecord) -> Judgment:
+        """Judges whether the gripper that has closed and gone up truly holds the object."""
+        if not self.simulated:
+            return TaskStatus.HELD, "The gripper lifted the object and holds it."
+        height = f"{MM * record.raised:.0f} mm"
+        if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
+            return TaskStatus.HELD, (
+                f"The {self.names[0]} was lifted and held, {height} above the table; nothing fell."
+            )
+        return TaskStatus.NOT_LIFTED, (
+            f"The gripper closed and went up, but the object did not: {height}."
+        )
+
+
+def name_objects(objects: tuple[GridObject, ...]) -> tuple[str, ...]:
+    """Names objects in words; those of one name by their numbers, too."""
+    names = [obj.name.replace("_", " ") for obj in objects]
+    return tuple(name if names.count(name) == 1 else f"{name} {b}" for b, name in enumerate(names))
+
+
+def make_goals(scenario: PushScenario) -> Array:
+    """Collects the goals of a scenario's objects, (N, 3) m and rad; NaN where there is none."""
+    nowhere = [np.nan] * 3
+    others = [nowhere if other.goal is None else other.goal for other in scenario.others]
+    return np.array([scenario.goal.pose, *others])
