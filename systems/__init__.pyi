@@ -53,6 +53,7 @@ from .pusher_gate import PusherGate as PusherGate
 from .pusher_state_sensor import ArmTipSensor as ArmTipSensor
 from .pusher_state_sensor import PusherStateSensor as PusherStateSensor
 from .rgbd_noise import RgbdNoise as RgbdNoise
+from .scene_controller import SceneController as SceneController
 from .steer_executor import SteerExecutor as SteerExecutor
 from .steer_executor import SteerOptions as SteerOptions
 from .true_parameters import TrueParameters as TrueParameters

@@ -253,11 +253,14 @@ def test_a_robot_stands_for_the_scene_that_it_names(tmp_path):
 def test_a_shipped_scenario_goes_by_its_name(tmp_path, monkeypatch):
     shipped = [
         "default",
+        "fetch",
         "grasp",
         "grasp_heavy",
         "grasp_untold",
         "planar",
+        "rearrange",
         "round_table",
+        "separate",
         "slalom",
         "two_objects",
     ]

@@ -1,0 +1,210 @@
+"""Several objects in the station: one list of a scenario, what is refused, and whole runs."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gridpush_drake import PushScenario, read_scenario
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PlanningError, ScenarioError
+from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision
+from gridpush_drake.planning.scene.scene_loop import SceneMode, SceneStatus
+from gridpush_drake.planning.scene.separation import MARGIN
+from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
+from gridpush_drake.station.others import draw_other_truth
+from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, write_scenario
+from gridpush_drake.station.scene_kinds import list_rest_poses
+from gridpush_drake.station.scene_task import (
+    FetchTask,
+    RearrangeTask,
+    SeparateTask,
+    make_goals,
+    name_objects,
+)
+from gridpush_drake.station.task import TaskStatus, TaskStep
+from gridpush_drake.station.tasks import TASKS, TaskName
+from gridpush_drake.systems.messages import PushCommand
+
+NAMES = ("separate", "rearrange", "fetch")
+
+LIST = """
+objects:
+- {object: pliers, pose: [0.6, 0.2, 0.5], goal: [0.6, 0.1, 0.0]}
+- {object: claw_hammer, pose: [0.6, -0.1, 0.0], height: 0.04, wanted: true,
+   goal: [0.62, -0.2, 0.3], parts: [{label: 1, cell_mass: 0.02}]}
+- {object: mine.yaml, pose: [0.5, 0.0, 0.0], parts: [{label: 1, friction: 0.33}]}
+"""
+
+
+def read(tmp_path, text=LIST):
+    (tmp_path / "mine.yaml").write_text(
+        "name: block\noutline: [[0, 0], [0.05, 0], [0.05, 0.04], [0, 0.04]]\n"
+    )
+    path = tmp_path / "scenario.yaml"
+    path.write_text(text)
+    return read_scenario(path)
+
+
+def test_the_wanted_object_of_a_list_is_the_object_and_the_rest_are_the_others(tmp_path):
+    scenario = read(tmp_path)
+    assert scenario.object == "claw_hammer" and scenario.object_height == 0.04
+    assert scenario.object_pose == [0.6, -0.1, 0.0] and scenario.goal.pose == [0.62, -0.2, 0.3]
+    assert scenario.truth.parts[0].cell_mass == 0.02
+    assert [other.object for other in scenario.others] == ["pliers", str(tmp_path / "mine.yaml")]
+    np.testing.assert_array_equal(
+        make_goals(scenario), [[0.62, -0.2, 0.3], [0.6, 0.1, 0.0], [np.nan] * 3]
+    )
+    # it is written in the older form, and is the same when it is read again
+    write_scenario(tmp_path / "again.yaml", scenario)
+    again = read_scenario(tmp_path / "again.yaml")
+    assert format_scenario(again) == format_scenario(scenario)
+    assert scenario.objects == []
+
+
+def test_the_hidden_truth_of_each_object_may_be_given(tmp_path):
+    scenario = read(tmp_path)
+    resolved = resolve(scenario)
+    part = SimpleNamespace(obj=resolved.others[1])
+    truth = draw_other_truth(scenario, part, 1, seed=4)
+    assert (truth.friction == 0.33).all()
+    assert (resolved.truth.mass[resolved.obj.labels == 1] == 0.02).all()
+
+
+def test_without_a_wanted_one_the_first_object_is_the_object():
+    objects = [{"object": name, "pose": [0.6, y, 0]} for name, y in (("pliers", 0.1), ("box", 0))]
+    assert PushScenario(objects=objects).object == "pliers"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("objects:", "object: pliers\nobjects:"), "objects and object are both given"),
+        (("goal: [0.6, 0.1, 0.0]", "wanted: true"), r"objects\[1\].wanted is true, and so is"),
+        (("pose: [0.6, 0.2, 0.5]", "pose: [0.6, 0.2]"), r"objects\[0\].pose"),
+        (("wanted: true", "wished: true"), r"objects\[1\].wished"),
+    ],
+)
+def test_a_wrong_list_is_refused_by_the_fields_name(tmp_path, change, message):
+    with pytest.raises(ScenarioError, match=message):
+        read(tmp_path, LIST.replace(*change))
+
+
+def test_objects_in_each_other_are_both_named(tmp_path):
+    scenario = read(tmp_path, LIST.replace("[0.6, 0.2, 0.5]", "[0.6, -0.1, 0.5]"))
+    with pytest.raises(ScenarioError, match="pliers in claw_hammer; expected room"):
+        resolve(scenario)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_shipped_scenario_of_each_task_makes_sense(name):
+    assert set(NAMES) < set(TaskName)
+    scenario = TASKS[name].make_scenario()
+    assert scenario.others and scenario.camera.kind == "ideal"
+    resolve(scenario)
+
+
+def test_what_a_task_with_several_objects_refuses(tmp_path):
+    with pytest.raises(ScenarioError, match="others: empty; expected other objects"):
+        SeparateTask(PushScenario())
+    scenario = read_scenario("separate")
+    scenario.camera.use("rgbd")
+    with pytest.raises(ScenarioError, match="camera: kind is rgbd; expected ideal"):
+        SeparateTask(scenario)
+    scenario = read_scenario("separate")
+    scenario.base = "planar"
+    with pytest.raises(ScenarioError, match="base is planar; expected free"):
+        SeparateTask(scenario)
+    with pytest.raises(ScenarioError, match="no model gripper"):
+        FetchTask(read_scenario("separate"))
+
+
+def test_goals_in_each_other_are_both_named():
+    scenario = read_scenario("rearrange")
+    scenario.others[0].goal = scenario.goal.pose
+    with pytest.raises(PlanningError, match="that of claw_hammer and that of combination_wrench"):
+        RearrangeTask(scenario)
+
+
+def make_record(task, name):
+    """A record of one push, as a task would have noted it."""
+    record = task.make_record()
+    push = Push((0.5, -0.2), (0.05, 0.0), 1.0, 0.01)
+    moved = record.begin + [0.0, 0.05, 0.1]
+    seen = ObservedScenePush("push_1", push, record.begin, np.array([1.0]), moved[None])
+    command = PushCommand.from_push(1, push)
+    status = SceneStatus(SceneMode.PUSHING, "The pliers away.", 0, 1, "clear")
+    record.steps.append(TaskStep(0.4, status, record.begin[0], push=command))
+    record.last = replace(status, mode=SceneMode.DONE, pushes=1)
+    record.scene_log = (seen,)
+    record.poses = moved
+    record.status = TASKS[name].done
+    record.message = "Every object is where it should be."
+    return record
+
+
+@pytest.mark.parametrize("name", ["separate", "rearrange"])
+def test_a_run_is_summarized_and_reported(name, tmp_path):
+    kind = TASKS[name]
+    task = kind.station(kind.make_scenario())
+    task.begin(0)
+    assert task.names[0] == "claw hammer" and len(task.objects) == len(task.names)
+    record = make_record(task, name)
+    summary = kind.summarize(record)
+    assert summary["done"] and summary["pushes"] == 1 and len(summary["at_end"]) == len(task.names)
+    lines = kind.describe(summary)
+    assert "After 1 push" in lines[0] and "claw hammer" in lines[1]
+    assert kind.write_own(tmp_path, record, None, False) == ["pushes.csv", "report.html"]
+    page = (tmp_path / "report.html").read_text()
+    assert "The pliers away." in page and "recording.html" not in page
+    assert "recording.html" in kind.make_report(record, "recording.html")
+    log = SceneLog.read_csv(tmp_path / "pushes.csv")
+    np.testing.assert_array_equal(log[0].poses_observed, record.scene_log[0].poses_observed)
+    assert len(list_rest_poses(record)) == 2
+    # what is not done yet
+    record.scene_log = ()
+    assert kind.write_own(tmp_path, record, None, True) == []
+    np.testing.assert_array_equal(list_rest_poses(record), record.begin[None])
+    assert task.judge(record, SimpleNamespace(idle=0.0, unseen=0.0))[0] is TaskStatus.REACHED
+    record.poses[1] = np.nan
+    status, message = task.judge(record, SimpleNamespace(idle=0.0, unseen=0.0))
+    assert status is TaskStatus.DROPPED and task.names[1] in message
+
+
+def test_objects_of_one_name_are_told_apart():
+    scenario = parse_scenario(
+        Path("two.yaml"),
+        "objects:\n- {object: pliers, pose: [0.6, 0.2, 0]}\n- {object: pliers, pose: [0.6, 0, 0]}\n",
+    )
+    resolved = resolve(scenario)
+    assert name_objects((resolved.obj, *resolved.others)) == ("pliers 0", "pliers 1")
+    assert SceneDecision(SceneAction.DONE, "done").push is None
+
+
+@pytest.mark.slow
+def test_objects_are_separated_by_the_robot():
+    record = SeparateTask(read_scenario("separate")).run()
+    assert record.status == TaskStatus.REACHED, record.message
+    assert record.clearances.min() > MARGIN - 0.003
+    assert record.limit_report.ok, record.limit_report
+    assert len(record.scene_log) == record.pushes >= 1
+
+
+@pytest.mark.slow
+def test_objects_are_rearranged_by_the_robot():
+    record = RearrangeTask(read_scenario("rearrange")).run()
+    assert record.status == TaskStatus.REACHED, record.message
+    off = TASKS["rearrange"].measure(record, record.poses[None])[0]
+    assert off.max() < 0.022
+    assert record.limit_report.ok, record.limit_report
+
+
+@pytest.mark.slow
+def test_the_wanted_object_is_fetched_by_the_robot():
+    record = FetchTask(read_scenario("fetch")).run()
+    assert record.status == TaskStatus.HELD, record.message
+    assert record.raised > 0.05
+    assert np.isfinite(record.poses).all()
