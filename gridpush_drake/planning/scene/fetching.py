@@ -61,6 +61,12 @@ CLEAR = "clear"
 ROWS_APART = 4
 """Steps of a simulated push between two states of which the room is measured."""
 
+SHORE = 0.12
+"""Distance from the table's edge within which other objects may come to lie in the way, m."""
+
+SHORE_SHARE = 0.3
+"""How much a meter nearer to the edge than that costs, against a meter of lacking room."""
+
 SMALL = 1e-3
 """Room that may be lacking without anything being cleared away, m."""
 
@@ -178,7 +184,12 @@ class FetchPlanner:
             if wider.max(initial=0.0) <= SMALL:
                 return SceneDecision(SceneAction.FAIL, decision.reason, body=self.wanted)
             return self._clear(poses, belief, steps, way, 2 * self.options.room)
-        return self._clear(poses, belief, steps, way, self.options.room)
+        clearing = self._clear(poses, belief, steps, way, self.options.room)
+        if clearing.action is SceneAction.PUSH:
+            return clearing
+        # Nothing can be cleared away. There may be another way round, though a narrower one.
+        decision = self._decide_alone(poses, model, outlines, steps)
+        return clearing if decision.action == "fail" else self._translate(decision, poses)
 
     def _choose_way(
         self, poses: Array, model: UncertainModel | None, outlines: NDArray[np.object_]
@@ -247,6 +258,7 @@ class FetchPlanner:
             return SceneDecision(SceneAction.FAIL, reason, body=self.wanted)
         start = poses[self.wanted]
         obj = self.objects[self.wanted]
+        search = SceneSearch(belief, self.rules, self.options.search)
 
         def cost(some: Array) -> Array:
             # of a few states along a push; in between it changes evenly
@@ -254,13 +266,15 @@ class FetchPlanner:
             missing = self._calc_lacking(some[rows], way, room + self.options.spare)
             left = self.options.per_length * missing.sum(axis=1)
             left += self.options.base * (missing > self.options.spare).sum(axis=1)
+            # near the edge everything is in the way sooner or later
+            outward = np.maximum(SHORE - search.calc_edge_distances(some[rows]), 0.0)
+            left += SHORE_SHARE * self.options.per_length * outward.sum(axis=1)
             # the wanted object should stay where it is
             moved = np.linalg.norm(some[rows, self.wanted, :2] - start[:2], axis=1)
             turned = np.abs(some[rows, self.wanted, 2] - start[2])
             left += self.options.per_length * np.hypot(moved, obj.radius_of_gyration * turned)
             return np.interp(np.arange(len(some)), rows, left)
 
-        search = SceneSearch(belief, self.rules, self.options.search)
         rng = np.random.default_rng((self._seed, len(steps)))
         found = search.find_push(poses, cost, bodies, rng)
         if found is None:

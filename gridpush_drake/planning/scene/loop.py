@@ -136,18 +136,25 @@ class SceneLearning:
     def learn(
         self, belief: SceneBelief, pushes: Sequence[ObservedScenePush], seed: int
     ) -> SceneBelief | None:
-        """Learns from all pushes in which something moved; see `SceneLearner`."""
+        """Learns from all pushes in which something moved; see `SceneLearner`.
+
+        None is returned, too, where the fit's equations cannot be solved.
+        """
         telling = [seen for seen in pushes if _moves(seen) >= self.min_move]
         if len(pushes) not in self.after or not telling:
             return None
         names = tuple(f"object_{i}" for i in range(len(belief.objects)))
-        with threadpool_limits(limits=1, user_api="blas"):
-            found = identify_scene(
-                belief.objects,
-                SceneLog(tuple(telling), names),
-                amplitudes=self.amplitudes,
-                noise=self.noise,
-            )
+        try:
+            with threadpool_limits(limits=1, user_api="blas"):
+                found = identify_scene(
+                    belief.objects,
+                    SceneLog(tuple(telling), names),
+                    amplitudes=self.amplitudes,
+                    noise=self.noise,
+                )
+        except np.linalg.LinAlgError:
+            # The fit went where its equations cannot be solved: what was believed still holds.
+            return None
         learned = SceneBelief.of_identification(found, draws=len(belief.draws), seed=seed)
         return replace(learned, models=belief.models)
 
@@ -290,5 +297,6 @@ def describe_no_room(objects: Sequence[GridObject], bodies: Sequence[int], radiu
     others = ", ".join(describe_object(objects, b) for b in range(len(objects)) if b not in bodies)
     between = f", between {others}" if others else ""
     return (
-        f"{names}: no place was found where a finger of {radius * MM:g} mm fits beside it{between}"
+        f"{names}: no place was found where a finger of {radius * MM:g} mm fits beside it and can "
+        f"push it{between}"
     )

@@ -41,6 +41,13 @@ FREE = 1e-4
 SLACK = 1e-6
 """By how much a rule may be broken, m, for round-off."""
 
+NEARER = 0.01
+"""By how much nearer to the table's edge a push may bring an object that is near it already, m. It
+could hardly be turned otherwise."""
+
+LEAST_MARGIN = 0.012
+"""Distance from the table's edge below which no push brings an object nearer to it, m."""
+
 DRAWS_A_PLACE = 3
 """Pushes that are drawn for each one that is simulated: the pusher does not fit everywhere."""
 
@@ -108,9 +115,9 @@ class SceneRules:
 
     Attributes:
         surface: the table; None for one without end.
-        edge_margin: how far inside the table's edge every object must stay, m. An object that is
-            nearer to the edge already must not come nearer still. While all of an object is over
-            the table, it stays whatever its masses are.
+        edge_margin: how far inside the table's edge every object must stay, m. One that is nearer
+            already may come nearer still by `NEARER`, but not nearer than `LEAST_MARGIN`. While all
+            of an object is over the table, it stays whatever its masses are.
         leeway: by how much nearer to the edge an object may come by a further model, m.
         finger_overhang: how far beyond the edge the finger's center may be, m.
         finger_region: where the finger's center may be, W; None for anywhere.
@@ -403,7 +410,8 @@ class SceneSearch:
     def _calc_allowed(self, poses: Array, leeway: float) -> Array:
         """Calculates how far inside the edge each object must stay in a push from poses, (N,) m."""
         now = self.calc_edge_distances(poses[None])[0]
-        return np.minimum(now, self.rules.edge_margin) - leeway - SLACK
+        near = np.maximum(now - NEARER, np.minimum(now, LEAST_MARGIN))
+        return np.minimum(near, self.rules.edge_margin) - leeway - SLACK
 
     def _compare(
         self, poses: Array, cost: CostToGo, scored: Sequence[tuple[float, ScenePush]]
