@@ -4,7 +4,6 @@ Nothing of the page is about one learned object, as that of `report.page` is.
 """
 
 from collections.abc import Sequence
-from importlib.resources import files
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
@@ -32,7 +31,7 @@ from gridpush_drake.report.draw import (
     make_grid,
     tidy,
 )
-from gridpush_drake.report.page import TEMPLATE, ReportSummary, embed
+from gridpush_drake.report.page import STYLE, ReportSummary, embed, read_template
 
 PANEL_HEIGHT = 4.4
 """Height of the panels, inches."""
@@ -43,47 +42,8 @@ ROOM = 0.05
 LEGEND_COLUMNS = 3
 """Columns of a legend."""
 
-PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{{ name }}</title>
-{{ style }}
-</head>
-<body>
-<main>
-<h1>{{ name }}</h1>
-<p class="headline">{{ summary.headline }}</p>
-<dl class="facts">
-{% for label, value in summary.facts %}
-<div><dt>{{ label }}</dt><dd>{{ value }}</dd></div>
-{% endfor %}
-</dl>
-{% if recording %}
-<p><a href="{{ recording }}">Watch the recording of the run</a>
-({{ recording }}, beside this report).</p>
-{% endif %}
-<section>
-<h2>What the robot did</h2>
-<p class="soft">{{ summary.caption }}</p>
-<figure class="wide"><img src="{{ figure }}" alt="{{ summary.caption }}"></figure>
-<div class="scroll">
-<table>
-<thead><tr>{% for head in summary.heads %}<th>{{ head }}</th>{% endfor %}</tr></thead>
-<tbody>
-{% for step in summary.steps %}
-<tr><th>{{ step[0] }}</th>{% for cell in step[1:] %}<td>{{ cell }}</td>{% endfor %}</tr>
-{% endfor %}
-</tbody>
-</table>
-</div>
-</section>
-</main>
-</body>
-</html>
-"""
-"""The page, to be filled in; its style is that of the report of one object."""
+TEMPLATE = "scene_run.html.j2"
+"""File with the page, to be filled in."""
 
 
 def make_scene_report(name: str, summary: ReportSummary, recording: str | None = None) -> str:
@@ -97,15 +57,15 @@ def make_scene_report(name: str, summary: ReportSummary, recording: str | None =
     Returns:
         An HTML page that needs nothing else.
     """
-    folder = files("gridpush_drake.report").joinpath("templates")
-    text = folder.joinpath(TEMPLATE).read_text(encoding="utf-8")
-    begin, end = text.index("<style>"), text.index("</style>") + len("</style>")
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    page = environment.from_string(PAGE.replace("{{ style }}", text[begin:end]))
-    return page.render(
-        name=name, summary=summary, figure=embed(summary.figure), recording=recording
+    return environment.from_string(read_template(TEMPLATE)).render(
+        style=read_template(STYLE),
+        name=name,
+        summary=summary,
+        figure=embed(summary.figure),
+        recording=recording,
     )
 
 
