@@ -199,6 +199,10 @@ class SceneTask(StationTask[SceneTaskRecord]):
             raise ScenarioError(
                 "others: empty; expected other objects on the table: this task is for several"
             )
+        if scenario.posts:
+            raise ScenarioError(
+                "posts: given; expected none: a task with several objects plans around no posts"
+            )
         if scenario.camera.kind != "ideal":
             raise ScenarioError(
                 f"camera: kind is {scenario.camera.kind}; expected ideal: a task with several "

@@ -16,6 +16,7 @@ from gridpush_drake.planning.scene.separation import MARGIN
 from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
 from gridpush_drake.station.others import draw_other_truth
 from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.scenario import PostConfig
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, write_scenario
 from gridpush_drake.station.scene_kinds import list_rest_poses
 from gridpush_drake.station.scene_task import (
@@ -113,6 +114,10 @@ def test_what_a_task_with_several_objects_refuses(tmp_path):
     scenario = read_scenario("separate")
     scenario.camera.use("rgbd")
     with pytest.raises(ScenarioError, match="camera: kind is rgbd; expected ideal"):
+        SeparateTask(scenario)
+    scenario = read_scenario("separate")
+    scenario.posts = [PostConfig(position=[0.85, 0.45], radius=0.01)]
+    with pytest.raises(ScenarioError, match="posts: given; expected none"):
         SeparateTask(scenario)
     scenario = read_scenario("separate")
     scenario.base = "planar"
