@@ -230,13 +230,19 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
 
     def _make_push(self, action: Array) -> Push:
         """Makes the push of an action (4,)."""
-        body = min(int((action[0] + 1) / 2 * self._count), self._count - 1)
-        return self.shapes[body].make_push(action[1:], self._seen[body])
+        share = (action[0] + 1) / 2
+        body = int(share * self._count)
+        body = min(body, self._count - 1)
+        shape = self.shapes[body]
+        return shape.make_push(action[1:], self._seen[body])
 
     def _fits(self, push: Push) -> bool:
         """Says whether the finger can come down where a push begins, by what is seen."""
-        outlines = place_outlines([shape.obj for shape in self.shapes], self._seen)
-        return bool((shapely.distance(outlines, shapely.Point(push.start)) > FINGER.radius).all())
+        objects = [shape.obj for shape in self.shapes]
+        outlines = place_outlines(objects, self._seen)
+        start = shapely.Point(push.start)
+        distances = shapely.distance(outlines, start)
+        return bool((distances > FINGER.radius).all())
 
     def _look(self, world: SimulatedSceneWorld) -> Array:
         """Looks at the objects, none of which has fallen."""
@@ -247,14 +253,17 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
     def _measure(self) -> float:
         """Calculates the score, m, by where the objects truly lie."""
         assert self.world is not None
-        return float(
-            sum(
-                calc_goal_error(shape.obj, pose, goal)
-                for shape, pose, goal in zip(
-                    self.shapes, self.world.truth.poses, self.goals, strict=True
-                )
-            )
-        )
+        poses = self.world.truth.poses
+        score = 0.0
+        for shape, pose, goal in zip(
+            self.shapes,
+            poses,
+            self.goals,
+            strict=True,
+        ):
+            error = calc_goal_error(shape.obj, pose, goal)
+            score += float(error)
+        return score
 
     def _is_done(self) -> bool:
         """Says whether every object truly lies at its goal."""
@@ -263,19 +272,22 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
 
     def _observe(self) -> dict[str, NDArray[Any]]:
         """Makes the observation, as its space has it."""
+        poses = [flatten_pose(pose) for pose in self._seen]
+        goals = [flatten_pose(goal) for goal in self.goals]
+        outlines = [shape.outline.ravel() for shape in self.shapes]
         values = {
-            "poses": np.array([flatten_pose(pose) for pose in self._seen]),
-            "goals": np.array([flatten_pose(goal) for goal in self.goals]),
-            "outlines": np.array([shape.outline.ravel() for shape in self.shapes]),
+            "poses": poses,
+            "goals": goals,
+            "outlines": outlines,
             "last_action": self._last_action,
             "table": np.full(2, TABLE / 2),
         }
-        return {
-            name: np.clip(value, space.low, space.high).astype(np.float32)
-            for (name, value), space in zip(
-                values.items(), self._make_spaces().values(), strict=True
-            )
-        }
+        seen = {}
+        for name, space in self._make_spaces().items():
+            value = np.array(values[name])
+            inside = np.clip(value, space.low, space.high)
+            seen[name] = inside.astype(np.float32)
+        return seen
 
 
 EDGE = 0.1
