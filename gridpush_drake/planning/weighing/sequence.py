@@ -41,7 +41,7 @@ from gridpush_drake.planning.weighing.plan import (
 )
 from gridpush_drake.planning.weighing.region import cut_to_ellipse
 
-HEAVIER = 2.5
+HEAVIER = 1.5
 """Factor on the mass that is supposed, for each press that the object withstood."""
 
 
