@@ -31,6 +31,9 @@ from gridpush_drake.report.plan_figures import OBSTACLE, PANEL_HEIGHT, ROOM
 LINE = 1.2
 """Width of the lines of ways, points."""
 
+PATH_LINE = 3.5
+"""Width of the line of the path, points: it is seen on both sides of the object's way."""
+
 OUTLINES = 8
 """Number of outlines of the object on its way that are drawn, besides the first and the last."""
 
@@ -79,14 +82,14 @@ def draw_follow_run(
             draw_outline(ax, obj, pose=gone[row], color=LEARNED, alpha=1.0 if ends else 0.3)
     draw_outline(ax, obj, pose=aim, linestyle="dotted")
     ways = (
-        (find_centers(obj, path), BEFORE, "path"),
-        (find_centers(obj, gone), LEARNED, "object"),
-        (finger, FAINT, "finger"),
+        (find_centers(obj, path), BEFORE, PATH_LINE, "path"),
+        (find_centers(obj, gone), LEARNED, LINE, "object"),
+        (finger, FAINT, LINE, "finger"),
     )
     handles = []
-    for places, color, label in ways:
-        ax.plot(places[:, 0], places[:, 1], color=color, linewidth=LINE)
-        handles.append(Line2D([], [], color=color, label=label))
+    for places, color, width, label in ways:
+        ax.plot(places[:, 0], places[:, 1], color=color, linewidth=width)
+        handles.append(Line2D([], [], color=color, linewidth=width, label=label))
     shapes = [np.array(obstacle.exterior.coords)[:, :2] for obstacle in obstacles]
     cells = obj.cells_at(np.vstack([gone[[0, -1]] if len(gone) else gone, aim])).reshape(-1, 2)
     frame_points(ax, [cells, finger, *shapes], ROOM)

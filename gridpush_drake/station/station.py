@@ -683,6 +683,9 @@ STEER_INSET = 0.03
 """Distance that a steered finger keeps from the limits of workspace and reach, m. There the joints
 of a stretched arm would turn too fast for it."""
 
+CRACK = 1e-4
+"""Half the width of cracks in a region that do not count, m."""
+
 REGION_SLACK = 0.003
 """Distance by which a steered finger may leave its region before it is held back, m. It is less
 than the distance that plans keep from obstacles."""
@@ -732,7 +735,9 @@ def make_steer_region(setting: "Setting | Station", reach: ArmReach) -> BaseGeom
 
     It is that of `make_finger_region`, but for what is near the limits of workspace and reach.
     """
-    region = _make_reach_region(setting, reach, STEER_INSET)
+    region = _make_reach_region(setting, reach, 0.0)
+    # A region that was found in squares has hairline cracks between them.
+    region = region.buffer(CRACK, join_style="mitre").buffer(-CRACK - STEER_INSET)
     return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius)
 
 

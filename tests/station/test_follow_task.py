@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from shapely import box
 
 from gridpush_drake.errors import PlanningError, ScenarioError
 from gridpush_drake.planning.feedback.follow_options import FollowStatus
@@ -132,3 +133,12 @@ def test_the_summary_and_the_words_tell_it():
         assert words in text
     figure = kind.make_summary(record).figure
     assert len(figure.axes) == 2
+
+
+def test_the_steered_fingers_region_has_no_cracks_where_it_was_found_in_squares():
+    scenario = read_scenario("slalom")
+    scenario.directives = make_robot_directives("panda", grasping=False)
+    region = FollowTask(scenario).rules.constraints.finger_region
+    # all of the table's middle but the three posts
+    middle = box(0.45, -0.35, 0.72, 0.35)
+    assert (middle - region).area == pytest.approx(3 * np.pi * 0.028**2, rel=0.05)
