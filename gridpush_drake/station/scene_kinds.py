@@ -9,6 +9,7 @@ from gridpush_drake.display.overlay import Mark, to_css
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.notebook import MM, count
+from gridpush_drake.planning.scene.fetching import FetchOptions
 from gridpush_drake.planning.scene.scene_loop import SceneMode
 from gridpush_drake.planning.scene.separation import MARGIN, calc_clearances_along
 from gridpush_drake.pushes.scene_log import SceneLog
@@ -196,6 +197,10 @@ class FetchKind(SceneKind):
     verb = "Fetch"
     done = TaskStatus.HELD
     grasps = True
+
+    def describe_measure(self, record: SceneTaskRecord) -> tuple[str, float | None]:
+        """Says what `measure` measures, and how much room the object needs to be pushed, m."""
+        return "room around each", FetchOptions().room
 
     def summarize(self, record: SceneTaskRecord) -> dict[str, Any]:
         """Adds to the summary how far the object was raised, and what the pushes were for."""
