@@ -44,10 +44,6 @@ is the push as a whole that is in doubt, and its poses are kept."""
 MIN_PUSHES_EACH = 4
 """Number of pushes that a log must have for each push that is refused as a whole."""
 
-MIN_PUSHES_TO_REFUSE = 8
-"""Number of pushes that a log must have before any is refused as a whole. Some pushes end much
-farther off than most, and a few others cannot tell such a push from one of another object."""
-
 SUSPECT_ODDS = -9.0
 """Log odds, to first order, that a push is another object's. If they are higher, the other pushes
 are fitted again without it."""
@@ -174,8 +170,6 @@ class Screening:
     @property
     def may_refuse(self) -> int:
         """How many more pushes may be refused as a whole."""
-        if len(self.kept) < MIN_PUSHES_TO_REFUSE:
-            return 0
         return len(self.kept) // MIN_PUSHES_EACH - len(self.refused)
 
     @property

@@ -148,17 +148,6 @@ def test_two_of_ten_pushes_of_another_object_are_named_though_loads_that_shift_c
     assert error <= WORST * learn_and_judge(obj, truth, log, log)[1]
 
 
-def test_few_pushes_do_not_outvote_one() -> None:
-    obj, _, log = make_case("l_bracket", 0)
-    foreign = make_case("l_bracket", 0, reverse=True)[2][3]
-    mixed = replace(log, pushes=(*log[:3], foreign, *log[4:]))
-    assert [outlier.whole for outlier in identify(obj, mixed).outliers] == [True]
-    few = mixed[1:]
-    found = identify(obj, few)
-    assert not any(outlier.whole for outlier in found.outliers)
-    assert found.push_names == tuple(seen.name for seen in few)
-
-
 def test_nothing_is_refused_of_a_clean_log() -> None:
     for name, seed in (("square", 1), ("l_bracket", 2), ("claw_hammer", 0)):
         obj, _, log = make_case(name, seed)
