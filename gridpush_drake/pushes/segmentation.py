@@ -30,7 +30,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError, PushLogError
 from gridpush_drake.geometry.se2 import Array, transform_back, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import ObservedPush, nearest_turn
+from gridpush_drake.pushes.push_log import MIN_TIME_STEP, ObservedPush, nearest_turn
 
 Numbers = tuple[float, float, float]
 
@@ -293,6 +293,8 @@ def make_observed_push(
         return None
     times = np.array([time for time, _ in seen])
     felt_at, force = _read_force(episode, float(t[0]), end)
+    if felt_at is not None:
+        felt_at = _take_known_times(felt_at, np.union1d(t, times))
     # The path keeps its places at all these times, so that a file of the push is read as it was.
     kept = times if felt_at is None else np.union1d(times, felt_at)
     t, xy = thin_path(t, xy, kept, options.path_tolerance)
@@ -305,6 +307,18 @@ def make_observed_push(
         force_t=None if felt_at is None else felt_at - t[0],
         force=force,
     )
+
+
+def _take_known_times(times: Array, known: Array) -> Array:
+    """Replaces times by known ones from which only rounding sets them apart.
+
+    The mean of a group's times may differ by its last digit from the time of the group's middle
+    sample. A push log could not tell the two apart.
+    """
+    after = np.clip(np.searchsorted(known, times), 1, len(known) - 1)
+    before = after - 1
+    nearest = np.where(times - known[before] < known[after] - times, known[before], known[after])
+    return np.where(np.abs(nearest - times) < MIN_TIME_STEP, nearest, times)
 
 
 def _read_force(episode: Episode, begin: float, end: float) -> tuple[Array | None, Array | None]:

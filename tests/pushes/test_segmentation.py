@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.pushes.push_log import ObservedPush
+from gridpush_drake.pushes.push_log import MIN_TIME_STEP, ObservedPush
 from gridpush_drake.pushes.segmentation import Sample, calc_rest_pose, thin_path
 from tests.helpers.scripted_stream import HIGH, LOW, NOISE, PERIOD, RADIUS, RECORD, Script
 from tests.helpers.shapes import make_shape
@@ -34,6 +34,18 @@ def test_one_push_from_above(script):
     assert len(push.t_observed) == RECORD.observations and push.t_observed[-1] == push.push.duration
     assert len(push.push.t) <= RECORD.observations + 3, "a straight push needs few samples"
     assert np.isin(push.t_observed, push.push.t).all()
+
+
+@pytest.mark.parametrize(("begin", "end"), [(0.0, 0.01), (17.0, 0.01), (0.0, 0.03), (17.0, 0.05)])
+def test_times_of_forces_and_poses_are_the_same_or_apart(script, begin, end):
+    """Rounding sets no two of a push's times apart, which its file could not hold."""
+    script.lower(-0.06, 0.01).push(end, 0.01).wait(0.3).lift().wait(1.0)
+    script.samples = [
+        seen._replace(t=begin + seen.t, force=(0.1, 0.2, 0.3)) for seen in script.samples
+    ]
+    (push,) = script.segment()
+    times = np.unique(np.concatenate([push.push.t, push.t_observed, push.force_t]))
+    assert np.diff(times).min() >= MIN_TIME_STEP
 
 
 def test_forces_on_the_object_are_written_down_without_the_sensor_s_offset(script):
