@@ -735,9 +735,7 @@ def make_steer_region(setting: "Setting | Station", reach: ArmReach) -> BaseGeom
 
     It is that of `make_finger_region`, but for what is near the limits of workspace and reach.
     """
-    region = _make_reach_region(setting, reach, 0.0)
-    # A region that was found in squares has hairline cracks between them.
-    region = region.buffer(CRACK, join_style="mitre").buffer(-CRACK - STEER_INSET)
+    region = _make_reach_region(setting, reach, STEER_INSET)
     return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius)
 
 
@@ -747,7 +745,9 @@ def _make_reach_region(setting: "Setting | Station", reach: ArmReach, inset: flo
     height = setting.scenario.finger.push_height
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
     if setting.robot.arm.reach is None:
-        return reach.find_region(box.bounds, height).buffer(-inset)
+        # A region that is found in squares has hairline cracks between them.
+        region = reach.find_region(box.bounds, height).buffer(CRACK, join_style="mitre")
+        return region.buffer(-CRACK - inset)
     axis, least, greatest = CalcTipReach(setting.plant, setting.robot, height)
     return MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
 

@@ -2,15 +2,17 @@
 
 import numpy as np
 import pytest
-from shapely import box
+from shapely import LineString, box
 
 from gridpush_drake.errors import PlanningError, ScenarioError
 from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.feedback.pose_path import PosePath
 from gridpush_drake.station.follow_task import FollowRecord, FollowTask, calc_shown_age
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.station import MakeFingerRegion
 from gridpush_drake.station.task import TaskStatus
 from gridpush_drake.station.tasks import TASKS
 from gridpush_drake.systems.follow_controller import FollowControlStatus, FollowMode
@@ -133,6 +135,18 @@ def test_the_summary_and_the_words_tell_it():
         assert words in text
     figure = kind.make_summary(record).figure
     assert len(figure.axes) == 2
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e"])
+@pytest.mark.parametrize("inset", [0.0, 0.02])
+def test_a_region_that_was_found_in_squares_is_one_piece(robot, inset):
+    scenario = PushScenario(directives=make_robot_directives(robot, grasping=False))
+    region = MakeFingerRegion(MakePushStation(scenario), inset)
+    x, y = scenario.workspace.x, scenario.workspace.y
+    whole = box(x[0], y[0], x[1], y[1]).buffer(-inset)
+    assert region.area > 0.9 * whole.area
+    # straight across many squares
+    assert region.covers(LineString([whole.centroid, (x[0] + 0.05, y[0] + 0.05)]))
 
 
 def test_the_steered_fingers_region_has_no_cracks_where_it_was_found_in_squares():
