@@ -34,6 +34,7 @@ from gridpush_drake.station.task import TaskStatus, TaskStep
 from gridpush_drake.station.task_kind import write_files
 from gridpush_drake.station.tasks import PreGraspKind
 from gridpush_drake.systems.messages import PreGraspMode, PreGraspStatus, PressCommand, PushCommand
+from gridpush_drake.systems.press_executor import MAX_MOVE
 from tests.identification.simulated_pokes import make_pokes
 
 NEAR = np.array([0.5, 0.15])
@@ -115,7 +116,7 @@ def is_over(status):
     return status.ready and status.outcome is not None
 
 
-def check_press(bench):
+def check_press(bench, moved=1.5e-3):
     bench.fix("press_command", bench.make_command())
     status = bench.run(is_over)
     assert status.outcome == PressOutcome.TILTED, status.reason
@@ -123,7 +124,7 @@ def check_press(bench):
     # It is caught: it tilts by less than a degree, and lies where it lay.
     assert 0.0 < bench.tilt < np.radians(1.0)
     off = bench.read("object.pose_true") - bench.planned.pose
-    assert np.abs(off[:2]).max() < 1.5e-3
+    assert np.abs(off[:2]).max() < moved
     assert abs(wrap_angle(off[2])) < 0.02
     assert bench.monitor.limit_report.ok, bench.monitor.limit_report
     # F a = m g b, by a force that is told from the joints' torques, with noise and an offset.
@@ -140,7 +141,8 @@ def test_an_arm_weighs_what_hangs_over_the_edge_and_leaves_it_where_it_lies():
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["panda", "ur5e", "xarm6"])
 def test_every_arm_with_a_gripper_presses(robot):
-    check_press(PressBench(make_scenario(robot)))
+    # An arm that gives way sideways takes the object along; four times as far would end the press.
+    check_press(PressBench(make_scenario(robot)), moved=MAX_MOVE / 4)
 
 
 def test_a_press_keeps_to_the_force_that_is_safe_and_can_be_taken_back():
