@@ -17,16 +17,13 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.foresight import Foresight, PushModel, Tip, foresee
 from gridpush_drake.perception.frames import Frame
-from gridpush_drake.perception.tracking import PoseTracker, TrackedPose, TrackerState
+from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 from gridpush_drake.systems.pusher_gate import PUSHER_STATE_SIZE
 
 MAX_LABEL = 2**15
 """All labels in an `ImageLabel16I` are less than this."""
-
-UNSEEN = TrackedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, np.nan)
-"""The pose of an object that is not seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +40,7 @@ class EstimatorState(Unchanging):
     """
 
     tracker: TrackerState | None = None
-    told: tuple[tuple[float, TrackedPose], ...] = ((-np.inf, UNSEEN),)
+    told: tuple[tuple[float, TrackedPose], ...] = ((-np.inf, NOT_SEEN),)
     message: str = ""
     tip: Tip | None = None
     foresight: Foresight | None = None
@@ -207,7 +204,7 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         """Takes a picture."""
         time = context.get_time()
         after = now
-        pose = UNSEEN
+        pose = NOT_SEEN
         if not context.get_numeric_parameter(self._covered).value()[0]:
             frame = self._inputs.take_frame(context)
             foreseen = self._foresee(context, now)
@@ -257,7 +254,7 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
                 expected = state.foresight.expect()
             tracker, pose = self._tracker.track(tracker, frame, hidden, expected)
         except PerceptionError as error:
-            return replace(state, message=str(error)), UNSEEN
+            return replace(state, message=str(error)), NOT_SEEN
         return replace(state, tracker=tracker, message=""), pose
 
 
@@ -287,4 +284,4 @@ def add_told(
 
 def find_told(state: EstimatorState, time: float) -> TrackedPose:
     """Finds the pose that is on the ports at a time, s."""
-    return next((pose for ready, pose in reversed(state.told) if ready <= time), UNSEEN)
+    return next((pose for ready, pose in reversed(state.told) if ready <= time), NOT_SEEN)

@@ -1,6 +1,6 @@
 """What `gridpush view` shows: a learned model, or pushes replayed beside their predictions."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,6 +73,9 @@ FINGER_SHARE = 2.0
 FRAMES_PER_SECOND = 30.0
 """How many poses a second are drawn in a replay."""
 
+OVERHANGS = "; a part of the object hangs over the table's edge"
+"""What is added to a push's caption if the object hung over the edge."""
+
 HOLD = 0.8
 """How long the first and the last pose of a push are held in a replay, s."""
 
@@ -126,14 +129,25 @@ def make_overlay(
         marks += (
             Mark(to_css(PLAN_COLOR), "the object as the model predicts it; solid: as observed"),
         )
+    phases = list_push_phases(
+        (seen.name, seen.push, OVERHANGS if seen.overhang else "") for seen in log or ()
+    )
+    return Overlay(scale, marks, phases)
+
+
+def list_push_phases(pushes: Iterable[tuple[str, Push, str]]) -> tuple[Phase, ...]:
+    """Lists the captions of pushes that are shown one after the other.
+
+    Args:
+        pushes: name of each push, the push, and what else its caption says.
+    """
     phases = []
     begin = 0.0
-    for seen in log or ():
-        detail = f"{MM * seen.push.length:.0f} mm in {seen.push.duration:.1f} s"
-        over = "; a part of the object hangs over the table's edge" if seen.overhang else ""
-        phases.append(Phase(begin, seen.name, detail + over))
-        begin += HOLD + seen.push.duration + HOLD
-    return Overlay(scale, marks, tuple(phases))
+    for name, push, more in pushes:
+        detail = f"{MM * push.length:.0f} mm in {push.duration:.1f} s"
+        phases.append(Phase(begin, name, detail + more))
+        begin += HOLD + push.duration + HOLD
+    return tuple(phases)
 
 
 def AddPushes(

@@ -15,10 +15,11 @@ from gridpush_drake.cli.view_scene import (
     AddPusher,
     FrameScene,
     RecordPoses,
+    list_push_phases,
     sample_times,
 )
 from gridpush_drake.display.cell_colors import CellColors, Shown
-from gridpush_drake.display.overlay import Mark, Overlay, Phase, list_center_marks, to_css
+from gridpush_drake.display.overlay import Mark, Overlay, list_center_marks, to_css
 from gridpush_drake.display.shapes import LAYER, PLAN_COLOR, AddCells, AddCenter, AddGhost
 from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.dynamics.scene.motion import SceneMotion
@@ -144,13 +145,7 @@ def make_scene_overlay(log: SceneLog, motions: list[SceneMotion] | None) -> Over
         marks += (
             Mark(to_css(PLAN_COLOR), "the objects as the models predict them; solid: as observed"),
         )
-    phases = []
-    begin = 0.0
-    for seen in log:
-        detail = f"{MM * seen.push.length:.0f} mm in {seen.push.duration:.1f} s"
-        phases.append(Phase(begin, seen.name, detail))
-        begin += HOLD + seen.push.duration + HOLD
-    return Overlay(None, marks, tuple(phases))
+    return Overlay(None, marks, list_push_phases((seen.name, seen.push, "") for seen in log))
 
 
 def describe_scene_pushes(scene: Scene | None, log: SceneLog) -> tuple[dict[str, Any], list[str]]:

@@ -55,6 +55,21 @@ ROOM = 1.0
 """Distance beyond the table's edge that the space of poses reaches, m."""
 
 
+def take_objects(objects: Sequence[str | GridObject]) -> tuple[str | GridObject, ...]:
+    """Takes the objects of which one is drawn for each episode: names of shipped ones, or objects.
+
+    Raises:
+        PlanningError: there is none, or a single name was given.
+    """
+    expected = "expected the names of shipped objects, or objects"
+    if isinstance(objects, str):
+        raise PlanningError(f"objects: {objects!r} is not a list; {expected}")
+    taken = tuple(objects)
+    if not taken:
+        raise PlanningError(f"objects: none is given; {expected}")
+    return taken
+
+
 @dataclass(frozen=True)
 class GameOptions:
     """What an episode is drawn from.
@@ -78,12 +93,7 @@ class GameOptions:
     workers: int = 1
 
     def __post_init__(self) -> None:
-        expected = "expected the names of shipped objects, or objects"
-        if isinstance(self.objects, str):
-            raise PlanningError(f"objects: {self.objects!r} is not a list; {expected}")
-        object.__setattr__(self, "objects", tuple(self.objects))
-        if not self.objects:
-            raise PlanningError(f"objects: none is given; {expected}")
+        object.__setattr__(self, "objects", take_objects(self.objects))
         for name in ("max_pushes", "workers"):
             if not getattr(self, name) >= 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected 1 or more")

@@ -25,6 +25,7 @@ from gridpush_drake.gym.episode import (
     MASS_RANGE,
     OBJECTS,
     flatten_pose,
+    take_objects,
 )
 from gridpush_drake.gym.known_shape import KnownShape, load_shape
 from gridpush_drake.gym.rendering import GOAL, PLAIN, SMOOTHING, TIP, WOOD
@@ -112,12 +113,7 @@ class FollowGameOptions:
     angle_std: float = 0.003
 
     def __post_init__(self) -> None:
-        expected = "expected the names of shipped objects, or objects"
-        if isinstance(self.objects, str):
-            raise PlanningError(f"objects: {self.objects!r} is not a list; {expected}")
-        object.__setattr__(self, "objects", tuple(self.objects))
-        if not self.objects:
-            raise PlanningError(f"objects: none is given; {expected}")
+        object.__setattr__(self, "objects", take_objects(self.objects))
         require_positive(PlanningError, max_steps=self.max_steps)
         self.make_sight()
 

@@ -16,7 +16,6 @@ from gridpush_drake.pushes.scene_log import SceneLog
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.report.scene_run import draw_scene_run, make_scene_report
 from gridpush_drake.station.push_task import GOAL_COLOR
-from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene_task import (
     FetchTask,
     RearrangeTask,
@@ -33,9 +32,8 @@ from gridpush_drake.station.task_kind import (
     SCENARIO,
     STREAM,
     TRUTH,
-    TaskKind,
+    GoalKind,
 )
-from gridpush_drake.systems.messages import PushStatus
 
 TITLES = {
     SceneMode.WAITING: FIRST_TITLE,
@@ -53,7 +51,7 @@ SCENE_FILES = (REPORT, RECORDING, OBJECT, PUSHES, STREAM, TRUTH, SCENARIO)
 the first one's."""
 
 
-class SceneKind(TaskKind):
+class SceneKind(GoalKind):
     """A task with several objects.
 
     Attributes:
@@ -64,14 +62,6 @@ class SceneKind(TaskKind):
     files = SCENE_FILES
     several = True
     verb: ClassVar[str]
-
-    def count_steps(self, scenario: PushScenario) -> int:
-        """Counts the pushes that may be made."""
-        return scenario.goal.max_pushes
-
-    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
-        """Names the push that is being made."""
-        return f"push {status.executed + (not status.ready)}, {status.phase}", status.executed
 
     def name_phase(self, status: Any) -> str:
         """Returns a title with the push's number."""

@@ -274,6 +274,18 @@ class TaskKind:
         raise NotImplementedError
 
 
+class GoalKind(TaskKind):
+    """A kind of task in which at most `goal.max_pushes` pushes bring objects to their places."""
+
+    def count_steps(self, scenario: PushScenario) -> int:
+        """Counts the pushes that may be made."""
+        return scenario.goal.max_pushes
+
+    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
+        """Names the push that is being made."""
+        return f"push {status.executed + (not status.ready)}, {status.phase}", status.executed
+
+
 def write_files(
     task: TaskKind,
     folder: Path,

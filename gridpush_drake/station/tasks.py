@@ -50,6 +50,7 @@ from gridpush_drake.station.task_kind import (
     STREAM,
     TRUTH,
     WEIGHINGS,
+    GoalKind,
     TaskKind,
 )
 from gridpush_drake.systems.follow_controller import FollowControlStatus, FollowMode
@@ -217,20 +218,12 @@ class IdentifyKind(TaskKind):
         return lines
 
 
-class PushKind(TaskKind):
+class PushKind(GoalKind):
     """A robot pushes an object it knows nothing about to a goal, and learns it on the way."""
 
     station = PushTask
     done = TaskStatus.REACHED
     marks = (Mark(to_css(GOAL_COLOR), "where the object should lie"),)
-
-    def count_steps(self, scenario: PushScenario) -> int:
-        """Counts the pushes that may be made."""
-        return scenario.goal.max_pushes
-
-    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
-        """Names the push that is being made."""
-        return f"push {status.executed + (not status.ready)}, {status.phase}", status.executed
 
     def name_phase(self, status: Any) -> str:
         """Returns a title with the push's number."""
