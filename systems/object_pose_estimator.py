@@ -193,7 +193,9 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
     def _calc_told(
         self, context: Context, output: BasicVector, calc: Callable[[TrackedPose], Any]
     ) -> None:
-        output.SetFromVector(calc(find_told(self._get_state(context), context.get_time())))
+        output.SetFromVector(
+            calc(find_told(self._get_state(context).told, context.get_time(), NOT_SEEN))
+        )
 
     def _look_first(self, context: Context, state: State) -> None:
         """Looks in advance at what the first picture will show, so that a pose is known at once."""
@@ -282,6 +284,6 @@ def add_told(
     return (*kept, (ready, new))
 
 
-def find_told(state: EstimatorState, time: float) -> TrackedPose:
-    """Finds the pose that is on the ports at a time, s."""
-    return next((pose for ready, pose in reversed(state.told) if ready <= time), NOT_SEEN)
+def find_told(told: tuple[tuple[float, Told], ...], time: float, otherwise: Told) -> Told:
+    """Finds what is on the ports at a time, s, of what was told; `otherwise` before the first."""
+    return next((new for ready, new in reversed(told) if ready <= time), otherwise)

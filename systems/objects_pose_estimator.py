@@ -18,7 +18,7 @@ from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.scene_tracking import SceneState, SceneTracker
 from gridpush_drake.perception.tracking import NOT_SEEN, TrackedPose
 from gridpush_drake.systems.object_controller import AbstractStateSystem
-from gridpush_drake.systems.object_pose_estimator import RgbdInputs, add_told
+from gridpush_drake.systems.object_pose_estimator import RgbdInputs, add_told, find_told
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 
 Poses = tuple[TrackedPose, ...]
@@ -121,9 +121,7 @@ class ObjectsPoseEstimator(AbstractStateSystem[ObjectsEstimatorState]):
         self, context: Context, output: BasicVector, i: int, calc: Callable[[TrackedPose], Any]
     ) -> None:
         """Says what is on a port of object i now."""
-        time = context.get_time()
-        told = self._get_state(context).told
-        poses = next((poses for ready, poses in reversed(told) if ready <= time), ())
+        poses = find_told(self._get_state(context).told, context.get_time(), ())
         output.SetFromVector(calc(poses[i] if poses else NOT_SEEN))
 
     def _look_first(self, context: Context, state: State) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.extras import import_extra
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, calc_yaw
 from gridpush_drake.multibody.mjcf import WALL_RADIUS, make_mjcf
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -96,6 +96,4 @@ class MujocoPlant:
             data.qvel[FINGER_VELOCITIES] = (then - now) / dt
             self._mujoco.mj_step(self._model, data)
         place = data.qpos[OBJECT_POSITIONS]
-        w, qx, qy, qz = place[3:]
-        turned = np.arctan2(2 * (w * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
-        return np.array([place[0], place[1], turned])
+        return np.array([place[0], place[1], calc_yaw(*place[3:])])

@@ -23,7 +23,7 @@ from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import PushError
 from gridpush_drake.extras import import_extra
-from gridpush_drake.geometry.se2 import Array, transform_shape
+from gridpush_drake.geometry.se2 import Array, calc_yaw, transform_shape
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.multibody.mjcf import (
     FOOT_RADIUS,
@@ -199,8 +199,8 @@ def _read_poses(qpos: Array, n: int) -> Array:
     """Reads the poses (n, 3) of the free bodies that come first in MuJoCo's positions."""
     poses = []
     for b in range(n):
-        x, y, _, w, i, j, k = qpos[7 * b : 7 * b + 7]
-        poses.append([x, y, np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))])
+        x, y, _, *quaternion = qpos[7 * b : 7 * b + 7]
+        poses.append([x, y, calc_yaw(*quaternion)])
     return np.array(poses)
 
 

@@ -28,6 +28,7 @@ from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
 from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.geometry.se2 import calc_yaw
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject
@@ -536,8 +537,7 @@ def make_mujoco_push(
         for target in targets:
             data.ctrl[:] = target
             mujoco.mj_step(model, data)
-        w, x, y, z = data.qpos[3:7]
-        return np.array([*data.qpos[:2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+        return np.array([*data.qpos[:2], calc_yaw(*data.qpos[3:7])])
 
     return run
 

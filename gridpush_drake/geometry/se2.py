@@ -152,6 +152,25 @@ def wrap_angle(theta: ArrayLike) -> Array:
     return np.asarray(from_start - np.pi)
 
 
+def calc_yaw(
+    w: Array,
+    x: Array,
+    y: Array,
+    z: Array,
+) -> Array:
+    """Calculates the turns about z (...,), rad, of quaternions of length 1, parts (...,) each."""
+    # half of where the body's x axis points
+    aside = y * y + z * z
+    along_x = 0.5 - aside
+    along_y = w * z + x * y
+    yaw: Array = np.arctan2(along_y, along_x)
+    return yaw
+
+
+QUATERNION_TOLERANCE = 0.01
+"""Largest difference of a quaternion's length from 1."""
+
+
 def check_vector(
     kind: type[GridPushError], name: str, value: ArrayLike, size: int, unit: str = ""
 ) -> Array:

@@ -4,6 +4,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from gridpush_drake.geometry.polygons import bound_by_half_planes, calc_margin_inside, hull_of
 from gridpush_drake.geometry.se2 import (
+    calc_yaw,
     compose,
     invert,
     make_direction,
@@ -48,6 +49,12 @@ def test_leading_dimensions_broadcast():
     np.testing.assert_allclose(
         make_rotation(POSES[:, 2])[..., 0], make_direction(POSES[:, 2]), atol=0
     )
+
+
+def test_yaw_of_a_tilted_body_is_where_its_x_axis_points():
+    turns = Rotation.from_euler("ZYX", np.random.default_rng(0).uniform(-1.4, 1.4, (50, 3)))
+    x, y, z, w = turns.as_quat().T
+    np.testing.assert_allclose(calc_yaw(w, x, y, z), turns.as_euler("ZYX")[:, 0], atol=1e-12)
 
 
 def test_wrapped_angles_point_the_same_way():

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.extras import import_extra
-from gridpush_drake.geometry.se2 import Array, transform
+from gridpush_drake.geometry.se2 import Array, calc_yaw, transform
 from gridpush_drake.multibody.mjcf import (
     FOOT_RADIUS,
     IMPRATIO,
@@ -391,9 +391,7 @@ class MujocoWorld(TrackedWorld):
 
 def _calc_poses(positions: Array) -> Array:
     """Calculates q of B in W (K, 3), m and rad, from positions and quaternions (K, 7)."""
-    w, x, y, z = positions[:, 3:].T
-    theta = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.column_stack([positions[:, :2], theta])
+    return np.column_stack([positions[:, :2], calc_yaw(*positions[:, 3:].T)])
 
 
 def _calc_tilts(positions: Array) -> Array:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from gridpush_drake.errors import MAX_NUMBER, PushLogError, PushLogWarning
 from gridpush_drake.files import exists
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import QUATERNION_TOLERANCE, Array, calc_yaw
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers.two_clocks import MAX_GAP, add_force, warn_of_delay
 from gridpush_drake.pushes.pose_delay import choose_delay
@@ -35,9 +35,6 @@ FORCE_SIZE = 3
 
 MAX_SHOWN = 200
 """Largest number of characters of another package's message that are shown."""
-
-QUATERNION_TOLERANCE = 0.01
-"""Largest difference of a quaternion's length from 1."""
 
 MIN_MESSAGES = 2
 """Fewest messages of a topic that can be interpolated."""
@@ -299,7 +296,7 @@ def make_stream(
     yaw = np.full(len(t), np.nan)
     seen = np.isfinite(poses).all(axis=1)
     x, y, z, w = poses[seen, 3:].T
-    yaw[seen] = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    yaw[seen] = np.unwrap(calc_yaw(w, x, y, z))
     samples = make_samples(
         t, places, calc_velocities(t, places), np.column_stack([poses[:, :2], yaw])
     )

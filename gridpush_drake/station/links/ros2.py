@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from pydrake.math import RollPitchYaw
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import QUATERNION_TOLERANCE, Array, calc_yaw
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.station.lcm.robot_messages import ARM_PERIOD
 from gridpush_drake.station.links.link import (
@@ -83,9 +83,6 @@ TURN_SHARE = 0.1
 
 COVARIANCE_PLACES = (0, 7, 35)
 """Where the variances of x, y and the turn about z are in a pose's covariance of 36 numbers."""
-
-QUATERNION_TOLERANCE = 0.01
-"""How far an orientation's quaternion may be from length 1."""
 
 MAX_TILT = 10.0
 """Greatest angle between the object's z axis and the vertical, degrees. An object that lies on the
@@ -427,7 +424,8 @@ class Ros2Link:
         if fault:
             self._leave_out(f"{topic}: {fault}")
             return
-        yaw = calc_yaw(pose.orientation)
+        q = pose.orientation
+        yaw = float(calc_yaw(q.w, q.x, q.y, q.z))
         x, y = pose.position.x, pose.position.y
         if header.frame_id == self._robot.base_frame:
             X_WR = self._robot.X_WR
@@ -630,11 +628,6 @@ class Ros2Link:
         nanoseconds = max(round(NANOSECONDS * time), 0)
         stamp.sec, stamp.nanosec = divmod(nanoseconds, round(NANOSECONDS))
         return stamp
-
-
-def calc_yaw(q: Any) -> float:
-    """The turn about z, rad, of a `geometry_msgs/Quaternion` of length 1."""
-    return float(np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2)))
 
 
 def find_orientation_fault(q: Any) -> str:

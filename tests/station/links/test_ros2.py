@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gridpush_drake.errors import StationError
+from gridpush_drake.geometry.se2 import calc_yaw
 from gridpush_drake.station.camera import make_camera
 from gridpush_drake.station.links.ros2 import (
     Ros2Role,
-    calc_yaw,
     find_orientation_fault,
     import_ros,
     open_ros2,
@@ -66,7 +66,7 @@ def make_quaternion(roll, yaw):
 def test_an_object_that_lies_flat_has_a_turn(yaw):
     q = make_quaternion(0.0, yaw)
     assert find_orientation_fault(q) == ""
-    assert calc_yaw(q) == pytest.approx(yaw)
+    assert calc_yaw(q.w, q.x, q.y, q.z) == pytest.approx(yaw)
 
 
 def test_an_orientation_that_nobody_filled_is_not_taken_for_one():
