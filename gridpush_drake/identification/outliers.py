@@ -17,8 +17,9 @@ from gridpush_drake.dynamics import GRAVITY
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array, IntArray, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.plausibility import SPEED_FACTOR, TRAVEL_FACTOR
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
+from gridpush_drake.pushes.push_log import PushLog
 
 Mask = NDArray[np.bool_]
 

@@ -20,7 +20,8 @@ from gridpush_drake.dynamics import GRAVITY
 from gridpush_drake.errors import GridPushError, PushLogError, PushLogWarning
 from gridpush_drake.geometry.se2 import transform, transform_back
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_log import PushLog
 
 TRAVEL_FACTOR = 2.0
 """Times the pusher's path that the centroid, or a point at the radius of gyration as the body

@@ -19,13 +19,9 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.pushes.push_log import (
-    DEFAULT_PUSHER_RADIUS,
-    TIP,
-    fail,
-    is_empty,
-    read_table,
-)
+from gridpush_drake.pushes.csv_table import fail, is_empty, read_table
+from gridpush_drake.pushes.push_csv import TIP
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 AXES = ("x", "y", "theta")
 """Endings of the three columns of an object's pose."""

@@ -30,7 +30,8 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError, PushLogError
 from gridpush_drake.geometry.se2 import Array, transform_back, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import MIN_TIME_STEP, ObservedPush, nearest_turn
+from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
+from gridpush_drake.pushes.push_csv import MIN_TIME_STEP
 
 Numbers = tuple[float, float, float]
 

@@ -22,10 +22,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import (
-    POSE,
-    ObservedPush,
-    PushLog,
+from gridpush_drake.pushes.csv_table import (
     fail,
     is_empty,
     read_number,
@@ -33,6 +30,9 @@ from gridpush_drake.pushes.push_log import (
     refuse_misspelled,
     warn_of_further,
 )
+from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_csv import POSE
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,
     RecordOptions,

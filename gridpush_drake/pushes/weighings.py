@@ -24,8 +24,7 @@ from gridpush_drake.files import write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.notebook import MM, count
-from gridpush_drake.pushes.push_log import (
-    POSE,
+from gridpush_drake.pushes.csv_table import (
     fail,
     is_empty,
     read_number,
@@ -33,6 +32,7 @@ from gridpush_drake.pushes.push_log import (
     refuse_misspelled,
     warn_of_further,
 )
+from gridpush_drake.pushes.push_csv import POSE
 
 FORCE_STD = 0.2
 """Default standard deviation of a force at the fingertip or the gripper, N: that of an arm that

@@ -26,7 +26,8 @@ from gridpush_drake.errors import MissingExtraError, PushLogError
 from gridpush_drake.identification.baselines.search import Bounds, SearchStatus, run_search
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
-from gridpush_drake.pushes.push_log import COLUMNS, PushLog
+from gridpush_drake.pushes.push_csv import COLUMNS
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.scene_log import SceneLog
 from gridpush_drake.station.scenario_file import find_scenario, parse_scenario
 from tests.helpers.finite_difference import check_jacobian

@@ -6,7 +6,7 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import OutputError, PushError, PushLogError, PushLogWarning
-from gridpush_drake.pushes import push_log
+from gridpush_drake.pushes import push_csv
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 HEADER = "push,t,tip_x,tip_y,object_x,object_y,object_theta"
@@ -160,20 +160,20 @@ def test_nan_counts_as_empty(write):
 
 def test_an_endless_push_is_refused_early(write, monkeypatch):
     parsed = []
-    parse = push_log._parse_row
-    monkeypatch.setattr(push_log, "_parse_row", lambda *row: parsed.append(row) or parse(*row))
-    monkeypatch.setattr(push_log, "MAX_ROWS", 100)
+    parse = push_csv._parse_row
+    monkeypatch.setattr(push_csv, "_parse_row", lambda *row: parsed.append(row) or parse(*row))
+    monkeypatch.setattr(push_csv, "MAX_ROWS", 100)
     rows = "".join(f"a,{i},0,0,0,0,0\n" for i in range(10_000))
     refused(write(f"{HEADER}\n{rows}"), "line 102", "'a' has more than 100 rows", "gridpush record")
     assert len(parsed) == 101
 
 
 def test_of_very_many_poses_evenly_spread_ones_are_kept(write):
-    count = 20 * push_log.MAX_POSES
+    count = 20 * push_csv.MAX_POSES
     rows = "".join(f"a,{i},{i}e-5,0,{i}e-6,0,0\n" for i in range(count))
     with pytest.warns(PushLogWarning, match=r"push 'a' has 5999 poses after its first row; 300 of"):
         (seen,) = PushLog.read_csv(write(f"{HEADER}\n{rows}"))
-    assert len(seen.t_observed) == push_log.MAX_POSES
+    assert len(seen.t_observed) == push_csv.MAX_POSES
     assert seen.t_observed[-1] == count - 1 and seen.push.t[-1] == count - 1
     assert len(seen.push.t) == count
     assert np.diff(seen.t_observed).min() >= 19 and np.diff(seen.t_observed).max() <= 21

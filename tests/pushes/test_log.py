@@ -9,12 +9,8 @@ from gridpush_drake.errors import PushError, PushLogError
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
-from gridpush_drake.pushes.push_log import (
-    DEFAULT_PUSHER_RADIUS,
-    ObservedPush,
-    PushLog,
-    nearest_turn,
-)
+from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 
 
 def straight() -> Push:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.pushes.push_log import MIN_TIME_STEP, ObservedPush
+from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_csv import MIN_TIME_STEP
 from gridpush_drake.pushes.segmentation import Sample, calc_rest_pose, thin_path
 from tests.helpers.scripted_stream import HIGH, LOW, NOISE, PERIOD, RADIUS, RECORD, Script
 from tests.helpers.shapes import make_shape

@@ -26,7 +26,9 @@ from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import Array, compose, invert, rotate, transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
-from gridpush_drake.pushes.push_log import MAX_SHOWN, ObservedPush, PushLog, nearest_turn
+from gridpush_drake.pushes.csv_table import MAX_SHOWN
+from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
+from gridpush_drake.pushes.push_log import PushLog
 
 POSE_FORM = "x y z (mm) qw qx qy qz"
 FORCE_FORM = "t (s) fx fy (N)"

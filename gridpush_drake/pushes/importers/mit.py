@@ -31,7 +31,8 @@ from gridpush_drake.files import MEGABYTE, read_bytes
 from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
+from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
+from gridpush_drake.pushes.push_log import PushLog
 
 TRIANGLE_CORNER = (0.045, 0.045)
 """Where the triangles' right angle is: the frame is that of the 90 mm square the markers were put

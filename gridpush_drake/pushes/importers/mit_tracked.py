@@ -39,8 +39,9 @@ from gridpush_drake.pushes.importers.two_clocks import (
     make_episode,
     warn_of_delay,
 )
+from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.pose_delay import choose_episodes_delay
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,
     Episode,

@@ -16,8 +16,8 @@ import numpy as np
 
 from gridpush_drake.errors import PushLogWarning
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.pose_delay import MS, ChosenDelay
-from gridpush_drake.pushes.push_log import ObservedPush
 from gridpush_drake.pushes.segmentation import Episode, RecordOptions, Sample, find_motion
 
 MAX_GAP = 6

@@ -1,0 +1,131 @@
+"""One push and what was seen of the object while it lasted.
+
+Several of them are a push log (`push_log`).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.frozen import Frozen
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.notebook import MM, count, describe_move
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPush(Frozen):
+    """One push and what was seen of the object while it lasted.
+
+    Attributes:
+        name: what to call it; any text without blanks at its ends.
+        push: the disc's motion.
+        pose: (3,) q_W = (x, y, theta) of the object at the push's beginning, m and rad.
+        t_observed: (K,) times of the later observations, s, strictly increasing, in (0,
+            push.duration]; K is 0 only where a push is to be predicted.
+        poses_observed: (K, 3) q_W at those times, theta continuous (see `nearest_turn`).
+        force_t: (F,) times of the force samples, s, strictly increasing, in [0, push.duration];
+            None where the force was not measured.
+        force: (F, 2) force on the object in W, N; None where it was not measured.
+        overhang: whether a part of the object hung over the table's edge.
+
+    Raises:
+        PushLogError: a shape, a time or a value is not as said above.
+    """
+
+    name: str
+    push: Push
+    pose: Array
+    t_observed: Array
+    poses_observed: Array
+    force_t: Array | None = None
+    force: Array | None = None
+    overhang: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.name or self.name != self.name.strip():
+            raise PushLogError(
+                f"push {self.name!r}: its name must not be empty nor have blanks at its ends"
+            )
+        t_observed = self._array("t_observed", self.t_observed, (-1,))
+        self._array("pose", self.pose, (3,))
+        self._array("poses_observed", self.poses_observed, (len(t_observed), 3))
+        self._check_times("t_observed", t_observed)
+        if len(t_observed) and t_observed[0] <= 0:
+            raise PushLogError(
+                f"push {self.name!r}: t_observed[0] is {t_observed[0]} s; expected times > 0"
+            )
+        if (self.force_t is None) != (self.force is None):
+            raise PushLogError(
+                f"push {self.name!r}: force_t and force come together, or not at all"
+            )
+        if self.force_t is not None and self.force is not None:
+            force_t = self._array("force_t", self.force_t, (-1,))
+            self._array("force", self.force, (len(force_t), 2))
+            self._check_times("force_t", force_t)
+
+    def __repr__(self) -> str:
+        """Name, push and what became of the object, in a line."""
+        path = f"{self.push.length * MM:.0f} mm in {self.push.duration:.3g} s"
+        seen_any = len(self.t_observed) > 0
+        seen = count(len(self.t_observed), "pose")
+        went = f", the object {describe_move(self.pose, self.final_pose)}" if seen_any else ""
+        over = ", over the table's edge" if self.overhang else ""
+        return f"ObservedPush {self.name!r}: {path}, {seen}{went}{over}"
+
+    def _array(self, name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+        """Makes a field a read-only array of a shape, in which -1 stands for any number."""
+        array = np.array(value, dtype=np.float64)
+        if array.size == 0 and 0 in shape:
+            array = array.reshape(shape)
+        if array.ndim != len(shape) or any(
+            n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)
+        ):
+            raise PushLogError(
+                f"push {self.name!r}: {name} has shape {array.shape}; expected {shape}"
+            )
+        if not np.isfinite(array).all():
+            raise PushLogError(f"push {self.name!r}: {name} must hold finite numbers")
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+        return array
+
+    def _check_times(self, name: str, t: Array) -> None:
+        """Refuses times, s, that do not increase or are not within the push."""
+        if np.any(np.diff(t) <= 0):
+            raise PushLogError(f"push {self.name!r}: {name} must be strictly increasing")
+        if len(t) and (t[0] < 0 or t[-1] > self.push.duration):
+            raise PushLogError(
+                f"push {self.name!r}: {name} runs from {t[0]} to {t[-1]} s; expected times within "
+                f"the push, 0 to {self.push.duration} s"
+            )
+
+    @property
+    def final_pose(self) -> Array:
+        """Pose q_W (3,) at the last observation, m and rad.
+
+        Raises:
+            PushLogError: the object was not observed after the push's beginning.
+        """
+        if not len(self.poses_observed):
+            raise PushLogError(
+                f"push {self.name!r}: the object was not observed after the push's beginning"
+            )
+        return self.poses_observed[-1]
+
+
+def nearest_turn(theta: float, reference: float) -> float:
+    """Adds whole turns to an angle so that it is within pi of another one.
+
+    Args:
+        theta: the angle, rad.
+        reference: the other one, rad.
+
+    Returns:
+        The angle, rad; the very same number where it is near already.
+    """
+    turns = round((reference - theta) / math.tau)
+    return theta + turns * math.tau if turns else theta

@@ -1,0 +1,440 @@
+"""The file of a push log: its columns, how it is read, and how it is written.
+
+A push log is one tidy CSV file: a row a sample. Its columns: push (any text, rows of one push
+together), t, tip_x, tip_y (the disc's center), object_x, object_y, object_theta (on a push's first
+row, and wherever else it was observed; empty elsewhere) and, where they are known, force_x, force_y
+on the object, overhang: 1 while a part of the object hung over the table's edge, 0 or empty
+otherwise (one such row marks the push), and table: its top in W as well-known text, POLYGON ((x y,
+x y, ...)), once in the file. Times are counted from each push's first row. A cell that holds nan
+counts as empty, and further columns are passed over with a warning.
+
+Users read and write by `PushLog.read_csv` and `PushLog.write_csv`.
+"""
+
+import csv
+import difflib
+import io
+import warnings
+from collections.abc import Iterator, Sequence
+from itertools import groupby, islice, pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from shapely.geometry.polygon import orient
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.files import check_writable, write_whole
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.pushes.csv_table import (
+    MAX_SHOWN,
+    SUGGESTION_CUTOFF,
+    fail,
+    is_empty,
+    parse_number,
+    read_number,
+    read_table,
+    refuse_misspelled,
+    warn_of_further,
+)
+from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
+
+TIP = ("tip_x", "tip_y")
+"""Columns of the tip's center."""
+
+POSE = ("object_x", "object_y", "object_theta")
+"""Columns of the object's pose."""
+
+FORCE = ("force_x", "force_y")
+"""Columns of the force on the object."""
+
+REQUIRED = ("push", "t", *TIP, *POSE)
+"""Columns that every file has."""
+
+OVERHANG = "overhang"
+"""Column that says whether a part of the object hung over the table's edge."""
+
+TABLE = "table"
+"""Column of the table's top."""
+
+COLUMNS = (*REQUIRED, *FORCE, OVERHANG, TABLE)
+"""All columns that are read."""
+
+FLAGS = {"0": False, "1": True, "0.0": False, "1.0": True}
+"""Texts that say no or yes in a column; pandas writes numbers of such a column with points."""
+
+WHAT = "a push log (CSV)"
+"""The expected form of a file, for messages."""
+
+UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
+"""Unit of each column; m where not listed."""
+
+MAX_ROWS = 50_000
+"""Most rows of one push: 50 s of a robot that writes a thousand a second."""
+
+MAX_POSES = 300
+"""Most poses of one push that are kept after the first; of more, this many evenly spread ones. The
+work of learning grows with their square, and neighbors tell nearly the same."""
+
+MIN_TIME_STEP = 1e-9
+"""S between two rows of a push."""
+
+
+class _Row(NamedTuple):
+    """A row of a file.
+
+    Attributes:
+        line: its number in the file.
+        push: the push's name.
+        t: time, s.
+        tip: x and y of the tip's center, m.
+        pose: x, y and theta of the object, m and rad; None where it was not seen.
+        force: x and y of the force on the object, N; None where it is not known.
+        overhang: whether the row says that the object hung over the table's edge.
+        table: (K, 2) corners of the table's top, m; None where the row does not say.
+    """
+
+    line: int
+    push: str
+    t: float
+    tip: list[float]
+    pose: list[float] | None
+    force: list[float] | None
+    overhang: bool
+    table: Array | None
+
+
+def read_pushes(
+    path: Path, radius: float, require_final: bool
+) -> tuple[tuple[ObservedPush, ...], Array | None]:
+    """Reads a push log's file.
+
+    Args:
+        path: the file.
+        radius: of the pusher, m.
+        require_final: whether every push must have an observation after its first row.
+
+    Returns:
+        The pushes, and the corners (K, 2) of the table's top, counterclockwise, m; None where the
+        file does not tell them.
+
+    Raises:
+        PushLogError: the file cannot be read or breaks the form; the message names the file, the
+            line, the column and the expected form.
+        PushError: the radius is not positive.
+
+    Warns:
+        PushLogWarning: see `PushLog.read_csv`.
+    """
+    begun: dict[str, int] = {}  # the line on which each push begins
+    pushes = []
+    table: Array | None = None
+    dense: list[tuple[str, int]] = []  # pushes with too many poses, and how many
+    read = (
+        _parse_row(path, line, cells)
+        for line, cells in read_table(path, WHAT, REQUIRED, _check_header)
+    )
+    for _, group in groupby(read, lambda row: row.push):
+        # One row more than allowed shows that there are too many; no more are read.
+        rows = list(islice(group, MAX_ROWS + 1))
+        _check_rows(path, rows, begun)
+        begun[rows[0].push] = rows[0].line
+        table = _find_table(path, rows, table)
+        rows, poses = _thin_poses(rows)
+        if poses > MAX_POSES:
+            dense.append((rows[0].push, poses))
+        pushes.append(_make_push(path, rows, radius, require_final))
+    if dense:
+        name, poses = dense[0]
+        more = f" (and {len(dense) - 1} more)" if len(dense) > 1 else ""
+        warnings.warn(
+            f"{path}: push {name!r}{more} has {poses} poses after its first row; {MAX_POSES} of "
+            "them, evenly spread, are kept",
+            PushLogWarning,
+            stacklevel=3,
+        )
+    if not pushes:
+        raise PushLogError(
+            f"{path}: holds no push; expected rows below the header {','.join(REQUIRED)}"
+        )
+    return tuple(pushes), table
+
+
+def _check_rows(path: Path, rows: list[_Row], begun: dict[str, int]) -> None:
+    """Refuses a push with too many rows, and one whose rows do not stand together.
+
+    Args:
+        path: the file, for the message.
+        rows: rows that follow each other and name the same push.
+        begun: the line on which each push before began.
+
+    Raises:
+        PushLogError: it is such a push.
+    """
+    first = rows[0]
+    if len(rows) > MAX_ROWS:
+        fail(
+            path,
+            rows[-1].line,
+            "push",
+            f"push {first.push!r} has more than {MAX_ROWS} rows; expected one push: a stream of "
+            "many is cut into pushes by `gridpush record`",
+        )
+    if first.push in begun:
+        fail(
+            path,
+            first.line,
+            "push",
+            f"push {first.push!r} began on line {begun[first.push]} already; expected its rows "
+            "together",
+        )
+
+
+def _find_table(path: Path, rows: list[_Row], table: Array | None) -> Array | None:
+    """Finds the table's top in a push's rows.
+
+    Args:
+        path: the file, for the message.
+        rows: the push's rows.
+        table: (K, 2) the corners that rows before gave, m, or None.
+
+    Returns:
+        The corners (K, 2), m; None where no row has given them yet.
+
+    Raises:
+        PushLogError: rows give different tables.
+    """
+    for row in rows:
+        if row.table is None:
+            continue
+        if table is not None and not np.array_equal(row.table, table):
+            fail(path, row.line, TABLE, "is another one than before; expected one table in a log")
+        table = row.table
+    return table
+
+
+def _thin_poses(rows: list[_Row]) -> tuple[list[_Row], int]:
+    """Leaves out poses of a push that has many.
+
+    Args:
+        rows: the push's rows.
+
+    Returns:
+        The rows, with at most MAX_POSES poses after the first row's, and how many there were.
+    """
+    later = [i for i, row in enumerate(rows) if i and row.pose is not None]
+    if len(later) <= MAX_POSES:
+        return rows, len(later)
+    evenly = np.linspace(0, len(later) - 1, MAX_POSES).round().astype(int)
+    kept = {0, *(later[k] for k in evenly)}
+    thinned = [row if i in kept else row._replace(pose=None) for i, row in enumerate(rows)]
+    return thinned, len(later)
+
+
+def _check_header(path: Path, line: int, header: list[str]) -> None:
+    """Refuses a header without a column that is needed, or with one twice or misspelled."""
+    known = f"{','.join(FORCE)}, {OVERHANG} and {TABLE}"
+    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {known}"
+    twice = next((name for name in header if header.count(name) > 1), None)
+    if twice is not None:
+        fail(path, line, twice, f"is there twice; {form}")
+    unknown = [name for name in header if name not in COLUMNS]
+    objects = [name.removesuffix("_theta") for name in header if name.endswith("_theta")]
+    if len(objects) > 1 and "object" not in objects:
+        fail(
+            path,
+            line,
+            "object_x",
+            f"is missing: the columns are those of several objects, {', '.join(objects)}; expected "
+            "a log of one. Several are learned together by gridpush identify --with",
+        )
+    for name in (name for name in REQUIRED if name not in header):
+        close = [other for other in unknown if other.lower() == name]
+        close = close or difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)
+        hint = f"; rename {close[0]!r} to {name!r}?" if close else ""
+        fail(path, line, name, f"is missing{hint}; {form}")
+    missing = [name for name in FORCE if name not in header]
+    refuse_misspelled(path, line, header, COLUMNS, form)
+    if len(missing) == 1:
+        fail(path, line, missing[0], f"is missing; the columns {' and '.join(FORCE)} come together")
+    warn_of_further(path, header, COLUMNS)
+
+
+def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
+    """Reads a row's cells; a PushLogError names the column of one that cannot be read."""
+    name = cells["push"].strip()
+    if not name:
+        fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
+    pose = _read_group(path, line, cells, POSE)
+    force = _read_group(path, line, cells, FORCE)
+    tip = [_read_number(path, line, column, cells[column]) for column in TIP]
+    flag = cells.get(OVERHANG, "").strip()
+    hangs_over = False if is_empty(flag) else FLAGS.get(flag)
+    if hangs_over is None:
+        fail(path, line, OVERHANG, f"is {flag[:MAX_SHOWN]!r}; expected 0 or 1, or empty")
+    table = _read_table_top(path, line, cells.get(TABLE, "").strip())
+    return _Row(
+        line=line,
+        push=name,
+        t=_read_number(path, line, "t", cells["t"]),
+        tip=tip,
+        pose=pose,
+        force=force,
+        overhang=hangs_over,
+        table=table,
+    )
+
+
+def _read_group(
+    path: Path, line: int, cells: dict[str, str], columns: tuple[str, ...]
+) -> list[float] | None:
+    """Reads the numbers of columns that are empty together; None where they are."""
+    if all(is_empty(cells.get(column, "")) for column in columns):
+        return None
+    return [_read_number(path, line, column, cells[column]) for column in columns]
+
+
+def _read_table_top(path: Path, line: int, cell: str) -> Array | None:
+    """Reads the corners (K, 2) of a table's top, counterclockwise, m; None of an empty cell."""
+    if is_empty(cell):
+        return None
+    try:
+        with np.errstate(invalid="ignore"):
+            polygon = shapely.from_wkt(cell)
+            usable = polygon.is_valid and 0 < polygon.area < np.inf
+    except shapely.GEOSException:
+        polygon = None
+        usable = False
+    if not isinstance(polygon, shapely.Polygon) or polygon.interiors or not usable:
+        form = (
+            "expected POLYGON ((x y, x y, ..., x y)) in m "
+            "that ends where it begins and does not cross itself, no hole"
+        )
+        fail(path, line, TABLE, f"is {cell[:MAX_SHOWN]!r}; {form}")
+    return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
+
+
+def _read_number(path: Path, line: int, column: str, cell: str) -> float:
+    """Reads a cell's number; a message tells its unit, and which columns may be empty together."""
+    value = parse_number(cell)
+    if value is None:
+        group = next((columns for columns in (POSE, FORCE) if column in columns), None)
+        form = f"a finite number ({UNITS.get(column, 'm')})" + (
+            f", or {', '.join(group)} empty" if group else ""
+        )
+        value = read_number(path, line, column, cell, form)
+    return value
+
+
+def _make_push(path: Path, rows: list[_Row], radius: float, require_final: bool) -> ObservedPush:
+    """Makes a push of its rows; a PushLogError names the line and the column of a wrong one."""
+    first = rows[0]
+    if first.pose is None:
+        fail(
+            path,
+            first.line,
+            POSE[0],
+            f"is empty; expected a pose on push {first.push!r}'s first row",
+        )
+    if len(rows) == 1:
+        fail(path, first.line, "push", f"push {first.push!r} has one row; expected at least two")
+    for before, row in pairwise(rows):
+        if row.t - before.t < MIN_TIME_STEP:
+            fail(
+                path,
+                row.line,
+                "t",
+                f"is {row.t!r} after {before.t!r}; expected times (s) that increase",
+            )
+    seen = [row for row in rows[1:] if row.pose is not None]
+    if require_final and not seen:
+        fail(
+            path,
+            rows[-1].line,
+            POSE[0],
+            f"is empty; expected the object's pose on a later row of push {first.push!r} too",
+        )
+    # Angles go on from pose to pose, though a tracker may jump by whole turns.
+    poses = [list(row.pose or ()) for row in [first, *seen]]
+    for pose_before, pose in pairwise(poses):
+        pose[2] = nearest_turn(pose[2], pose_before[2])
+    felt = [row for row in rows if row.force is not None]
+    return ObservedPush(
+        name=first.push,
+        push=Push.along([row.t for row in rows], [row.tip for row in rows], radius),
+        pose=np.array(poses[0]),
+        t_observed=np.array([row.t - first.t for row in seen]),
+        poses_observed=np.array(poses[1:]).reshape(-1, len(POSE)),
+        force_t=np.array([row.t - first.t for row in felt]) if felt else None,
+        force=np.array([row.force for row in felt]) if felt else None,
+        overhang=any(row.overhang for row in rows),
+    )
+
+
+def write_pushes(
+    path: Path, pushes: Sequence[ObservedPush], table: Array | None, force: bool
+) -> None:
+    """Writes a push log's file so that `read_pushes` gives its numbers back bit for bit.
+
+    Args:
+        path: the file.
+        pushes: the pushes; at least one, each with a name of its own.
+        table: (K, 2) corners in W of the table's top, m; None where they are not known.
+        force: whether a file that exists is replaced.
+
+    Raises:
+        PushLogError: two pushes have the same name, or there is no push.
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
+    check_writable(path, force)
+    names = [seen.name for seen in pushes]
+    if not names:
+        raise PushLogError(f"{path}: the log to be written holds no push")
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise PushLogError(
+                f"{path}: two pushes of the log are named {name!r}; expected one name a push"
+            )
+    with_force = any(seen.force is not None for seen in pushes)
+    with_overhang = any(seen.overhang for seen in pushes)
+
+    # Columns of which nothing is known are left out.
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    more = [
+        name for name, there in ((OVERHANG, with_overhang), (TABLE, table is not None)) if there
+    ]
+    writer.writerow([*REQUIRED, *(FORCE if with_force else ()), *more])
+    # The table stands in the first row, and nowhere else.
+    text = [] if table is None else [_describe_table(table)]
+    for seen in pushes:
+        flag = [str(int(seen.overhang))] if with_overhang else []
+        for cells in _make_rows(seen, with_force):
+            writer.writerow([*cells, *flag, *text])
+            text = [""] * len(text)
+    write_whole(path, buffer.getvalue(), force)
+
+
+def _describe_table(corners: Array) -> str:
+    """Writes corners (K, 2), m, as well-known text, exact to the last bit."""
+    closed = [*corners.tolist(), corners[0].tolist()]
+    points = ", ".join(f"{x!r} {y!r}" for x, y in closed)
+    return f"POLYGON (({points}))"
+
+
+def _make_rows(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
+    """Makes the cells of each row of a push: a row for each time at which anything is known."""
+    poses = dict(zip(seen.t_observed.tolist(), seen.poses_observed.tolist(), strict=True))
+    poses[0.0] = seen.pose.tolist()
+    forces: dict[float, list[float]] = {}
+    if seen.force_t is not None and seen.force is not None:
+        forces = dict(zip(seen.force_t.tolist(), seen.force.tolist(), strict=True))
+    times = sorted({*seen.push.t.tolist(), *poses, *forces})
+    for t, tip in zip(times, seen.push.tip_at(times).tolist(), strict=True):
+        row = [seen.name, repr(t), *map(repr, tip), *map(repr, poses.get(t, []))]
+        row += [""] * (len(REQUIRED) - len(row))
+        if with_force:
+            row += [repr(f) for f in forces[t]] if t in forces else [""] * len(FORCE)
+        yield row
