@@ -18,16 +18,8 @@ from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import Array, IntArray, transform
 from gridpush_drake.notebook import MM, count, draw_cells, make_page
-from gridpush_drake.objects.cells import (
-    DEFAULT_MAX_CELLS,
-    MAX_CELLS,
-    MAX_LABEL,
-    MAX_SIZE,
-    MIN_SIZE,
-    CellGrid,
-    calc_adjacency,
-    fill_outline,
-)
+from gridpush_drake.objects.adjacency import calc_adjacency
+from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, MIN_SIZE, CellGrid
 from gridpush_drake.objects.mask import coarsen_mask
 from gridpush_drake.objects.object_file import (
     NAME,
@@ -37,6 +29,7 @@ from gridpush_drake.objects.object_file import (
     make_cells,
     read_object_file,
 )
+from gridpush_drake.objects.outline import MAX_SIZE, fill_outline
 from gridpush_drake.yaml_file import shorten
 
 

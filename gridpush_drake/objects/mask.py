@@ -24,14 +24,8 @@ from gridpush_drake.errors import ObjectError, ObjectWarning, require_positive
 from gridpush_drake.files import MEGABYTE, open_file, read_bytes
 from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.geometry.se2 import Array, IntArray
-from gridpush_drake.objects.cells import (
-    CellGrid,
-    Cells,
-    Region,
-    Share,
-    check_max_cells,
-    choose_cells,
-)
+from gridpush_drake.objects.cells import CellGrid, Cells, check_max_cells
+from gridpush_drake.objects.lattice import Region, Share, choose_cells
 
 MAX_PIXELS = 100_000_000
 """Largest number of pixels. An image with more is refused before it is decoded; one with so many

@@ -22,14 +22,12 @@ from gridpush_drake.objects.cells import (
     DEFAULT_MAX_CELLS,
     MAX_CELLS,
     MAX_LABEL,
-    MAX_SIZE,
     MIN_SIZE,
     CellGrid,
     check_cells,
-    fill_outline,
-    make_polygon,
 )
 from gridpush_drake.objects.mask import coarsen_mask
+from gridpush_drake.objects.outline import MAX_SIZE, fill_outline, make_polygon
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, dump_yaml, read_mapping
 
 LEAST_FRICTION = 1e-6

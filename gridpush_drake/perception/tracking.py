@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.geometry.se2 import Array, compose, wrap_angle
-from gridpush_drake.objects.cells import make_polygon
+from gridpush_drake.objects.outline import make_polygon
 from gridpush_drake.perception.answers import (
     Answer,
     OtherPose,

@@ -10,7 +10,8 @@ from scipy.sparse.csgraph import connected_components
 from shapely import Polygon
 
 from gridpush_drake.errors import ObjectError
-from gridpush_drake.objects.cells import MAX_CELLS, calc_adjacency
+from gridpush_drake.objects.adjacency import calc_adjacency
+from gridpush_drake.objects.cells import MAX_CELLS
 from gridpush_drake.objects.grid_object import GridObject
 
 TRIANGLE = [[-0.05, -0.05], [0.10, -0.05], [-0.05, 0.10]]

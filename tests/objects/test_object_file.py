@@ -6,7 +6,6 @@ import yaml
 from PIL import Image
 
 from gridpush_drake.errors import ObjectError, OutputError
-from gridpush_drake.objects.cells import MAX_POINTS
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import (
     SeenSchema,
@@ -16,6 +15,7 @@ from gridpush_drake.objects.object_file import (
     list_shipped_objects,
     read_object_file,
 )
+from gridpush_drake.objects.outline import MAX_POINTS
 
 FULL = """\
 name: triangle_block
