@@ -9,7 +9,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import LoopOptions, Observation
 from gridpush_drake.planning.goal.next_push import GoalRules
-from gridpush_drake.planning.goal.push_to_goal import PushToGoalLoop, PushToGoalState
+from gridpush_drake.planning.goal.push_to_goal_loop import PushToGoalLoop, PushToGoalState
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand
 from gridpush_drake.systems.object_controller import ObjectController
 

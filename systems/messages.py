@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.planning.goal.push_to_goal import ContactPointMode as ContactPointMode
-from gridpush_drake.planning.goal.push_to_goal import ContactPointStatus as ContactPointStatus
+from gridpush_drake.planning.goal.push_to_goal_loop import ContactPointMode as ContactPointMode
+from gridpush_drake.planning.goal.push_to_goal_loop import ContactPointStatus as ContactPointStatus
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspMode as PreGraspMode
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspStatus as PreGraspStatus
 from gridpush_drake.planning.robot_status import GraspOutcome as GraspOutcome

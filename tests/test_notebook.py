@@ -17,7 +17,7 @@ from gridpush_drake.objects.cells import Cells
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import PlannedPush
 from gridpush_drake.planning.goal.push_plan import PushPlan, PushPlanStatus
-from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanStatus
+from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlan, PreGraspPlanStatus
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.pregrasp_task import PreGraspRecord
 from gridpush_drake.station.task import TaskStatus

@@ -30,12 +30,13 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.loop_run import Learner, run_loop
+from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.exploration import (
     choose_poke,
     make_center_functional,
     make_pokes,
 )
-from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop, PreGraspLoopOptions
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.push_constraints import PushConstraints

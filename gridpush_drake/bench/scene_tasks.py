@@ -35,8 +35,8 @@ from gridpush_drake.dynamics.scene.bodies import Scene
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
-from gridpush_drake.planning.pregrasp.planner import PreGraspOptions
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.fetching import FetchLearning, FetchOptions, FetchPlanner
 from gridpush_drake.planning.scene.loop import (
@@ -47,23 +47,10 @@ from gridpush_drake.planning.scene.loop import (
     SceneRun,
     run_scene_task,
 )
-from gridpush_drake.planning.scene.random_scenes import (
-    FRICTION_RANGE,
-    heap_up,
-    hide,
-    scatter,
-)
-from gridpush_drake.planning.scene.rearrangement import (
-    FINE,
-    RearrangeOptions,
-    RearrangePlanner,
-)
+from gridpush_drake.planning.scene.random_scenes import FRICTION_RANGE, heap_up, hide, scatter
+from gridpush_drake.planning.scene.rearrangement import FINE, RearrangeOptions, RearrangePlanner
 from gridpush_drake.planning.scene.search import SceneRules
-from gridpush_drake.planning.scene.separation import (
-    MARGIN,
-    SeparatePlanner,
-    calc_clearances,
-)
+from gridpush_drake.planning.scene.separation import MARGIN, SeparatePlanner, calc_clearances
 from gridpush_drake.planning.scene.world import SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
 

@@ -32,7 +32,8 @@ from gridpush_drake.objects.object_file import (
     list_shipped_objects,
 )
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
 from gridpush_drake.planning.weighing.press import PressOutcome

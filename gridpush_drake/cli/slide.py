@@ -12,15 +12,14 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found, to_json
 from gridpush_drake.files import write_whole
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, find_held_grasps
 from gridpush_drake.planning.pregrasp.gripper import Gripper, PadLimit
-from gridpush_drake.planning.pregrasp.planner import (
-    ACCEPTED_SHARE,
-    PreGraspOptions,
+from gridpush_drake.planning.pregrasp.planner import ACCEPTED_SHARE, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.pregrasp_plan import (
     PreGraspPlan,
-    PreGraspPlanner,
     PreGraspPlanStatus,
     plan_pregrasp,
 )

@@ -19,7 +19,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.push_plan import PushPlan
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
-from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlan
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface

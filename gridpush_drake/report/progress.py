@@ -20,7 +20,7 @@ from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.planner import calc_center_std
+from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.draw import (

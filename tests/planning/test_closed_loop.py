@@ -7,7 +7,7 @@ import pytest
 
 from gridpush_drake.planning.closed_loop import LoopOptions, Observation, PoseFilter
 from gridpush_drake.planning.goal.next_push import GoalRules
-from gridpush_drake.planning.goal.push_to_goal import PushToGoalLoop
+from gridpush_drake.planning.goal.push_to_goal_loop import PushToGoalLoop
 from gridpush_drake.planning.robot_status import PushPhase, PushStatus
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.made_identifications import make_block

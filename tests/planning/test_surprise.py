@@ -12,15 +12,10 @@ from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.prediction import predict_spread
 from gridpush_drake.identification.surprise import Judgment, SurpriseRecord, judge_push
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.closed_loop import (
-    MAX_FALLBACKS,
-    LoopOptions,
-    Observation,
-    PoseFilter,
-)
+from gridpush_drake.planning.closed_loop import MAX_FALLBACKS, LoopOptions, Observation, PoseFilter
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.goal.next_push import GoalRules
-from gridpush_drake.planning.goal.push_to_goal import (
+from gridpush_drake.planning.goal.push_to_goal_loop import (
     POKES,
     ContactPointMode,
     PushToGoalLoop,

@@ -13,19 +13,15 @@ from gridpush_drake.identification.weighed_model import believe_before, weigh_mo
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.loop_run import LoopRun, run_loop
+from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits
-from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner, list_edges
 from gridpush_drake.planning.robot_status import PressStatus, PressStep, PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.planning.weighing.plan import (
-    Edge,
-    PressRules,
-    list_rests,
-    plan_press,
-)
+from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_rests, plan_press
 from gridpush_drake.planning.weighing.press import (
     PressOptions,
     PressOutcome,

@@ -70,6 +70,7 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.exploration import (
     PokeOptions,
     choose_poke,
@@ -78,7 +79,7 @@ from gridpush_drake.planning.pregrasp.exploration import (
 )
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, find_grasp_parts
 from gridpush_drake.planning.pregrasp.gripper import Gripper
-from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import PushWorld, SimulatedWorld, WorldMaker

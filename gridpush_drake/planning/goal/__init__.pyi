@@ -6,5 +6,5 @@ from .push_plan import PushPlan as PushPlan
 from .push_plan import plan_pushes as plan_pushes
 from .push_plan import write_plan as write_plan
 from .push_to_goal import PushRun as PushRun
-from .push_to_goal import PushToGoalLoop as PushToGoalLoop
 from .push_to_goal import push_to_goal as push_to_goal
+from .push_to_goal_loop import PushToGoalLoop as PushToGoalLoop

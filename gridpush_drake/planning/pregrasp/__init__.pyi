@@ -1,3 +1,5 @@
+from .decision import PreGraspDecision as PreGraspDecision
+from .decision import PreGraspOptions as PreGraspOptions
 from .exploration import PokeOptions as PokeOptions
 from .exploration import choose_poke as choose_poke
 from .goals import ArmLimits as ArmLimits
@@ -8,15 +10,13 @@ from .grasp_parts import GraspPart as GraspPart
 from .grasp_parts import find_grasp_parts as find_grasp_parts
 from .gripper import Gripper as Gripper
 from .gripper import PadLimit as PadLimit
-from .planner import PreGraspDecision as PreGraspDecision
-from .planner import PreGraspOptions as PreGraspOptions
-from .planner import PreGraspPlan as PreGraspPlan
 from .planner import PreGraspPlanner as PreGraspPlanner
-from .planner import plan_pregrasp as plan_pregrasp
 from .pregrasp_loop import PreGraspLoop as PreGraspLoop
 from .pregrasp_loop import PreGraspLoopOptions as PreGraspLoopOptions
 from .pregrasp_loop import PreGraspMode as PreGraspMode
 from .pregrasp_loop import PreGraspStatus as PreGraspStatus
+from .pregrasp_plan import PreGraspPlan as PreGraspPlan
+from .pregrasp_plan import plan_pregrasp as plan_pregrasp
 from .side_grasp import SideGrasp as SideGrasp
 from .side_grasp import find_side_grasps as find_side_grasps
 from .slides import PushMonitor as PushMonitor

@@ -48,12 +48,10 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import MAX_NUMBER, PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, transform
+from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
-
-MM = 1e3
-"""Millimeters in a meter."""
 
 PERCENT = 100.0
 """Percent in the whole."""

@@ -9,39 +9,31 @@ Each decision depends on what is seen and known now and on how many pushes were 
 else: if an object slipped, or was moved by somebody, the next decision simply takes it from where
 it lies. What cannot be done safely is not done, and the decision says why.
 
-`PreGraspPlanner.decide` makes one decision. `plan_pregrasp` makes the same decisions on predicted
+`PreGraspPlanner.decide` makes one decision. `pregrasp_plan` makes the same decisions on predicted
 poses, and so plans a whole slide as one model predicts it. How a robot carries decisions out is in
 `pregrasp_loop`; the theory is in `docs/theory/planning.md`, section 4.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 from shapely import Polygon
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array, check_vector
-from gridpush_drake.notebook import count, describe_pose, draw_paths, make_page, make_table
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.pregrasp.exploration import (
-    PokeChoice,
-    PokeOptions,
-    calc_worst_std,
-    choose_poke,
-    make_center_functional,
-    make_farthest_functional,
-    make_pokes,
+from gridpush_drake.planning.pregrasp.decision import (
+    PokeForecast,
+    PreGraspDecision,
+    PreGraspOptions,
 )
 from gridpush_drake.planning.pregrasp.goals import (
     ANY_ARM,
     ArmLimits,
-    GoalOptions,
     PreGraspGoal,
     check_room,
     find_grasp_at,
@@ -55,24 +47,12 @@ from gridpush_drake.planning.pregrasp.grasp_parts import (
     find_held_parts,
     stack_flat_parts,
 )
-from gridpush_drake.planning.pregrasp.gripper import Gripper, PadLimit
-from gridpush_drake.planning.pregrasp.slides import (
-    OBSTACLE_MARGIN,
-    SlideOptions,
-    make_stability_rule,
-    plan_slide,
-    simulate_near_edge,
-)
+from gridpush_drake.planning.pregrasp.gripper import PadLimit
+from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std, suggest_poke
+from gridpush_drake.planning.pregrasp.slides import plan_slide
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
-from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.pushes.plausibility import check_size
-
-Action = Literal["poke", "slide", "weigh", "grasp", "fail"]
-
-MM = 1e3
-"""Millimeters in a meter."""
 
 ACCEPTED_SHARE = 2 / 3
 """Share of the margin asked of a goal that is enough once the object is on its way, and where it
@@ -82,118 +62,6 @@ so that with the whole margin a plan would often be given up halfway."""
 REACHABLE_SIGMAS = 4.0
 """Further pokes may add at most this many standard deviations, of how far the center can be across
 the edge, to a margin. What would need more is given up."""
-
-
-@dataclass(frozen=True)
-class PreGraspOptions:
-    """How far to go, and how carefully.
-
-    Attributes:
-        gripper: the gripper.
-        pad_force: force with which both its jaws press on an object that they take from the side,
-            N. If it is given, an object that is narrow nowhere is taken by its rim, as far as the
-            pads hold it; and a heavy object only by a narrow part near its center of mass. If it is
-            None, only narrow parts are taken, however heavy the object is.
-        goal: how goals are sought, and what counts as safe.
-        slide: how pushes of the slide are chosen.
-        poke: what pokes may be chosen from.
-        min_pokes: number of pokes made in any case, unless the object can be grasped where it lies.
-        max_pokes: number of pokes made before giving up.
-        max_slides: number of slides made before giving up.
-        poke_margin: how far inside the edge pokes keep every cell, m.
-        max_arm: farthest that a narrow part may be from where the center of mass is estimated, m:
-            held farther off, the object would turn in the gripper. It is less where the pads would
-            not hold the object's weight so far off.
-    """
-
-    gripper: Gripper = field(default_factory=Gripper)
-    pad_force: float | None = None
-    goal: GoalOptions = field(default_factory=GoalOptions)
-    slide: SlideOptions = field(default_factory=SlideOptions)
-    poke: PokeOptions = field(default_factory=PokeOptions)
-    min_pokes: int = 3
-    max_pokes: int = 15
-    max_slides: int = 30
-    poke_margin: float = 0.02
-    max_arm: float = np.inf
-
-
-@dataclass(frozen=True)
-class PokeForecast:
-    """What a poke is expected to bring, said before it is made.
-
-    Attributes:
-        across_edge: True if the poke is about how far the center of mass can be across the table's
-            edge; False if it is about the center of mass in the direction in which it is known
-            least.
-        std: standard deviation of that quantity before the poke, m.
-        expected_std: standard deviation expected after the poke, m, to first order about the
-            present estimate.
-    """
-
-    across_edge: bool
-    std: float
-    expected_std: float
-
-    def describe(self) -> str:
-        """The forecast in words."""
-        what = "how far the center can be across the edge" if self.across_edge else "the center"
-        return (
-            f"this poke is expected to bring the standard deviation of {what} "
-            f"from {self.std * MM:.1f} mm to {self.expected_std * MM:.1f} mm"
-        )
-
-    def describe_outcome(self, after: "PokeForecast") -> str:
-        """What came of the poke, in a sentence.
-
-        Args:
-            after: the forecast of the next poke.
-
-        Returns:
-            The sentence; empty if `after` is about another quantity, or all came as expected.
-        """
-        if after.across_edge != self.across_edge:
-            return ""
-        expected = f"{self.expected_std * MM:.1f} mm"
-        came = f"{after.std * MM:.1f} mm"
-        if came == expected:
-            return ""
-        return (
-            f" The poke before was expected to leave {expected} and left {came}: what to expect is "
-            "computed from the estimate before the poke, and that has changed."
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class PreGraspDecision:
-    """What to do next.
-
-    Attributes:
-        action: "poke" and "slide" are pushes to make; "weigh" is a press at the table's edge, which
-            only a `WeighingPlanner` asks for; "grasp" and "fail" end the task.
-        reason: why, in half a sentence.
-        goal: the goal that the slide goes to; the present pose, if the object can be grasped where
-            it lies; the best goal that there is, even if it is not safe, before a poke or a
-            failure. None where there is none.
-        push: the push to make; None at the end.
-        expected_pose: (3,) pose in which a slide is predicted to leave the object, X_WB, m and rad;
-            None otherwise.
-        forecast: what a poke is expected to bring; None otherwise.
-        press: where to press to weigh the object; None otherwise.
-    """
-
-    action: Action
-    reason: str
-    goal: PreGraspGoal | None = None
-    push: Push | None = None
-    expected_pose: Array | None = None
-    forecast: PokeForecast | None = None
-    press: PressTarget | None = None
-
-    @property
-    def margin(self) -> float:
-        """Stability margin of the goal at the worst, m; NaN without a goal."""
-        return np.nan if self.goal is None else self.goal.margin
 
 
 class PreGraspPlanner:
@@ -456,156 +324,3 @@ class PreGraspPlanner:
         forecast = PokeForecast(best is not None, choice.std, choice.expected_std)
         reason = f"{why}; {forecast.describe()}"
         return PreGraspDecision("poke", reason, goal=best, push=choice.push, forecast=forecast)
-
-
-def suggest_poke(
-    model: UncertainModel,
-    pose: ArrayLike,
-    surface: SupportSurface,
-    direction: ArrayLike | None = None,
-    options: PreGraspOptions | None = None,
-    limits: ArmLimits = ANY_ARM,
-    obstacles: tuple[Polygon, ...] = (),
-) -> PokeChoice | None:
-    """Chooses the poke that is expected to tell most of the center of mass.
-
-    Args:
-        model: of the object; its `posterior` must not be None.
-        pose: (3,) where the object lies, X_WB, m and rad.
-        surface: the table, inside whose edge the object stays, or at least as far in and as stable
-            as it is.
-        direction: (2,) unit vector in the body frame along which it matters how far the center can
-            be; where None, the center matters.
-        options: how pokes are made, and what they keep to.
-        limits: of the arm.
-        obstacles: what else lies on the table, polygons in W, m, which object and finger keep clear
-            of.
-
-    Returns:
-        The poke; None where none keeps the object on the table.
-
-    Raises:
-        PlanningError: the model leaves nothing to learn.
-    """
-    options = options or PreGraspOptions()
-    rule = make_stability_rule(
-        model.masses, pose, surface, options.slide.margin, options.slide.inset
-    )
-    constraints = PushConstraints(
-        surface,
-        obstacles,
-        edge_margin=options.poke_margin,
-        obstacle_margin=OBSTACLE_MARGIN,
-        pose_rule=rule,
-        finger_region=limits.finger_region,
-        push_rule=limits.can_push,
-    )
-    pokes = make_pokes(model, pose, options.poke, constraints)
-    if not pokes:
-        return None
-    F = make_center_functional(model)
-    if direction is not None:
-        F = make_farthest_functional(model, direction)
-    choice = choose_poke(model, pose, pokes, F)
-    # The arm is asked last, for that takes longest: the best poke first, until it can make one.
-    for index in np.argsort(choice.expected_stds, kind="stable").tolist():
-        expected = float(choice.expected_stds[index])
-        if np.isfinite(expected) and constraints.allows_push(pokes[index]):
-            return replace(choice, push=pokes[index], index=index, expected_std=expected)
-    return None
-
-
-def calc_center_std(model: UncertainModel) -> float:
-    """Standard deviation of the center of mass in the direction in which it is known least, m."""
-    if model.posterior is None:
-        return 0.0
-    F = make_center_functional(model)
-    return calc_worst_std(F @ model.posterior.covariance @ F.T)
-
-
-class PreGraspPlanStatus(StrEnum):
-    """How a plan of slides ends."""
-
-    READY = "ready"
-    POKE_FIRST = "poke_first"
-    FAILED = "failed"
-
-
-@dataclass(frozen=True, eq=False)
-class PreGraspPlan:
-    """Pushes that bring an object to the edge, and how they end.
-
-    Attributes:
-        status: "ready": at the end of the pushes a part can be grasped; "poke_first": no goal is
-            safe enough yet, and a poke would help; "failed".
-        message: the status in a sentence.
-        pushes: the P pushes of the slide; none where the object can be grasped where it lies, and
-            where there is no safe way.
-        poses: (P+1, 3) poses predicted before and after each push, X_WB, m and rad.
-        goal: the goal that is reached at the end; where nothing is safe enough, the safest goal;
-            None where there is none.
-        poke: the poke that would help most, where one would; None otherwise.
-    """
-
-    status: PreGraspPlanStatus
-    message: str
-    pushes: tuple[Push, ...]
-    poses: Array
-    goal: PreGraspGoal | None
-    poke: Push | None
-
-    def __repr__(self) -> str:
-        """Status, pushes and the reason, in two lines."""
-        return f"PreGraspPlan, {self.status}: {count(len(self.pushes), 'push')}\n{self.message}"
-
-    def _repr_html_(self) -> str:
-        """A table with a row for each push, and a drawing of the predicted path."""
-        rows = [
-            (number, f"{push.length * MM:.0f}", describe_pose(pose))
-            for number, (push, pose) in enumerate(
-                zip(self.pushes, self.poses[1:], strict=True), start=1
-            )
-        ]
-        heads = ("push", "path, mm", "the object afterwards")
-        path = draw_paths([(self.poses[:, :2], "teal", "object's body frame, push by push")])
-        return make_page(repr(self), path, make_table(heads, rows))
-
-
-def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLike) -> PreGraspPlan:
-    """Plans a whole slide, predicting motions with the model's `params`.
-
-    Args:
-        planner: decides, as it would with the object at each predicted pose.
-        model: what is known of the object; it stays the same, for a plan learns nothing.
-        pose: (3,) where the slide begins, X_WB, m and rad.
-
-    Raises:
-        PlanningError: the pose is not three finite numbers.
-    """
-    poses = [check_vector(PlanningError, "pose", pose, 3)]
-    pushes: list[Push] = []
-    # The pokes that are made in any case count as made: what they would tell is not known here.
-    pokes = planner.options.min_pokes
-    while True:
-        decision = planner.decide(poses[-1], model, pokes, len(pushes))
-        if decision.action != "slide" or decision.push is None:
-            break
-        motion = simulate_near_edge(
-            obj=planner.obj,
-            params=model.params,
-            push=decision.push,
-            pose=poses[-1],
-            surface=planner.surface,
-            physics=model.physics,
-        )
-        pushes.append(decision.push)
-        poses.append(motion.final_pose)
-    ends = {"grasp": PreGraspPlanStatus.READY, "poke": PreGraspPlanStatus.POKE_FIRST}
-    return PreGraspPlan(
-        status=ends.get(decision.action, PreGraspPlanStatus.FAILED),
-        message=decision.reason,
-        pushes=tuple(pushes),
-        poses=np.array(poses),
-        goal=decision.goal,
-        poke=decision.push if decision.action == "poke" else None,
-    )

@@ -44,22 +44,14 @@ from gridpush_drake.planning.closed_loop import (
     Observation,
     Pose,
 )
+from gridpush_drake.planning.pregrasp.decision import PokeForecast, PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
-from gridpush_drake.planning.pregrasp.planner import (
-    PokeForecast,
-    PreGraspDecision,
-    PreGraspPlanner,
-)
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import PushMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
-from gridpush_drake.planning.robot_status import (
-    GraspOutcome,
-    GraspStatus,
-    PressStatus,
-    PushPhase,
-)
+from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, PressStatus, PushPhase
 from gridpush_drake.planning.support_surface import find_supported
 from gridpush_drake.planning.weighing.press import PressOutcome, PressTarget
 from gridpush_drake.pushes.push_log import PushLog

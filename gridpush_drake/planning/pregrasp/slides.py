@@ -33,6 +33,7 @@ from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
 from gridpush_drake.geometry.se2 import Array, transform_shape
+from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -66,9 +67,6 @@ overhang is the stability margin."""
 
 ROUND_OFF_MARGIN = 1e-4
 """By how much a margin that is thin already may become thinner, m, for round-off."""
-
-MM = 1e3
-"""Millimeters in a meter."""
 
 
 @dataclass(frozen=True, eq=False)

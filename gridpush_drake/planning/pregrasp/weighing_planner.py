@@ -21,8 +21,9 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
 from gridpush_drake.identification.absolute import AbsoluteEstimate
 from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.pregrasp.decision import PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
-from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import (

@@ -24,16 +24,9 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.pregrasp.goals import (
-    ANY_ARM,
-    ArmLimits,
-    find_pregrasp_goals,
-)
-from gridpush_drake.planning.pregrasp.planner import (
-    PreGraspDecision,
-    PreGraspOptions,
-    PreGraspPlanner,
-)
+from gridpush_drake.planning.pregrasp.decision import PreGraspDecision, PreGraspOptions
+from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, find_pregrasp_goals
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import (

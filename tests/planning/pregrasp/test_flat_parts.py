@@ -13,6 +13,7 @@ from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.grasp_parts import (
     find_flat_parts,
@@ -20,12 +21,8 @@ from gridpush_drake.planning.pregrasp.grasp_parts import (
     find_held_parts,
 )
 from gridpush_drake.planning.pregrasp.gripper import USED_SHARE, Gripper, PadLimit
-from gridpush_drake.planning.pregrasp.planner import (
-    PreGraspOptions,
-    PreGraspPlanner,
-    PreGraspPlanStatus,
-    plan_pregrasp,
-)
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlanStatus, plan_pregrasp
 from gridpush_drake.planning.pregrasp.side_grasp import find_side_grasps
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface

@@ -11,6 +11,7 @@ from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.pregrasp.decision import PokeForecast, PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import (
     GOAL_ROOM,
     ArmLimits,
@@ -21,15 +22,9 @@ from gridpush_drake.planning.pregrasp.goals import (
 )
 from gridpush_drake.planning.pregrasp.grasp_parts import find_grasp_parts
 from gridpush_drake.planning.pregrasp.gripper import Gripper
-from gridpush_drake.planning.pregrasp.planner import (
-    PokeForecast,
-    PreGraspOptions,
-    PreGraspPlanner,
-    PreGraspPlanStatus,
-    calc_center_std,
-    plan_pregrasp,
-    suggest_poke,
-)
+from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std, suggest_poke
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlanStatus, plan_pregrasp
 from gridpush_drake.planning.pregrasp.slides import (
     OBSTACLE_MARGIN,
     PushMonitor,
