@@ -19,10 +19,10 @@ from .objects.object_file import list_shipped_objects as list_shipped_objects
 from .objects.parameters import CellParameters as CellParameters
 from .planning.contact.optimization import optimize_contact as optimize_contact
 from .planning.goal.push_plan import plan_pushes as plan_pushes
-from .planning.pregrasp.planner import plan_pregrasp as plan_pregrasp
+from .planning.pregrasp.pregrasp_plan import plan_pregrasp as plan_pregrasp
 from .planning.push_constraints import PushConstraints as PushConstraints
 from .planning.support_surface import SupportSurface as SupportSurface
-from .pushes.push_log import ObservedPush as ObservedPush
+from .pushes.observed_push import ObservedPush as ObservedPush
 from .pushes.push_log import PushLog as PushLog
 from .station.push_station import MakePushStation as MakePushStation
 from .station.scenario import PushScenario as PushScenario

@@ -1,4 +1,4 @@
-"""The lattice of square cells that is truest to a shape: how large its cells are, and where it lies.
+"""The lattice of square cells that is truest to a shape: its cells' size, and where it lies.
 
 Many sizes and places are tried, and the one of least cost is taken. The cost of n cells of side s,
 of at most N, is

@@ -72,6 +72,7 @@ def fill_outline(
         boxes = shapely.box(*corners.T, *(corners + size).T)
         return shapely.area(shapely.intersection(boxes, polygon)) / size**2
 
+    # The lattice is chosen by these two measures of its cells.
     cells = choose_cells(region, share, overlap, int(max_cells))
     return CellGrid(
         p_BC=cells.centers,

@@ -45,7 +45,8 @@ def check_types(function: str, **arguments: tuple[Any, tuple[type, ...]]) -> Non
             for value, (_, types) in zip(order, arguments.values(), strict=True)
         ):
             raise TypeError(
-                f"{function}: {found}: the arguments are swapped; expected {function}({', '.join(names)})"
+                f"{function}: {found}: the arguments are swapped; expected "
+                f"{function}({', '.join(names)})"
             )
     first = arguments[wrong[0]][1][0]
     raise TypeError(

@@ -404,7 +404,10 @@ def _find_other_body_frames(obj: GridObject, log: PushLog) -> Iterator[str]:
     if off <= FRAME_TOLERANCE:
         return
     shift, left = _search_shift(calc_off, diameter)
-    seen = f"where {len(ends)} pushes end, the pusher is {off * MM_PER_M:.3g} mm off the outline on average"
+    seen = (
+        f"where {len(ends)} pushes end, the pusher is {off * MM_PER_M:.3g} mm off the outline on "
+        "average"
+    )
     if left <= FRAME_GAIN * off * (1 - len(shift) / len(ends)):  # two numbers are fitted
         x, y = shift * MM_PER_M
         yield (

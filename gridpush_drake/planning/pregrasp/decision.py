@@ -1,4 +1,6 @@
-"""What a planner of pre-grasps is asked, and what it answers: `PreGraspOptions`, `PreGraspDecision`.
+"""What a planner of pre-grasps is asked, and what it answers.
+
+It is asked by `PreGraspOptions`, and answers by `PreGraspDecision`.
 
 The decisions are made in `planner`.
 """

@@ -1,4 +1,4 @@
-"""The poke that is expected to tell most of the center of mass, where the object may be poked at all.
+"""The poke that is expected to tell most of the center of mass, of those that are safe.
 
 Which pokes there are, and what each of them is expected to tell, is calculated in `exploration`.
 Here they are held to the table, to what else lies there, and to what the arm can reach.
