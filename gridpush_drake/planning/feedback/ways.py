@@ -8,8 +8,13 @@ from gridpush_drake.dynamics.kernels.walk_round import Ways
 TOUCHES = 96
 """Places round the block where a stroke may touch."""
 
-RING = 32
-"""Points of the ring on which the disc goes round the block."""
+LEAST_RING = 32
+"""Least number of points of the ring on which the disc goes round the block."""
+
+RING_SPACING = 1.5
+"""Greatest distance of two neighbors on the ring, in radii of the disc. Each must be in sight of
+the next. At a corner of the hull the line between two points that are further apart than 1.8
+radii comes nearer to the corner than CLEARANCE, and a disc that came there would get no further."""
 
 STANDOFF = 0.4
 """Distance from the touch at which a stroke begins, in radii of the disc."""
@@ -38,7 +43,10 @@ def make_ways(outline: Polygon, radius: float) -> Ways:
     around = outline.convex_hull.buffer(RING_DISTANCE * radius).exterior
     if not around.is_ccw:
         around = around.reverse()
-    ring = np.array([around.interpolate(i / RING, normalized=True).coords[0] for i in range(RING)])
+    count = max(LEAST_RING, int(np.ceil(around.length / (RING_SPACING * radius))))
+    ring = np.array(
+        [around.interpolate(i / count, normalized=True).coords[0] for i in range(count)]
+    )
     corners = np.array(rim.coords)
     return Ways(
         touch=touch,
