@@ -23,18 +23,14 @@ from gridpush_drake.identification.baselines.search import (
     SearchStatus,
     run_search,
 )
+from gridpush_drake.identification.center_of_mass import UNIFORM_WIDTH, CenterOfMass
+from gridpush_drake.identification.fit_average import MapEnsembleFit
 from gridpush_drake.identification.force_scale import calc_force_scale
 from gridpush_drake.identification.identifiability import calc_identifiability
-from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
-from gridpush_drake.identification.map_fit import (
-    UNIFORM_WIDTH,
-    CenterOfMass,
-    calc_laplace,
-)
+from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.map_fit import calc_laplace
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.outliers import (
-    Screening,
-)
+from gridpush_drake.identification.outliers import Screening
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
 from gridpush_drake.identification.prediction import explain_poor_fit
 from gridpush_drake.identification.problem import PushProblem, resolve_physics
@@ -44,7 +40,7 @@ from gridpush_drake.identification.result import (
     IdentificationStatus,
     Progress,
 )
-from gridpush_drake.identification.robust_fit import FitTask, fit_robustly
+from gridpush_drake.identification.robust_fit import FitTask, Tracker, fit_robustly
 from gridpush_drake.identification.turned_poses import TurnedPoses, find_turned_poses
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters

@@ -3,12 +3,11 @@
 The hypotheses are an open list (`hypotheses`). Each proposes normal priors of z; for each prior z
 is fitted by Gauss-Newton (`map_fit`). The smooth fields are fitted in the order of their
 amplitudes, each from where the last one ended: coarse to fine. Where the best of them leaves much
-unexplained it may be a poor optimum; then fits begin with loads that are tilted to all sides. By
-their evidence and prior weights the shares of friction that the fits give are averaged,
-x = sum_a w_a x_a (`docs/theory/identification.md`, section 5).
+unexplained it may be a poor optimum; then fits begin with loads that are tilted to all sides
+(`docs/theory/identification.md`, section 5).
 
-This module is not about what a hypothesis says, nor about pushes that contradict the others
-(`robust_fit`).
+What a hypothesis says stands in `hypotheses`, how the fits are averaged in `fit_average`, and what
+becomes of pushes that contradict the others in `robust_fit`.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,10 +15,12 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from scipy.special import logsumexp, softmax
+from scipy.special import logsumexp
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.center_of_mass import CenterOfMass
+from gridpush_drake.identification.fit_average import Candidate, MapEnsembleFit, average_fits
 from gridpush_drake.identification.hypotheses import (
     CENTER_STD,
     DEFAULT_HYPOTHESES,
@@ -29,16 +30,12 @@ from gridpush_drake.identification.hypotheses import (
     Setting,
     SmoothField,
 )
-from gridpush_drake.identification.map_fit import CenterOfMass, MapFit, fit_map, solve_factor
+from gridpush_drake.identification.linearized_fit import solve_factor
+from gridpush_drake.identification.map_fit import MapFit, fit_map
 from gridpush_drake.identification.noise import POSE, NoiseModel, NoiseScale
-from gridpush_drake.identification.posterior import CELLS, calc_share
+from gridpush_drake.identification.posterior import CELLS
 from gridpush_drake.identification.problem import Linearization, PushProblem
-from gridpush_drake.identification.result import (
-    FitStart,
-    HistoryEntry,
-    HypothesisEvidence,
-    IdentificationStatus,
-)
+from gridpush_drake.identification.result import FitStart, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
 
 FIRST_EVALUATIONS = 6
@@ -69,87 +66,6 @@ TILTED_FITS = 3
 
 TILTED_AMPLITUDE = 1.5
 """Fits from tilted loads are of the smooth field whose amplitude is nearest to this one."""
-
-SHARED_SHIFT = 0.3
-"""Fraction of the load's shift from push to push that all pushes may share, so that no number of
-pushes averages it out."""
-
-CAUTION = 2.0
-"""Where the spread of the parameters is calculated, the noise is taken for at least this many times
-as large as the pushes show it."""
-
-NEGLIGIBLE = 1e-3
-"""Fits whose share of the evidence is below this do not count for the spread."""
-
-TILT_RIDGE = 0.01
-"""Relative ridge that keeps a tilt finite where a corner lies beyond the centers of all cells; it
-takes off that much of the shift."""
-
-TILT_STEPS = 20
-"""Number of Newton steps by which a tilt is found."""
-
-MAX_TILT_STEP = 1.0
-"""Largest change of any cell's log k in one of these steps."""
-
-FITTING = "fitting"
-"""Name of the only stage of a fit in histories."""
-
-
-@dataclass(frozen=True, eq=False)
-class MapEnsembleFit:
-    """What the default identifier found.
-
-    Attributes:
-        z: (n+1,) log k and log mu_c.
-        covariance: (n+1, n+1) of z, over all fits.
-        prior_covariance: (n+1, n+1) of z before the pushes, averaged in the same way.
-        noise_std: standard deviation of what stays unexplained, per coordinate of the residual, m.
-        load_shift_std: standard deviation of the load's center per axis from push to push, m.
-        status: how it ended.
-        message: the status in a sentence.
-        starts: where each fit ended.
-        best: the most probable fit; None where there was nothing to fit.
-        interval_scale: factor on predicted intervals, see `Identification`.
-        hypotheses: evidence and weight of each fit, in the order of `starts`.
-    """
-
-    z: Array
-    covariance: Array
-    prior_covariance: Array
-    noise_std: float
-    load_shift_std: float
-    status: IdentificationStatus
-    message: str
-    starts: tuple[FitStart, ...] = ()
-    best: MapFit | None = None
-    interval_scale: float = 1.0
-    hypotheses: tuple[HypothesisEvidence, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One prior and its fit.
-
-    Attributes:
-        name: of the prior; the hypothesis' name, with a number where it proposed several.
-        hypothesis: which proposed the prior.
-        prior: the prior of z.
-        problem: the training pushes, with the cells' loads where the prior has them.
-        on_grid: whether the cells bear their loads at their own centers.
-        fit: the most probable z under the prior.
-    """
-
-    name: str
-    hypothesis: LoadHypothesis
-    prior: LoadPrior
-    problem: PushProblem
-    on_grid: bool
-    fit: MapFit
-
-    @property
-    def log_evidence(self) -> float:
-        """Log evidence of the fit, without the share that the prior has of it."""
-        return self.fit.log_evidence
 
 
 @dataclass(frozen=True)
@@ -240,7 +156,7 @@ class MapEnsemble:
                     linear=one.fit.linear,
                 )
                 candidates[i] = replace(one, fit=fit)
-        return self._average(problem, candidates)
+        return average_fits(problem, candidates, self.noise)
 
     def fit_field(
         self,
@@ -350,109 +266,6 @@ class MapEnsemble:
                 )
                 candidates.append(candidate)
         return candidates
-
-    def _average(self, problem: PushProblem, candidates: list[Candidate]) -> MapEnsembleFit:
-        """Averages the fits.
-
-        The spread is that of the mixture, and what the pushes say of each other is in it.
-        """
-        fits = [one.fit for one in candidates]
-        priors = [one.prior for one in candidates]
-        evidences = np.array(
-            [one.log_evidence + np.log(one.prior.evidence_share) for one in candidates]
-        )
-        leaning = evidences + np.log([prior.weight for prior in priors])
-        # Leaning on weak variation predicts better; it is no knowledge, and must not make the
-        # estimate look surer: the mean leans, the spread goes by evidence alone.
-        plausible = softmax(evidences)
-        weights = softmax(leaning)
-        groups = self._group(problem, candidates, leaning, weights)
-        z = _average_shares(
-            np.array([group.weight for group in groups]), [group.z for group in groups]
-        )
-        residuals = problem.residuals(z)
-        counted = np.flatnonzero(plausible > NEGLIGIBLE)
-        ratios = [fits[i].linearized.calc_end_errors(residuals) for i in counted]
-        kappa = self.noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
-        wider = max(kappa, 1.0)
-        surer = min(CAUTION * kappa, 1.0)
-        covariance, prior_covariance = np.zeros((2, len(z), len(z)))
-        for group in groups:
-            if not plausible[group.members].sum() > NEGLIGIBLE:
-                continue
-            off, T = _compare_shares(group.z, z)
-            for i in group.members:
-                d = fits[i].z - group.z if group.on_grid else np.zeros(len(z))
-                S = (
-                    fits[i].covariance
-                    if surer == 1.0
-                    else fits[i].linearized.scale_noise(surer).calc_covariance()
-                )
-                covariance += plausible[i] * (T @ (S + np.outer(d, d)) @ T.T + np.outer(off, off))
-                root = T @ priors[i].factor
-                prior_covariance += plausible[i] * (root @ root.T)
-        scale = NoiseScale(*(wider * weights @ np.array([fit.scale for fit in fits])).tolist())
-        noise = self.noise.scaled(scale)
-        best = int(np.argmax(weights))
-        status, message = _describe(priors[best])
-        shared = problem.calc_tilt_covariance(SHARED_SHIFT * surer * noise.load_shift)
-        return MapEnsembleFit(
-            z=z,
-            covariance=wider**2 * covariance + shared,
-            prior_covariance=wider**2 * prior_covariance,
-            noise_std=noise.pose,
-            load_shift_std=noise.load_shift,
-            status=status,
-            message=message,
-            starts=tuple(FitStart(one.fit.z, one.fit.scale, one.name) for one in candidates),
-            best=fits[best],
-            interval_scale=kappa / wider,
-            hypotheses=tuple(
-                HypothesisEvidence(
-                    name=one.name,
-                    log_evidence=float(evidence - evidences.max()),
-                    weight=float(weight),
-                )
-                for one, evidence, weight in zip(candidates, evidences, weights, strict=True)
-            ),
-        )
-
-    @staticmethod
-    def _group(
-        problem: PushProblem, candidates: list[Candidate], leaning: Array, weights: Array
-    ) -> list["_Group"]:
-        """Puts all fits on the grid into one group, and each of the others into one of its own."""
-        on_grid = np.flatnonzero([one.on_grid for one in candidates])
-        elsewhere = np.flatnonzero([not one.on_grid for one in candidates])
-        groups = []
-        if len(on_grid):
-            z = _average_shares(softmax(leaning[on_grid]), [candidates[i].fit.z for i in on_grid])
-            weight = 1 - float(weights[elsewhere].sum())
-            groups.append(_Group(z=z, weight=weight, members=on_grid, on_grid=True))
-        for i in elsewhere:
-            one = candidates[i]
-            z = _move_center(problem.obj.p_BC, one.fit.z, one.prior.p_BC)
-            groups.append(
-                _Group(z=z, weight=float(weights[i]), members=np.array([i]), on_grid=False)
-            )
-        return groups
-
-
-@dataclass(frozen=True, eq=False)
-class _Group:
-    """Fits whose loads are averaged directly.
-
-    Attributes:
-        z: (n+1,) their average, with loads on the grid.
-        weight: of the group in the whole average.
-        members: indices of the fits.
-        on_grid: whether they bear their loads at the cells' centers.
-    """
-
-    z: Array
-    weight: float
-    members: IntArray
-    on_grid: bool
 
 
 def _propose(hypothesis: LoadHypothesis, setting: Setting) -> list[tuple[str, LoadPrior]]:
@@ -590,17 +403,6 @@ def _hold_center(obj: GridObject) -> CenterOfMass:
     return CenterOfMass((x, y), CENTER_STD * obj.radius_of_gyration)
 
 
-def _describe(best: LoadPrior) -> tuple[IdentificationStatus, str]:
-    """Tells the status by the most probable prior, and says it in a sentence."""
-    if not best.stands_for_even:
-        return IdentificationStatus.LEARNED, "Learned from the pushes."
-    return (
-        IdentificationStatus.PRIOR_KEPT,
-        "The pushes are explained best by an almost even object; only the contact friction was "
-        "fitted freely.",
-    )
-
-
 def tilt_loads(obj: GridObject, z0: Array) -> list[Array]:
     """Makes points whose loads grow exponentially across the object, each in another direction.
 
@@ -623,101 +425,3 @@ def tilt_loads(obj: GridObject, z0: Array) -> list[Array]:
             z[CELLS] += logsumexp(z0[CELLS]) - logsumexp(z[CELLS])
             tilted.append(z)
     return tilted
-
-
-def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
-    """Carries loads at given points over to the cells, so that their center stays where it is.
-
-    The loads are tilted, exponentially along a direction b: x_i exp(b . arm_i). Newton's method
-    finds the b for which the tilted loads' arms sum up to nothing.
-
-    Args:
-        p_BC: (n, 2) the cells' centers, m.
-        z: (n+1,) log loads and log mu_c.
-        p_loads: (n, 2) points at which the loads are, m.
-
-    Returns:
-        (n+1,) z of the cells.
-    """
-    x = calc_share(z)
-    arm = p_BC - x @ p_loads
-    if len(x) == 1:
-        return z
-    ridge = TILT_RIDGE * float((p_BC.var(axis=0)).sum()) * np.eye(2)
-    b = np.zeros(2)
-    for _ in range(TILT_STEPS):
-        w = x * np.exp(arm @ b - (arm @ b).max())
-        w /= w.sum()
-        mean = w @ arm
-        hessian = (arm * w[:, None]).T @ arm - np.outer(mean, mean) + ridge
-        step = -np.linalg.solve(hessian, mean + ridge @ b)
-        b += step / max(1.0, float(np.abs(arm @ step).max()) / MAX_TILT_STEP)
-    moved = z.copy()
-    moved[CELLS] += arm @ b
-    return moved
-
-
-def _average_shares(weights: Array, z: list[Array]) -> Array:
-    """Averages points z, each (n+1,): their shares, their common scale, and log mu_c."""
-    values = np.array(z)
-    level = logsumexp(values[:, CELLS], axis=1)
-    average = np.asarray(weights @ values)
-    average[CELLS] = np.log(weights @ np.exp(values[:, CELLS] - level[:, None])) + weights @ level
-    return average
-
-
-def _compare_shares(z: Array, z0: Array) -> tuple[Array, Array]:
-    """Compares the shares of the loads at two points.
-
-    Args:
-        z: (n+1,) one point.
-        z0: (n+1,) the other.
-
-    Returns:
-        How far z is from z0 (n+1,): x/x0 - 1 of the shares, and the difference of log mu_c. And T
-        (n+1, n+1), the derivative of that by z, apart from the common scale.
-    """
-    ratio = calc_share(z) / calc_share(z0)
-    off = z - z0
-    T = np.eye(len(z))
-    off[CELLS] = ratio - 1
-    T[CELLS, CELLS] = np.diag(ratio) + np.outer(1 - ratio, calc_share(z))
-    return off, T
-
-
-class Tracker:
-    """Keeps the best loss so far, and tells whoever wants to know."""
-
-    def __init__(
-        self, problem: PushProblem, progress: Callable[[HistoryEntry], None] | None
-    ) -> None:
-        """Begins at nothing simulated."""
-        self.problem = problem
-        self.progress = progress
-        self.history: list[HistoryEntry] = []
-        self._first = 0
-
-    @property
-    def simulations(self) -> int:
-        """Pushes simulated, by the problem or by a search of its own."""
-        searched = self.history[-1].simulations if self.history else 0
-        return max(searched, self.problem.simulations)
-
-    def follow(self, problem: PushProblem) -> None:
-        """Goes on with a problem that does without what was refused, whose losses begin anew."""
-        self.problem = problem
-        self._first = len(self.history)
-
-    def report(self, z: Array, linear: Linearization) -> None:
-        """Notes where a fit is."""
-        loss = float(self.problem.calc_cell_errors(linear.residuals).mean())
-        before = [entry.loss for entry in self.history[self._first :][-1:]]
-        best = min([loss, *before])
-        entry = HistoryEntry(simulations=self.problem.simulations, loss=best, stage=FITTING)
-        self.add(entry)
-
-    def add(self, entry: HistoryEntry) -> None:
-        """Notes an entry."""
-        self.history.append(entry)
-        if self.progress is not None:
-            self.progress(entry)

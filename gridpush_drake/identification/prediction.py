@@ -14,7 +14,7 @@ from scipy.stats import f
 
 from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
 from gridpush_drake.geometry.se2 import Array, wrap_angle
-from gridpush_drake.identification.map_fit import CenterOfMass
+from gridpush_drake.identification.center_of_mass import CenterOfMass
 from gridpush_drake.identification.noise import NORMAL
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem, TimedPush, resolve_physics

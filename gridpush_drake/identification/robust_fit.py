@@ -9,13 +9,17 @@ How one fit is made is in `map_ensemble` and `map_fit`; what makes a pose or a p
 `outliers`. This module only decides what is fitted next.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
-from gridpush_drake.identification.map_fit import CenterOfMass, LinearizedFit, MapFit
+from gridpush_drake.identification.center_of_mass import CenterOfMass
+from gridpush_drake.identification.fit_average import MapEnsembleFit
+from gridpush_drake.identification.linearized_fit import LinearizedFit
+from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.map_fit import MapFit, fit_without
 from gridpush_drake.identification.noise import NoiseScale
 from gridpush_drake.identification.outliers import (
     SUSPECT_ODDS,
@@ -23,8 +27,11 @@ from gridpush_drake.identification.outliers import (
     Screening,
     calc_outlier_odds,
 )
-from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.result import FitStart
+from gridpush_drake.identification.problem import Linearization, PushProblem
+from gridpush_drake.identification.result import FitStart, HistoryEntry
+
+FITTING = "fitting"
+"""Name of the only stage of a fit in histories."""
 
 MAX_TRIALS = 2
 """Number of suspected pushes without which the log is fitted, before the log is taken as it is."""
@@ -41,6 +48,50 @@ MAJORITY_TRIALS = 16
 
 MAJORITY_PUSHES = 3
 """Number of pushes in each of these sets."""
+
+
+class Tracker:
+    """Keeps the history of the fits to a log, and tells of each step whoever wants to know.
+
+    Attributes:
+        problem: the pushes that are fitted now.
+        progress: is called with each entry of the history; None for nobody.
+        history: the entries so far. Their loss is the least one of the present fit to this step.
+    """
+
+    def __init__(
+        self, problem: PushProblem, progress: Callable[[HistoryEntry], None] | None
+    ) -> None:
+        """Begins at nothing simulated."""
+        self.problem = problem
+        self.progress = progress
+        self.history: list[HistoryEntry] = []
+        self._first = 0
+
+    @property
+    def simulations(self) -> int:
+        """Pushes simulated, by the problem or by a search of its own."""
+        searched = self.history[-1].simulations if self.history else 0
+        return max(searched, self.problem.simulations)
+
+    def follow(self, problem: PushProblem) -> None:
+        """Goes on with a problem that does without what was refused, whose losses begin anew."""
+        self.problem = problem
+        self._first = len(self.history)
+
+    def report(self, z: Array, linear: Linearization) -> None:
+        """Notes where a fit is."""
+        loss = float(self.problem.calc_cell_errors(linear.residuals).mean())
+        before = [entry.loss for entry in self.history[self._first :][-1:]]
+        best = min([loss, *before])
+        entry = HistoryEntry(simulations=self.problem.simulations, loss=best, stage=FITTING)
+        self.add(entry)
+
+    def add(self, entry: HistoryEntry) -> None:
+        """Notes an entry."""
+        self.history.append(entry)
+        if self.progress is not None:
+            self.progress(entry)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +242,7 @@ def refuse_worst_push(
     odds = [calc_outlier_odds(seen, travel) for seen, travel in zip(left_out, travels, strict=True)]
     suspects = [int(i) for i in np.argsort(odds)[::-1] if odds[i] > SUSPECT_ODDS]
     for i in suspects[: min(screened.may_refuse, MAX_TRIALS)]:
-        if calc_outlier_odds(fit.fit_without(i), travels[i]) > 0:
+        if calc_outlier_odds(fit_without(fit, i), travels[i]) > 0:
             return screened.refuse_push(i)
     return screened
 

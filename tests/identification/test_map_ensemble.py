@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench.protocol import make_case, make_protocol
-from gridpush_drake.identification import map_ensemble
+from gridpush_drake.identification import fit_average
+from gridpush_drake.identification.center_of_mass import CenterOfMass
+from gridpush_drake.identification.fit_average import (
+    SHARED_SHIFT,
+    MapEnsembleFit,
+    _average_shares,
+    _compare_shares,
+    _move_center,
+)
 from gridpush_drake.identification.hypotheses import (
     AMPLITUDES,
     CENTER_STD,
@@ -18,15 +26,7 @@ from gridpush_drake.identification.hypotheses import (
 )
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.load_modes import find_corners
-from gridpush_drake.identification.map_ensemble import (
-    SHARED_SHIFT,
-    MapEnsemble,
-    MapEnsembleFit,
-    _average_shares,
-    _compare_shares,
-    _move_center,
-)
-from gridpush_drake.identification.map_fit import CenterOfMass
+from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
@@ -205,14 +205,14 @@ def test_pushes_that_agree_make_surer_of_what_none_shows_but_by_half_as_much(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     obj, surer = fit_pokes(False)
-    monkeypatch.setattr(map_ensemble, "CAUTION", np.inf)
+    monkeypatch.setattr(fit_average, "CAUTION", np.inf)
     _, cautious = fit_pokes(False)
     np.testing.assert_array_equal(surer.z, cautious.z)
     assert surer.interval_scale == cautious.interval_scale < 1 / 2
     assert (
         (2 * surer.interval_scale) ** 2 < calc_region(obj, surer) / calc_region(obj, cautious) < 0.9
     )
-    monkeypatch.setattr(map_ensemble, "CAUTION", 1.0)
+    monkeypatch.setattr(fit_average, "CAUTION", 1.0)
     assert calc_region(*fit_pokes(False)) < 0.9 * calc_region(obj, surer)
 
 
