@@ -15,14 +15,9 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import (
-    DetectedObject,
-    DetectorOptions,
-    cover_pixels,
-    detect_object,
-    find_off_table,
-)
+from gridpush_drake.perception.detection import DetectedObject, DetectorOptions, detect_object
 from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.table_view import cover_pixels, find_off_table
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.object_pose_estimator import RgbdInputs
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD

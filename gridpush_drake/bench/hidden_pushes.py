@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import Point, Polygon
 
 from gridpush_drake.bench.plant import draw_push
@@ -25,9 +24,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception import Camera, Frame, PoseTracker
 from gridpush_drake.perception.foresight import make_expectation
+from gridpush_drake.perception.frames import Mask
 from gridpush_drake.perception.look_alikes import Expectation
-
-Mask = NDArray[np.bool_]
 
 KINDS = ("wrench", "plate", "square")
 """Kinds of outlines that are generated."""

@@ -25,13 +25,12 @@ import numpy as np
 
 from gridpush_drake.bench.mujoco_plant import MujocoPlant
 from gridpush_drake.bench.plant import PlantWorld
-from gridpush_drake.bench.real import (
+from gridpush_drake.bench.real import CMU_RHO, calc_splits_mean
+from gridpush_drake.bench.real_logs import (
     CMU,
-    CMU_RHO,
     MIT,
     PUSHES,
     SIMULATED,
-    calc_splits_mean,
     find_push_logs,
     name_logs,
     simulate_log,

@@ -38,9 +38,8 @@ from gridpush_drake.bench.rendered_table import FAR, NEAR, SHADOW_MAP, make_over
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception import Camera, Frame
 from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE
-from gridpush_drake.perception.frames import MILLIMETERS
+from gridpush_drake.perception.frames import MILLIMETERS, Mask
 
-Mask = NDArray[np.bool_]
 Image = NDArray[np.float32]
 Half = str
 """Which half a photograph is of: "tuning" or "reporting"."""

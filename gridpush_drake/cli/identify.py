@@ -16,7 +16,7 @@ from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.prediction import calc_training_errors, doubt_center, doubt_fit
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.identification.weighed_model import weigh_model
-from gridpush_drake.pushes.plausibility import explain_no_contact
+from gridpush_drake.pushes.misplaced import explain_no_contact
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import WeighingLog
 from gridpush_drake.report.page import make_report

@@ -25,7 +25,7 @@ from gridpush_drake.identification.prediction import (
 )
 from gridpush_drake.identification.prediction import predict as predict_log
 from gridpush_drake.identification.problem import resolve_physics
-from gridpush_drake.pushes.plausibility import explain_no_contact
+from gridpush_drake.pushes.misplaced import explain_no_contact
 
 COLUMNS = ("push", "x", "y", "theta")
 """Header of the file that is written: a push's name and the object's final pose, world frame, m,

@@ -24,7 +24,8 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from gridpush_drake.geometry.se2 import Array, IntArray
-from gridpush_drake.identification.hypotheses import LoadHypothesis, LoadPrior
+from gridpush_drake.identification.hypotheses import LoadHypothesis
+from gridpush_drake.identification.load_prior import LoadPrior
 from gridpush_drake.identification.map_fit import MapFit
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import CELLS, calc_share

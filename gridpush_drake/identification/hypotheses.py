@@ -31,29 +31,24 @@ A further hypothesis is a class with the attributes and the method of `LoadHypot
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import block_diag, solve_triangular
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.load_modes import (
     calc_radius_mode,
     find_corners,
     find_cuts,
     find_rings,
 )
-from gridpush_drake.identification.posterior import CELLS
-from gridpush_drake.objects.grid_object import GridObject
-
-RANGE_CELLS = 4.0
-"""Distance, in cells, at which the log-frictions of two cells are nearly independent."""
-
-KAPPA_RANGE = 8.0**0.5
-"""kappa times the correlation range of the Matérn field of smoothness one (Lindgren, Rue and
-Lindström 2011, section 2)."""
+from gridpush_drake.identification.load_prior import (
+    RANGE_CELLS,
+    LoadPrior,
+    Setting,
+    calc_prior_factor,
+)
+from gridpush_drake.identification.mode_choice import propose_modes
 
 AMPLITUDES = (0.05, 0.3, 0.7, 1.5, 3.0, 6.0)
 """Standard deviations of log k of the shipped smooth fields; the first is an almost even object."""
@@ -69,85 +64,6 @@ talk the model out of an even object."""
 CENTER_STD = 0.6
 """Standard deviation per axis of the center of friction about the cells' centroid where nothing is
 known of the center of mass, in radii of gyration."""
-
-ALIKE = 0.8
-"""Two cuts whose h are correlated by more than this are alike, and only the better one is
-fitted."""
-
-
-@dataclass(frozen=True, eq=False)
-class LoadPrior:
-    """One normal prior of z, z ~ N(mean, factor factor^T), as a hypothesis proposes it.
-
-    Attributes:
-        mean: (n+1,) prior mean of z.
-        factor: (n+1, n+1) lower triangular factor of the prior covariance of z.
-        weight: prior weight, relative to those of all other priors.
-        p_BC: (n, 2) points at which the cells bear their loads, m, body frame; the object's own
-            `p_BC` itself where they bear them at their centers.
-        evidence_share: factor on the evidence of this prior's fit. It is less than 1 where the
-            prior is the best one of many that were tried.
-        start: (n+1,) z at which the fit begins; None for the prior mean.
-        stands_for_even: whether the prior describes an almost even object.
-    """
-
-    mean: Array
-    factor: Array
-    weight: float
-    p_BC: Array
-    evidence_share: float = 1.0
-    start: Array | None = None
-    stands_for_even: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class LinearizedPushes:
-    """Pushes to first order about the prior mean z_0: r = residuals + J (z - z_0) ~ N(0, I).
-
-    Attributes:
-        residuals: (R,) whitened residuals at z_0.
-        J: (R, n+1) their derivatives by z.
-        known: how many of the residuals, the last ones, are prior knowledge of the center of mass
-            and no evidence.
-    """
-
-    residuals: Array
-    J: Array
-    known: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What every hypothesis is told when it proposes its priors.
-
-    Attributes:
-        obj: the object.
-        z0: (n+1,) z of the even object, log k_0 and log mu_c.
-        log_contact_friction_std: prior standard deviation of log mu_c.
-        pushes: the training pushes to first order, for hypotheses that ask for them
-            (`LoadHypothesis.needs_pushes`); else None.
-    """
-
-    obj: GridObject
-    z0: Array
-    log_contact_friction_std: float
-    pushes: LinearizedPushes | None = None
-
-    @cached_property
-    def _covariances(self) -> dict[float, Array]:
-        return {}
-
-    def calc_smooth_covariance(self, range_cells: float) -> Array:
-        """C (n, n) of a correlation range in cells; it is calculated once."""
-        if range_cells not in self._covariances:
-            self._covariances[range_cells] = calc_smooth_covariance(self.obj, range_cells)
-        return self._covariances[range_cells]
-
-    def with_pushes(self, pushes: LinearizedPushes) -> "Setting":
-        """Makes this setting one with the training pushes to first order."""
-        setting = Setting(self.obj, self.z0, self.log_contact_friction_std, pushes)
-        setting._covariances.update(self._covariances)
-        return setting
 
 
 class LoadHypothesis(Protocol):
@@ -420,146 +336,3 @@ DEFAULT_HYPOTHESES: tuple[LoadHypothesis, ...] = (
     Ring(),
 )
 """The hypotheses that `identify` weighs unless it is told others."""
-
-
-def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) -> Array:
-    """Calculates C of a smooth field: C^-1 ~ (L + kappa² I)², L the graph Laplacian of the cells.
-
-    Args:
-        obj: the object.
-        range_cells: correlation range, cells.
-
-    Returns:
-        (n, n) covariance, of unit mean variance.
-    """
-    i, j = obj.adjacency.T
-    L = np.zeros((obj.n, obj.n))
-    np.add.at(L, (i, i), 1.0)
-    np.add.at(L, (j, j), 1.0)
-    L[i, j] = L[j, i] = -1.0
-    root = np.linalg.inv(L + KAPPA_RANGE**2 / range_cells**2 * np.eye(obj.n))
-    C = root @ root
-    return C / np.diag(C).mean()
-
-
-def calc_prior_factor(C: Array, amplitude: float, log_contact_friction_std: float) -> Array:
-    """Cholesky factor (n+1, n+1) of blockdiag(a² C, sigma²), the prior covariance of z."""
-    return np.asarray(
-        block_diag(amplitude * np.linalg.cholesky(C), np.diag([log_contact_friction_std]))
-    )
-
-
-def propose_modes(
-    setting: Setting,
-    modes: Array,
-    *,
-    weight: float,
-    mode_std: float,
-    amplitude: float,
-    range_cells: float,
-    most: int,
-) -> list[LoadPrior]:
-    """Proposes those of many modes h that explain the pushes best to first order, no two alike.
-
-    The prior with a mode is log k ~ N(log k_0, amplitude² C + mode_std² h h^T).
-
-    Args:
-        setting: the object, with the training pushes.
-        modes: (modes, n) h of each; there may be none.
-        weight: prior weight of all modes together.
-        mode_std: standard deviation of log k along h.
-        amplitude: standard deviation of log k beside it.
-        range_cells: correlation range beside it, cells.
-        most: how many modes are proposed at most.
-
-    Returns:
-        One prior a mode, the best one first.
-    """
-    assert setting.pushes is not None
-    pushes = reduce_rows(setting.pushes)
-    residuals = pushes.residuals
-    J = pushes.J
-    known = pushes.known
-    C = setting.calc_smooth_covariance(range_cells)
-    within = block_diag(amplitude**2 * C, setting.log_contact_friction_std**2)
-    log_evidence = calc_cut_evidence(modes, mode_std, within, residuals, J)
-    if known:  # what is told of the center of mass is no evidence for a mode
-        told = slice(-known, None)
-        log_evidence -= calc_cut_evidence(modes, mode_std, within, residuals[told], J[told])
-    left = np.ones(len(modes), dtype=bool)
-    found: list[LoadPrior] = []
-    while left.any() and len(found) < most:
-        best = int(np.argmax(np.where(left, log_evidence, -np.inf)))
-        alike = left & (_correlate(modes, modes[best]) > ALIKE)
-        covariance = within[CELLS, CELLS] + mode_std**2 * np.outer(modes[best], modes[best])
-        A = calc_prior_factor(covariance, 1.0, setting.log_contact_friction_std)
-        # Where the linear pushes put z under this prior is where its fit begins.
-        B = J @ A
-        u = -B.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, residuals)
-        # The evidence of this mode stands for the average over all modes, to which those like it
-        # contribute as much less as they are less probable.
-        share = float(np.exp(log_evidence[alike] - log_evidence[best]).sum() / len(modes))
-        found.append(
-            LoadPrior(
-                mean=setting.z0,
-                factor=A,
-                weight=weight,
-                p_BC=setting.obj.p_BC,
-                evidence_share=share,
-                start=setting.z0 + A @ u,
-            )
-        )
-        left &= ~alike
-    return found
-
-
-def reduce_rows(pushes: LinearizedPushes) -> LinearizedPushes:
-    """Says what pushes say in no more rows than there are unknowns, by a QR factorization.
-
-    Every normal prior of z has the same evidence and the same optimum with both, but for a constant
-    that all priors share.
-    """
-    residuals = pushes.residuals
-    J = pushes.J
-    known = pushes.known
-    if len(residuals) <= J.shape[1]:
-        return pushes
-    seen = len(residuals) - known
-    stacked = np.column_stack([J[:seen], residuals[:seen]])
-    rotated = np.asarray(np.linalg.qr(stacked, mode="r"))
-    return LinearizedPushes(
-        residuals=np.append(rotated[:, -1], residuals[seen:]),
-        J=np.vstack([rotated[:, :-1], J[seen:]]),
-        known=known,
-    )
-
-
-def calc_cut_evidence(
-    cuts: Array, part_std: float, within: Array, residuals: Array, J: Array
-) -> Array:
-    """Calculates how much more the pushes speak for each cut than for none, to first order.
-
-    A cut adds one rank to the prior covariance (section 5 of the theory).
-
-    Args:
-        cuts: (cuts, n) h of each.
-        part_std: sigma_p.
-        within: (n+1, n+1) prior covariance of z without a cut.
-        residuals: (R,) at z_0, whitened.
-        J: (R, n+1) their derivatives by z.
-
-    Returns:
-        (cuts,) log evidence of each cut, less that of no cut.
-    """
-    L = np.linalg.cholesky(np.eye(len(residuals)) + J @ within @ J.T)
-    r = solve_triangular(L, residuals, lower=True)
-    g = part_std * solve_triangular(L, J[:, CELLS] @ cuts.T, lower=True)
-    size2 = 1 + (g * g).sum(axis=0)
-    return np.asarray(0.5 * ((r @ g) ** 2 / size2 - np.log(size2)))
-
-
-def _correlate(cuts: Array, cut: Array) -> Array:
-    """Absolute correlation (cuts,) of each cut with one of them."""
-    a = cuts - cuts.mean(axis=1, keepdims=True)
-    b = cut - cut.mean()
-    return np.asarray(np.abs(a @ b) / np.sqrt((a * a).sum(axis=1) * (b @ b)))

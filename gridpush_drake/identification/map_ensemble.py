@@ -24,13 +24,11 @@ from gridpush_drake.identification.fit_average import Candidate, MapEnsembleFit,
 from gridpush_drake.identification.hypotheses import (
     CENTER_STD,
     DEFAULT_HYPOTHESES,
-    LinearizedPushes,
     LoadHypothesis,
-    LoadPrior,
-    Setting,
     SmoothField,
 )
 from gridpush_drake.identification.linearized_fit import solve_factor
+from gridpush_drake.identification.load_prior import LinearizedPushes, LoadPrior, Setting
 from gridpush_drake.identification.map_fit import MapFit, fit_map
 from gridpush_drake.identification.noise import POSE, NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import CELLS

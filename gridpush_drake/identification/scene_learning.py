@@ -31,7 +31,8 @@ from gridpush_drake.dynamics.scene.motion import SceneJacobian, SceneMotion
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array, IntArray
-from gridpush_drake.identification.hypotheses import WEAKNESS, calc_smooth_covariance
+from gridpush_drake.identification.hypotheses import WEAKNESS
+from gridpush_drake.identification.load_prior import calc_smooth_covariance
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.identification.prior_fit import fit_with_prior
 from gridpush_drake.objects.grid_object import GridObject

@@ -2,9 +2,9 @@
 
 Several of them are found by `several_detection`.
 
-Which pixels are no table is found in `foreground`, and what is measured of those that show the
-object in `measuring`. An object that is known is followed in `tracking`. The theory is in
-docs/theory/perception.md, section 2.
+Where the table is in the picture is found in `table_view`, which pixels are no table in
+`foreground`, and what is measured of those that show the object in `measuring`. An object that is
+known is followed in `tracking`. The theory is in docs/theory/perception.md, section 2.
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from shapely import MultiPolygon, Polygon
-from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import (
-    CameraError,
     NoObjectError,
     NoTableError,
     ObjectAtBorderError,
@@ -41,7 +39,7 @@ from gridpush_drake.perception.foreground import (
     keep_largest,
     refine_boundary,
 )
-from gridpush_drake.perception.frames import Color, Depth
+from gridpush_drake.perception.frames import Color, Depth, Mask
 from gridpush_drake.perception.hints import (
     ObjectHint,
     choose_by_click,
@@ -50,15 +48,9 @@ from gridpush_drake.perception.hints import (
     join_pieces,
 )
 from gridpush_drake.perception.joint_foreground import find_jointly
-from gridpush_drake.perception.measuring import (
-    PIXEL_MIDDLE,
-    cast_outline,
-    find_height,
-    find_parts,
-)
-from gridpush_drake.perception.table_plane import TablePlane, fit_table
-
-Mask = NDArray[np.bool_]
+from gridpush_drake.perception.measuring import PIXEL_MIDDLE, cast_outline, find_height, find_parts
+from gridpush_drake.perception.table_plane import TablePlane
+from gridpush_drake.perception.table_view import PAINTED, look_at_table
 
 BORDER = 2
 """Width of the strip along the picture's border that the object must not touch, pixels: beyond it,
@@ -72,26 +64,12 @@ MAX_TABLE_DEVIATION = 8.0
 """Largest standard deviation of a table's color without depth, units of CIE L*a*b*; what varies
 more is taken for no table."""
 
-MAX_TILT = np.radians(10)
-"""Largest angle between the table seen in depth and the plane z = 0 by X_WC, rad; beyond it, X_WC
-is taken to be wrong."""
-
-MAX_SHIFT = 0.05
-"""Largest distance between the table seen in depth and the plane z = 0 by X_WC, m; beyond it, X_WC
-is taken to be wrong."""
 
 OUTLINE_SMOOTHING = 0.5
 """Standard deviation of the blur of the coverage before the outline is traced, pixels."""
 
 CLOSE_UP_ROOM = 0.2
 """Room about an object in its close-up, as a part of the object's longer side."""
-
-PAINTED = -1.0
-"""Depth where the table was painted over what hides it, m: neither measured nor missing."""
-
-TABLE_SHARE = 75
-"""Percentage of the pixels seen, those nearest to the median color, that is taken for table when
-something is painted over."""
 
 
 @dataclass(frozen=True)
@@ -333,99 +311,6 @@ def measure_object(
         doubtful=doubtful,
         crowded=crowded,
     )
-
-
-def look_at_table(
-    color: Color, depth: Depth | None, camera: Camera
-) -> tuple[Color, Depth | None, TablePlane | None, Camera]:
-    """Takes the distortion out of both images and fits the table.
-
-    Returns:
-        Color and depth, undistorted; the table, None without depth; and the camera with X_WC.
-
-    Raises:
-        ImageError, CameraError, NoTableError: as `detect_object`.
-    """
-    camera.check_size(color, "the color image")
-    color = camera.undistort(color)
-    if depth is None:
-        if camera.X_WC is None:
-            raise CameraError(
-                "X_WC is not known and there is no depth image; expected one of the two"
-            )
-        # Without depth nothing else than X_WC tells where the table is.
-        if not np.isfinite(camera.cast(camera.K[:2, 2])).all():
-            raise NoTableError(
-                "the camera looks past the table; expected X_WC in its file with the table at z = 0"
-                " and the camera above, its z axis toward the table",
-                color,
-            )
-        return color, None, None, camera
-    camera.check_size(depth, "the depth image")
-    depth = camera.undistort(depth)
-    plane = fit_table(depth, camera.undistorted, color)
-    if camera.X_WC is None:
-        return color, depth, plane, camera.with_pose(plane.make_pose(camera))
-
-    # Where both tell it, they must agree: a camera that was moved gives wrong places silently.
-    tilt = np.arccos(np.clip(plane.normal @ camera.X_WC[2, :3], -1, 1))
-    shift = plane.offset - camera.X_WC[2, 3]
-    if tilt > MAX_TILT or abs(shift) > MAX_SHIFT:
-        raise NoTableError(
-            f"the table in depth is tilted by {np.degrees(tilt):.0f} degrees and shifted by"
-            f" {shift:.3f} m from z = 0 of X_WC; expected them to agree",
-            color,
-        )
-    return color, depth, plane, camera
-
-
-def cover_pixels(
-    color: Color, depth: Depth | None, unseen: Mask, seed: int
-) -> tuple[Color, Depth | None]:
-    """Paints the table over what is not to be looked at, such as the arm.
-
-    Args:
-        color: (height, width, 3) uint8.
-        depth: (height, width), m; None without a depth camera.
-        unseen: (height, width) bool, pixels that say nothing; most of the others show the table.
-        seed: seed of the choice among the table's colors, which are the most common ones.
-
-    Returns:
-        New images; depth is PAINTED there. The very ones that were given where nothing is unseen.
-
-    Raises:
-        NoTableError: nothing is left to be looked at.
-    """
-    if not unseen.any():
-        return color, depth
-    seen = color[~unseen]
-    if not len(seen):
-        raise NoTableError("the robot hides all of the picture; expected a table in view", color)
-    # The colors nearest to the median are the table's. Each pixel gets one of them and not their
-    # mean, so that what is painted has the table's own noise.
-    off = np.abs(seen - np.median(seen, axis=0)).max(axis=1)
-    table = seen[off <= np.percentile(off, TABLE_SHARE)]
-    covered = color.copy()
-    covered[unseen] = np.random.default_rng(seed).choice(table, int(unseen.sum()))
-    if depth is None:
-        return covered, None
-    return covered, np.where(unseen, np.float32(PAINTED), depth)
-
-
-def find_off_table(camera: Camera, table_top: BaseGeometry) -> Mask:
-    """Finds the pixels whose rays do not meet the table's top.
-
-    Args:
-        camera: camera with X_WC.
-        table_top: polygon of the table's top at z = 0, W, m.
-
-    Returns:
-        (height, width) bool, True where the table is not.
-    """
-    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    xy = camera.cast(np.stack([columns, rows], axis=-1))
-    on_table = shapely.contains_xy(table_top, xy[..., 0], xy[..., 1])
-    return ~np.asarray(on_table)
 
 
 def _find_pixels(

@@ -2,14 +2,12 @@
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely import Polygon
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.frames import Color
-
-Mask = NDArray[np.bool_]
+from gridpush_drake.perception.frames import Color, Mask
 
 GREEN = (0, 255, 0)
 """Color of an object's outline, of its top and of its body frame's y axis in pictures."""

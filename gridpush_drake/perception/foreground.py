@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.perception.frames import Color
+from gridpush_drake.perception.frames import Color, Mask
 from gridpush_drake.perception.pixel_kernels import (
     BLOCK,
     ColorLevel,
@@ -34,7 +34,6 @@ from gridpush_drake.perception.pixel_kernels import (
 from gridpush_drake.perception.table_plane import TO_DEVIATION, TablePlane, make_basis
 
 Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 Cues = Literal["both", "color", "depth"]
 
 LIGHT_WEIGHT = 0.6

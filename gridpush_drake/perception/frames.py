@@ -19,7 +19,13 @@ from gridpush_drake.files import MEGABYTE, is_file, read_bytes, read_text, write
 from gridpush_drake.perception.camera import Camera
 
 Color = NDArray[np.uint8]
+"""A color image (height, width, 3): red, green, blue."""
+
 Depth = NDArray[np.float32]
+"""A depth image (height, width), m; 0 where it was not measured."""
+
+Mask = NDArray[np.bool_]
+"""Which pixels (height, width) of an image are meant."""
 
 MAX_IMAGE_SIZE = 256 * MEGABYTE
 """Largest image file that is read, bytes; a larger one is refused before it fills the memory."""

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from gridpush_drake.errors import NoObjectError, PerceptionError
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.foreground import Foreground, Mask, fill_holes, keep_largest
-from gridpush_drake.perception.frames import Color
+from gridpush_drake.perception.foreground import Foreground, fill_holes, keep_largest
+from gridpush_drake.perception.frames import Color, Mask
 
 CLICK_RADIUS = 5
 """How far from the clicked pixel the object may begin, pixels: nobody clicks better than that."""

@@ -10,7 +10,6 @@ The theory is in docs/theory/perception.md, section 2.
 import cv2
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.polygon import orient
 
@@ -19,10 +18,8 @@ from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.foreground import keep_largest, to_lab
-from gridpush_drake.perception.frames import Color
+from gridpush_drake.perception.frames import Color, Mask
 from gridpush_drake.perception.table_plane import Heights
-
-Mask = NDArray[np.bool_]
 
 PIXEL_MIDDLE = 0.5
 """Distance from a pixel's upper left corner to its middle along each axis, pixels."""

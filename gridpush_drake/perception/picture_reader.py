@@ -15,7 +15,6 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import cover_pixels, find_off_table, look_at_table
 from gridpush_drake.perception.foreground import (
     Foreground,
     dilate,
@@ -26,11 +25,10 @@ from gridpush_drake.perception.foreground import (
     score_pixels,
     to_lab,
 )
-from gridpush_drake.perception.frames import Color, Frame
+from gridpush_drake.perception.frames import Color, Frame, Mask
 from gridpush_drake.perception.registration import View
 from gridpush_drake.perception.table_plane import TablePlane
-
-Mask = NDArray[np.bool_]
+from gridpush_drake.perception.table_view import cover_pixels, find_off_table, look_at_table
 
 CLEARANCE = 0.015
 """A pixel that is this much higher than the object's top shows something else, such as the arm,

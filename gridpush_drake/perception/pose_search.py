@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.frames import Mask
 from gridpush_drake.perception.pixel_kernels import HALF
 from gridpush_drake.perception.registration import Registration, View
-
-Mask = NDArray[np.bool_]
 
 MAX_PIECES = 4
 """A search everywhere tries this many pieces of the foreground, the largest first."""

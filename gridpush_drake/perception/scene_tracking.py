@@ -23,7 +23,7 @@ from gridpush_drake.errors import PerceptionError
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.drawing import draw_contours
-from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.frames import Frame, Mask
 from gridpush_drake.perception.look_alikes import Expectation
 from gridpush_drake.perception.picture_reader import Appearance, Picture, PictureReader
 from gridpush_drake.perception.tracking import (
@@ -32,8 +32,6 @@ from gridpush_drake.perception.tracking import (
     TrackerOptions,
     TrackerState,
 )
-
-Mask = NDArray[np.bool_]
 
 MARGIN = 2.0
 """A pixel says nothing of an object if another one is nearer, or farther by less than this, pixels:

@@ -28,7 +28,7 @@ from gridpush_drake.perception.detection import (
 )
 from gridpush_drake.perception.drawing import GREEN, draw_contours, draw_number, draw_outline
 from gridpush_drake.perception.foreground import dilate, keep_largest, refine_boundary
-from gridpush_drake.perception.frames import Color, Depth
+from gridpush_drake.perception.frames import Color, Depth, Mask
 from gridpush_drake.perception.joint_foreground import (
     MISSED,
     MISSED_GAP,
@@ -36,8 +36,6 @@ from gridpush_drake.perception.joint_foreground import (
     SURE,
     find_jointly,
 )
-
-Mask = NDArray[np.bool_]
 
 OTHERS_MARGIN = 5
 """Width of the brush that widens what belongs to other objects while a boundary is drawn,

@@ -14,16 +14,12 @@ from shapely import Polygon
 from gridpush_drake.errors import CameraError, ObjectAtBorderError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import (
-    DetectedObject,
-    DetectorOptions,
-    cover_pixels,
-    detect_object,
-)
+from gridpush_drake.perception.detection import DetectedObject, DetectorOptions, detect_object
 from gridpush_drake.perception.foreground import find_foreground, remove_thin
 from gridpush_drake.perception.frames import Color
 from gridpush_drake.perception.hints import ObjectHint
 from gridpush_drake.perception.sheet import FoundSheet, list_corners
+from gridpush_drake.perception.table_view import cover_pixels
 
 MARGIN = 0.003
 """Width of the strip along the sheet's edge that is not looked at where the object lies on the

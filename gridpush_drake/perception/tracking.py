@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
@@ -29,7 +29,7 @@ from gridpush_drake.perception.answers import (
 )
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.drawing import draw_contours
-from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.frames import Frame, Mask
 from gridpush_drake.perception.look_alikes import (
     SAME,
     Expectation,
@@ -39,8 +39,6 @@ from gridpush_drake.perception.look_alikes import (
 from gridpush_drake.perception.picture_reader import Appearance, Picture, PictureReader
 from gridpush_drake.perception.pose_search import guess_nearby, guess_poses
 from gridpush_drake.perception.registration import Fit, Registration, View
-
-Mask = NDArray[np.bool_]
 
 WINDOW_MARGIN = 30
 """Room around the part of the picture that can hold the object in the next frame, pixels."""

@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench import gym
-from gridpush_drake.bench.gym import (
-    WEIGHTS,
-    choose_by_weights,
-    play_learned,
-    play_planner,
-    play_random,
-    train,
-)
+from gridpush_drake.bench.gym import play_learned, play_planner, play_random, train
+from gridpush_drake.bench.linear_player import WEIGHTS, choose_by_weights
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.gym import EnvironmentWorld, PushEnvironment, PushVectorEnvironment
 

@@ -15,7 +15,8 @@ from gridpush_drake.bench.jobs import Execution, check_known, run_jobs
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.planning import Decision, Run
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
-from gridpush_drake.bench.pregrasp.experiments import ExplorationScore, SlideScore, Trace
+from gridpush_drake.bench.pregrasp.exploring import ExplorationScore, Trace
+from gridpush_drake.bench.pregrasp.sliding import SlideScore
 from gridpush_drake.bench.pregrasp.world import Outcome
 from gridpush_drake.bench.results import open_results
 from gridpush_drake.errors import GridPushError, OutputError

@@ -5,16 +5,18 @@ import pytest
 
 from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
-from gridpush_drake.bench.pregrasp.experiments import (
+from gridpush_drake.bench.pregrasp.experiments import OBJECTS_OF_BENCH
+from gridpush_drake.bench.pregrasp.exploring import (
     ALONG,
     MAX_POKES,
-    OBJECTS_OF_BENCH,
-    SlideScore,
     explore,
-    load_bench_object,
-    make_table,
     tabulate_exploration,
     tabulate_exploration_by_object,
+)
+from gridpush_drake.bench.pregrasp.sliding import (
+    SlideScore,
+    load_bench_object,
+    make_table,
     tabulate_slides,
 )
 from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoEdgeWorld, Outcome

@@ -12,11 +12,9 @@ from gridpush_drake.bench.real import (
     UNIFORM,
     Job,
     calc_split_means,
-    find_push_logs,
-    name_logs,
     run_job,
-    simulate_log,
 )
+from gridpush_drake.bench.real_logs import find_push_logs, name_logs, simulate_log
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.object_file import find_shipped_object
 from tests.helpers.shared_data import shared_data

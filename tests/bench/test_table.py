@@ -7,7 +7,7 @@ from rich.console import Console
 from gridpush_drake.bench import drake, grasp, paper, planning, plant, real
 from gridpush_drake.bench.campaign import Episode
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
-from gridpush_drake.bench.pregrasp.experiments import AIMS, DISTANCES, ExplorationScore, Trace
+from gridpush_drake.bench.pregrasp.exploring import AIMS, DISTANCES, ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp.world import Outcome
 from gridpush_drake.bench.speed import measure, one_core
 from gridpush_drake.bench.table import Mean, Table

@@ -10,15 +10,10 @@ from scipy.stats import multivariate_normal
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.identification.hypotheses import (
-    ALIKE,
     DEFAULT_HYPOTHESES,
     Concentrated,
-    LinearizedPushes,
     Ring,
-    Setting,
     TwoParts,
-    calc_cut_evidence,
-    calc_smooth_covariance,
 )
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.load_modes import (
@@ -30,7 +25,13 @@ from gridpush_drake.identification.load_modes import (
     find_cuts,
     find_rings,
 )
+from gridpush_drake.identification.load_prior import (
+    LinearizedPushes,
+    Setting,
+    calc_smooth_covariance,
+)
 from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.mode_choice import ALIKE, calc_cut_evidence
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape

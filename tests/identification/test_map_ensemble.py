@@ -19,13 +19,12 @@ from gridpush_drake.identification.hypotheses import (
     AMPLITUDES,
     CENTER_STD,
     DEFAULT_HYPOTHESES,
-    LoadPrior,
     RigidBottom,
     SmoothField,
-    calc_prior_factor,
 )
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.load_modes import find_corners
+from gridpush_drake.identification.load_prior import LoadPrior, calc_prior_factor
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.prediction import calc_mean_cell_error

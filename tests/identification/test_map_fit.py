@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from gridpush_drake.identification.center_of_mass import FRICTION_STD, CenterOfMass
-from gridpush_drake.identification.hypotheses import calc_prior_factor, calc_smooth_covariance
+from gridpush_drake.identification.load_prior import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_fit import MapFit, fit_map
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
 from gridpush_drake.identification.problem import PushProblem

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.identification.hypotheses import calc_smooth_covariance
+from gridpush_drake.identification.load_prior import calc_smooth_covariance
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.objects.parameters import CellParameters

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.hypotheses import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.learning import describe_prior, identify
+from gridpush_drake.identification.load_prior import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.map_fit import fit_map
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale

@@ -15,13 +15,13 @@ from gridpush_drake.errors import (
 )
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.perception import Camera, DetectorOptions, detect_object, read_color, read_depth
-from gridpush_drake.perception.detection import cover_pixels
 from gridpush_drake.perception.foreground import (
     Foreground,
     fill_holes,
     find_foreground,
     refine_boundary,
 )
+from gridpush_drake.perception.table_view import cover_pixels
 from tests.helpers.pictures import calc_outline_error, cover, make_camera, paint
 from tests.helpers.shared_data import shared_data
 

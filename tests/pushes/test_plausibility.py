@@ -18,8 +18,9 @@ from gridpush_drake.objects.object_file import find_shipped_object, list_shipped
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.importers.mit import MitImporter
+from gridpush_drake.pushes.misplaced import explain_no_contact
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
-from gridpush_drake.pushes.plausibility import check_plausible, explain_no_contact, find_implausible
+from gridpush_drake.pushes.plausibility import check_plausible, find_implausible
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.made_identifications import make_block
 from tests.helpers.shared_data import shared_data

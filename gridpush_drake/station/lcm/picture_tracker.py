@@ -23,8 +23,9 @@ from pydrake.systems.framework import DiagramBuilder
 from gridpush_drake.errors import GridPushError, PerceptionError
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.perception.detection import DetectedObject, find_off_table
+from gridpush_drake.perception.detection import DetectedObject
 from gridpush_drake.perception.frames import MILLIMETERS, Frame
+from gridpush_drake.perception.table_view import find_off_table
 from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.station.camera import LIVE, AddRgbdCamera
 from gridpush_drake.station.lcm.bus import Bus
