@@ -1,6 +1,6 @@
 """Logs for `gridpush bench real`: those of real robots below a folder, or simulated ones.
 
-Real logs are public data of other people. Simulated ones stand in where there are none: masks and
+Real logs are public data of other people. Simulated ones stand in where there are none: masses and
 frictions are hidden, drawn by part, every push begins at a random place of the outline, and the
 object is seen with noise at the push's beginning and end.
 """

@@ -169,8 +169,8 @@ def _find_intrinsics(tags: TagBoard, folder: Path, out: Path, force: bool, json:
         print_notice(f"Too few tags in {', '.join(found.unused)}; left out.")
     print_line(
         f"{len(found.used)} photographs: focal lengths {K[0, 0]:.1f} and {K[1, 1]:.1f} pixels, "
-        f"known to {100 * found.focal_deviation:.2f} %; the tags' corners are {found.error:.2f} pixels "
-        f"off. Wrote {out}."
+        f"known to {100 * found.focal_deviation:.2f} %; the tags' corners are {found.error:.2f} "
+        f"pixels off. Wrote {out}."
     )
 
 

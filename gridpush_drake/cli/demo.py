@@ -32,9 +32,9 @@ def demo(
         typer.Option(
             help="What the robot should do. identify: poke the object, learn where it is heavy, "
             "and test what was learned; push: push it to a goal pose, and learn on the way; "
-            "pregrasp: poke and learn it, slide it to the table's edge, grasp it there and lift it; "
-            "follow: poke and learn it, and push it along a path between obstacles, with a finger "
-            "that is steered ten times a second. "
+            "pregrasp: poke and learn it, slide it to the table's edge, grasp it there and lift "
+            "it; follow: poke and learn it, and push it along a path between obstacles, with a "
+            "finger that is steered ten times a second. "
             "With several objects: separate: push them apart; rearrange: push each to a goal; "
             "fetch: clear the way for one, and grasp it at the table's edge."
         ),
@@ -80,8 +80,8 @@ def demo(
         typer.Option(
             help="What the robot sees. rgbd: it has a simulated color and depth camera, finds the "
             "object's outline in a picture and follows it; ideal: it is told the exact outline, "
-            "and the object's poses with a little noise, which takes less than half the time. Tasks "
-            "with several objects are told all poses.",
+            "and the object's poses with a little noise, which takes less than half the time. "
+            "Tasks with several objects are told all poses.",
             show_default="that of --scenario; without one rgbd, or ideal if nothing can be "
             "rendered",
         ),

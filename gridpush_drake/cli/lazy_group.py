@@ -63,7 +63,7 @@ class LazyGroup(TyperGroup):
         return command
 
     def load(self, name: str, target: str) -> Any:
-        """Imports the command of a name; a subclass may make it of something else than a function."""
+        """Imports the command of a name; a subclass may make it of other things than functions."""
         return load_command(name, target)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:

@@ -114,8 +114,8 @@ def robot(
     """Carry out a task of `gridpush demo` with a real arm. Nothing moves without --go.
 
     The arm's driver is spoken to over LCM or ROS 2; docs/hardware.md says how, and what to check
-    before the first run. Ctrl-C, a lost terminal, and anything that seems wrong stop the arm smoothly and hold
-    it where it is.
+    before the first run. Ctrl-C, a lost terminal, and anything that seems wrong stop the arm
+    smoothly and hold it where it is.
 
     The exit code is 1 if the task was not done, and 128 plus the signal's number after a signal,
     which is 130 after Ctrl-C.

@@ -111,8 +111,8 @@ def track(
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Another object in view, such as a file that `gridpush object --all` wrote; may be "
-            "repeated. The objects may touch and push each other: none is taken for a part of "
+            help="Another object in view, such as a file that `gridpush object --all` wrote; may "
+            "be repeated. The objects may touch and push each other: none is taken for a part of "
             "another. Only the pushes of --object are written.",
             show_default="no other object is in view",
         ),

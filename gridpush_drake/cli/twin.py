@@ -94,9 +94,9 @@ def twin(
 ) -> None:
     """Simulate a robot that `gridpush robot` can move as if it were a real one.
 
-    The twin sends and receives the messages of the robot's driver, over LCM or ROS 2. It tells where
-    the object is, or sends a camera's pictures if the scenario has camera.kind rgbd. It runs until Ctrl-C ends
-    it.
+    The twin sends and receives the messages of the robot's driver, over LCM or ROS 2. It tells
+    where the object is, or sends a camera's pictures if the scenario has camera.kind rgbd. It runs
+    until Ctrl-C ends it.
 
     Example: gridpush twin --scenario grasp
     """
@@ -206,7 +206,8 @@ def read_robot_scenario(
         The scenario, and the object for `resolve` if `object_file` names one, else None.
 
     Raises:
-        ScenarioError: the scenario's or the object's file cannot be read, or holds what will not do.
+        ScenarioError: the scenario's or the object's file cannot be read, or holds what will not
+            do.
     """
     scenario = read_scenario(scenario_file or DEFAULT_SCENARIO)
     obj = None if object_file is None else use_object(scenario, object_file)

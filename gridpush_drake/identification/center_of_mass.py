@@ -1,4 +1,4 @@
-"""What is known of the center of mass before any push, and how the center of friction follows it."""
+"""What is known of the center of mass before any push, and what friction makes of it."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The silhouette of a prism that stands on the table, as a camera sees it, and points on its boundary.
+"""The silhouette of a prism on the table, as a camera sees it, and points on its boundary.
 
 How a silhouette is moved onto the edges in a picture stands in `registration`.
 """

@@ -1,4 +1,4 @@
-"""Slides to the table's edge: an object with hidden masses is explored, slid to the edge and grasped.
+"""Slides to the table's edge: an object of hidden masses is explored, slid there and grasped.
 
 It is done by the method, by the paper's two ablations, or with the true parameters; in the
 quasi-static LCP world (`bench.pregrasp.world`), among bodies in MuJoCo that do not obey the model,
