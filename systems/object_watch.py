@@ -79,10 +79,12 @@ class ObjectWatch:
 
     Attributes:
         outline: outline of the object in its body frame B, m.
-        height: height of the object's top above the table, m.
+        height: height of the object's top above the table, m, or of the highest object's.
         tip_radius: radius of the finger's tip, a sphere, m.
         noise: greatest distance that a point of an object at rest may seem to move, m.
         lag: longest time from when a picture is taken until its pose comes, s.
+        pushed_by_others: whether other objects lie on the table that the finger may push against
+            it. A finger that is low enough then counts as near wherever it is.
     """
 
     outline: BaseGeometry
@@ -90,6 +92,7 @@ class ObjectWatch:
     tip_radius: float
     noise: float = 0.01
     lag: float = 0.1
+    pushed_by_others: bool = False
     corners: Array = field(init=False)
     """(k, 2) corners of the outline's convex hull in B, m: one of them moves the farthest."""
 
@@ -101,6 +104,8 @@ class ObjectWatch:
         """Returns whether the finger may touch the object, with its tip at p_WP (3,), m."""
         if p_WP[2] - self.tip_radius > self.height + NEAR:
             return False
+        if self.pushed_by_others:
+            return True
         # The tip's place in B.
         offset = p_WP[:2] - pose[:2]
         cos = np.cos(pose[2])

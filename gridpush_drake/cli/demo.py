@@ -81,9 +81,10 @@ def demo(
             help="What the robot sees. rgbd: it has a simulated color and depth camera, finds the "
             "object's outline in a picture and follows it; ideal: it is told the exact outline, "
             "and the object's poses with a little noise, which takes less than half the time. "
-            "Tasks with several objects are told all poses.",
+            "In tasks with several objects the robot is told all outlines, and with rgbd it "
+            "follows all of them in its pictures.",
             show_default="that of --scenario; without one rgbd, or ideal if nothing can be "
-            "rendered",
+            "rendered, or for several objects",
         ),
     ] = None,
     seed: Annotated[

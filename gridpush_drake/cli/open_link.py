@@ -17,9 +17,9 @@ from gridpush_drake.station.lcm.hardware_link import open_lcm
 from gridpush_drake.station.lcm.robot_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
-    OBJECT_STATUS,
     PICTURES,
     find_arm_messages,
+    name_object_channel,
 )
 from gridpush_drake.station.links.link_bus import LinkBus
 from gridpush_drake.station.links.ros2 import (
@@ -27,6 +27,7 @@ from gridpush_drake.station.links.ros2 import (
     OBJECT_POSE,
     Ros2Link,
     Ros2Role,
+    name_object_topic,
     open_ros2,
 )
 from gridpush_drake.station.links.ros2_pictures import COLOR
@@ -125,14 +126,19 @@ def open_ros2_link(
     """Opens a link over ROS 2; see `open_link`."""
     camera = find_camera(resolved.scenario)
     node = open_ros2(role, MakeRosRobot(resolved, camera), arguments)
-    bus = LinkBus(node, resolved.robot, camera=camera)
+    others = len(resolved.others)
+    bus = LinkBus(node, resolved.robot, camera=camera, others=others)
     messages = find_arm_messages(resolved.robot)
     names = {
         messages.status: JOINT_STATES,
         messages.command: "the arm's commands",
         GRIPPER_STATUS: f"{JOINT_STATES} of the gripper",
         GRIPPER_COMMAND: "the gripper's commands",
-        OBJECT_STATUS: OBJECT_POSE,
+        # The last one first: its channel's name begins with that of object 0.
+        **{
+            name_object_channel(number): name_object_topic(OBJECT_POSE, number)
+            for number in range(others, -1, -1)
+        },
         PICTURES: COLOR,
     }
     return OpenedLink(bus, node, f"ROS 2 as node {node.node.get_fully_qualified_name()}", names)

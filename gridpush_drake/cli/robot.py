@@ -142,6 +142,7 @@ def robot(
         link = HardwareLink(
             network.bus,
             resolved.robot,
+            others=len(scenario.others),
             realtime_rate=realtime_rate,
             clock_jump=scenario.safety.clock_jump,
             names=network.names,

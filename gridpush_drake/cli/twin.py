@@ -95,15 +95,15 @@ def twin(
     """Simulate a robot that `gridpush robot` can move as if it were a real one.
 
     The twin sends and receives the messages of the robot's driver, over LCM or ROS 2. It tells
-    where the object is, or sends a camera's pictures if the scenario has camera.kind rgbd. It runs
-    until Ctrl-C ends it.
+    where the objects are, or sends a camera's pictures if the scenario has camera.kind rgbd. It
+    runs until Ctrl-C ends it.
 
     Example: gridpush twin --scenario grasp
     """
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
     resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
     network = open_link(Ros2Role.ROBOT, resolved, ros2, lcm)
-    link = TwinLink(network.bus, resolved.robot)
+    link = TwinLink(network.bus, resolved.robot, others=len(scenario.others))
     if isinstance(network.bus, LinkBus):
         network.bus.leave_out = link.leave_out
     diagram = MakeTwin(resolved, link.bus, listens=False)

@@ -4,6 +4,8 @@ While the arm hides an object, the finger's tip is known all the same, and a mod
 push takes the object. That tells apart the poses at which it looks the same turned round, see
 docs/theory/perception.md, section 3. The model need not be exact: it is believed to a part of the
 way that it foretells.
+
+One object is foretold by `foresee`, several that push each other by `foresee_scene`.
 """
 
 from collections.abc import Callable
@@ -11,9 +13,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import Scene
+from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, wrap_angle
@@ -126,16 +131,12 @@ def foresee(
         Where it is now. The model is not known any more where the tip was not, or where it cannot
         follow the push.
     """
-    places = np.array([last.place, now.place])
-    if not np.isfinite(places).all() or now.t <= last.t:
+    if not _is_known(last, now):
         return replace(before, known=False)
-
-    # A tip above the object moves nothing, nor does one that rests.
-    on_table = places[:, :2]
-    if places[:, 2].min() > model.top or np.ptp(on_table, axis=0).max() < LEAST_STEP:
+    if not _may_push(last, now, model.top):
         return before
     try:
-        push = Push.along([last.t, now.t], on_table, model.radius)
+        push = _make_push(last, now, model.radius)
         motion = simulate(model.obj, read_params(), push, before.pose, regime="quasi_static")
     except GridPushError:
         return replace(before, known=False)
@@ -144,3 +145,107 @@ def foresee(
     if motion.status != MotionStatus.OK:
         return replace(before, known=False)
     return replace(before, pose=motion.final_pose, pushed=True)
+
+
+@dataclass(frozen=True, eq=False)
+class ScenePushModel:
+    """What a push does to several objects, which push each other, as far as it is known.
+
+    Attributes:
+        scene: the objects, in the body frames that are tracked, with what is supposed of their
+            masses and frictions; where they lie does not matter.
+        top: height of the highest object, m; a tip above it pushes nothing.
+        radius: radius of the finger's tip, m.
+    """
+
+    scene: Scene
+    top: float
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class SceneForesight:
+    """Where several objects are foretold to be since each of them was last seen.
+
+    Attributes:
+        told: (N, 3) the poses last told, W, m and rad.
+        poses: (N, 3) where the pushes since then take the objects.
+        known: (N,) whether the model has been told of all that may have moved an object.
+    """
+
+    told: Array
+    poses: Array
+    known: NDArray[np.bool_]
+
+    def expect(self) -> tuple[Expectation | None, ...]:
+        """Says where each object is expected; None where the model says nothing of it."""
+        moved = self.poses - self.told
+        ways = np.linalg.norm(moved[:, :2], axis=1).tolist()
+        turns = np.abs(wrap_angle(moved[:, 2])).tolist()
+        return tuple(
+            make_expectation(pose, way, turn) if known and way + turn > LEAST_STEP else None
+            for pose, way, turn, known in zip(self.poses, ways, turns, self.known, strict=True)
+        )
+
+    def see(self, poses: Array) -> "SceneForesight":
+        """Begins anew for the objects that were seen.
+
+        Args:
+            poses: (N, 3) where they were seen, W, m and rad; NaN for one that was not.
+        """
+        seen: NDArray[np.bool_] = np.asarray(np.isfinite(poses).all(axis=1))
+        return SceneForesight(
+            told=np.where(seen[:, None], poses, self.told),
+            poses=np.where(seen[:, None], poses, self.poses),
+            known=self.known | seen,
+        )
+
+
+def foresee_scene(
+    before: SceneForesight, model: ScenePushModel, last: Tip, now: Tip
+) -> SceneForesight:
+    """Foretells where several objects are after the tip went straight from one place to another.
+
+    Args:
+        before: where they were foretold before.
+        model: the objects and the tip.
+        last: the tip in the picture before.
+        now: the tip now.
+
+    Returns:
+        Where they are now. Nothing is known of them any more, until they are seen, where nothing is
+        known of the tip, or where the model cannot follow the push.
+    """
+    unknown = replace(before, known=np.zeros_like(before.known))
+    if not _is_known(last, now):
+        return unknown
+    if not _may_push(last, now, model.top):
+        return before
+    try:
+        # Objects that touch may overlap a little, as they were seen.
+        scene = model.scene.with_poses(before.poses, may_overlap=True)
+        motion = simulate_scene(scene, _make_push(last, now, model.radius))
+    except GridPushError:
+        return unknown
+    if motion.status == MotionStatus.NO_CONTACT:
+        return before
+    # So may the tip and an object; the first steps push them apart.
+    if motion.status not in (MotionStatus.OK, MotionStatus.STARTED_OVERLAPPING):
+        return unknown
+    return replace(before, poses=motion.poses[-1])
+
+
+def _is_known(last: Tip, now: Tip) -> bool:
+    """Says whether it is known how the tip went from one place to another."""
+    return bool(np.isfinite([last.place, now.place]).all()) and now.t > last.t
+
+
+def _may_push(last: Tip, now: Tip, top: float) -> bool:
+    """Says whether a tip may push objects of a height, m: not one above them, nor one at rest."""
+    places = np.array([last.place, now.place])
+    return bool(places[:, 2].min() <= top and np.ptp(places[:, :2], axis=0).max() >= LEAST_STEP)
+
+
+def _make_push(last: Tip, now: Tip, radius: float) -> Push:
+    """Makes the straight push of a tip of a radius, m, from one place to another."""
+    return Push.along([last.t, now.t], np.array([last.place[:2], now.place[:2]]), radius)

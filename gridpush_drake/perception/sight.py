@@ -1,6 +1,7 @@
-"""What a robot's camera saw in a run: the record that the station makes and the report draws.
+"""What a robot's camera saw in a run: the records that the station makes and the report draws.
 
-How the object is found and tracked is in `detection` and `tracking`.
+How an object is found and tracked is in `detection` and `tracking`, and how several of known
+outlines are in `scene_tracking`.
 """
 
 from dataclasses import dataclass, replace
@@ -41,14 +42,53 @@ class Sight:
             Root mean square error of the position, m, and of the angle, rad, over the pictures in
             which the object was seen; NaN where there are none.
         """
-        errors = self.errors[self.seen]
-        if not len(errors):
-            return float("nan"), float("nan")
-        position = np.square(errors[:, :2]).sum(axis=1)
-        angle = np.square(errors[:, 2])
-        return float(np.sqrt(position.mean())), float(np.sqrt(angle.mean()))
+        return calc_rms(self.errors[self.seen])
 
     def until(self, time: float) -> "Sight":
         """The pictures taken before a time, s."""
         before = self.t < time
         return replace(self, t=self.t[before], errors=self.errors[before], std=self.std[before])
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSight:
+    """What the camera saw of N objects in a run.
+
+    Attributes:
+        t: (K,) times of the pictures since the run began, s.
+        errors: (K, N, 3) poses tracked less the true ones, (x, y, theta), m and rad; NaN where an
+            object was not seen.
+    """
+
+    t: Array
+    errors: Array
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(K, N) whether each object was seen in each picture."""
+        return np.asarray(np.isfinite(self.errors).all(axis=2))
+
+    def calc_rms(self) -> tuple[float, float]:
+        """Calculates how far off the tracked poses of all objects were, as `Sight.calc_rms`."""
+        return calc_rms(self.errors[self.seen])
+
+    def until(self, time: float) -> "SceneSight":
+        """The pictures taken before a time, s."""
+        before = self.t < time
+        return SceneSight(self.t[before], self.errors[before])
+
+
+def calc_rms(errors: Array) -> tuple[float, float]:
+    """Calculates the root mean squares of errors of poses.
+
+    Args:
+        errors: (K, 3) errors, (x, y, theta), m and rad.
+
+    Returns:
+        Root mean square error of the position, m, and of the angle, rad; NaN where there are none.
+    """
+    if not len(errors):
+        return float("nan"), float("nan")
+    position = np.square(errors[:, :2]).sum(axis=1)
+    angle = np.square(errors[:, 2])
+    return float(np.sqrt(position.mean())), float(np.sqrt(angle.mean()))

@@ -1,5 +1,8 @@
 """The station's cameras: an ideal one that measures poses, or one of which pictures are rendered.
 
+This module is for tasks with one object; a camera that follows all objects of a task with several
+is in `station.scene_camera`.
+
 With a color and depth camera (`camera.kind: rgbd` in the scenario) the robot is told neither the
 object's outline nor its height: `find_object` takes a photograph of the scene at its beginning, and
 what the detector finds in it is the robot's object. The detector chooses the object's body frame F.
@@ -28,7 +31,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
-from pydrake.systems.framework import Context, DiagramBuilder, System
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
 from pydrake.systems.sensors import RgbdSensor
 from shapely.geometry.base import BaseGeometry
 
@@ -47,6 +50,7 @@ from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_camera import CameraConfig
 from gridpush_drake.systems.object_detector import Detection, ObjectDetector, ObjectNaming
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
+from gridpush_drake.systems.objects_pose_estimator import ObjectsPoseEstimator
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.rgbd_noise import RgbdNoise
 
@@ -175,7 +179,7 @@ def AddRgbdCamera(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     scenario: PushScenario,
-    part: GridObjectInPlant | None,
+    parts: Sequence[GridObjectInPlant],
 ) -> RgbdCamera:
     """Adds the scenario's camera to a builder, and connects it to the scene.
 
@@ -184,7 +188,8 @@ def AddRgbdCamera(
         plant: the scene's plant, finalised.
         scene_graph: the plant's scene graph.
         scenario: the scenario, with `camera.rgbd`.
-        part: the object in the plant; None if there is none.
+        parts: the objects in the plant that are looked at; whatever else stands on the table may
+            hide them.
 
     Returns:
         The camera. Its outputs are not connected yet.
@@ -223,17 +228,15 @@ def AddRgbdCamera(
     builder.Connect(scene_graph.get_query_output_port(), sensor.query_object_input_port())
     builder.Connect(sensor.color_image_output_port(), noise.GetInputPort("color_image"))
     builder.Connect(sensor.depth_image_32F_output_port(), noise.GetInputPort("depth_image"))
-    return RgbdCamera(sensor, noise, camera, _find_labels(plant, part))
+    return RgbdCamera(sensor, noise, camera, _find_labels(plant, parts))
 
 
-def _find_labels(plant: MultibodyPlant, part: GridObjectInPlant | None) -> tuple[int, ...]:
-    """Lists the labels of all bodies but the table's and the object's.
+def _find_labels(plant: MultibodyPlant, parts: Sequence[GridObjectInPlant]) -> tuple[int, ...]:
+    """Lists the labels of all bodies but the table's and those of the objects that are looked at.
 
     A MultibodyPlant labels what it renders with the index of the body. Body 0 is the world.
     """
-    looked_at = {plant.GetModelInstanceByName(TABLE)}
-    if part is not None:
-        looked_at.add(part.model_instance)
+    looked_at = {plant.GetModelInstanceByName(TABLE), *(part.model_instance for part in parts)}
     bodies = [plant.get_body(BodyIndex(index)) for index in range(1, plant.num_bodies())]
     return tuple(int(body.index()) for body in bodies if body.model_instance() not in looked_at)
 
@@ -283,11 +286,14 @@ class StationCamera:
     """A station's camera of either kind, for what is set in it at the beginning of a run.
 
     Attributes:
-        source: the system whose port `object_pose` has the poses.
+        source: the system whose port `object_pose` has the poses; where it follows several objects,
+            the ports `object_pose_0` and so on.
     """
 
     def __init__(
-        self, source: PlanarPoseSensor | ObjectPoseEstimator, noise: RgbdNoise | None = None
+        self,
+        source: PlanarPoseSensor | ObjectPoseEstimator | ObjectsPoseEstimator,
+        noise: RgbdNoise | None = None,
     ) -> None:
         """Takes the camera's systems.
 
@@ -299,10 +305,21 @@ class StationCamera:
         self.source = source
         self._noise = noise
 
+    @property
+    def follows_several(self) -> bool:
+        """Whether it follows several objects."""
+        return isinstance(self.source, ObjectsPoseEstimator)
+
+    def GetPose(self, number: int = 0) -> OutputPort:
+        """The port with the pose (3,) of an object, by its number; 0 for the pushed one."""
+        if self.follows_several:
+            return self.source.GetOutputPort(f"object_pose_{number}")
+        return self.source.GetOutputPort("object_pose")
+
     def SetSeed(self, root_context: Context, seed: int) -> None:
         """Sets the seed of the noise in a Diagram's Context."""
         noisy = self._noise or self.source
-        assert not isinstance(noisy, ObjectPoseEstimator)
+        assert isinstance(noisy, RgbdNoise | PlanarPoseSensor)
         noisy.SetSeed(root_context, seed)
 
     def SetCovered(self, root_context: Context, covered: bool) -> None:
@@ -444,7 +461,7 @@ def _take_photograph(
     Returns:
         The camera, the detector, and the Diagram's Context with what the detector found.
     """
-    camera = AddRgbdCamera(builder, scene.plant, scene.scene_graph, scenario, scene.part)
+    camera = AddRgbdCamera(builder, scene.plant, scene.scene_graph, scenario, [scene.part])
     detector = AddDetector(builder, camera, scenario, scene.table_top, obj)
     diagram = builder.Build()
 

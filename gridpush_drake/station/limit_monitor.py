@@ -12,6 +12,7 @@ from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, EventStatus
 
+from gridpush_drake.station.others import list_parts
 from gridpush_drake.station.robot import GetRobotInPlant
 from gridpush_drake.station.station import Station
 from gridpush_drake.systems.messages import GraspPhase, PushPhase, SteerPhase
@@ -121,7 +122,7 @@ class LimitMonitor:
         plant = station.plant
         robot = station.robot
         self._object = station.object_in_plant.body.index()
-        self._others = {other.part.body_index for other in station.others}
+        self._others = {part.body_index for part in list_parts(station.others)}
         self._tip = plant.GetBodyByName(robot.finger.tip_frame).index()
         fingers = () if robot.gripper is None else robot.gripper.fingers
         self._fingers = {plant.GetBodyByName(name, gripper).index() for name in fingers}

@@ -1,17 +1,18 @@
 """Other objects on the table, beside the one that is pushed and learned: a scenario's `others`.
 
 Each is a free body with cells, contact spheres and sides of its own. Its true masses and frictions
-are drawn from the seed, and a camera of its own sees its pose (`other_0.pose`, `other_1.pose`,
-...). In a task with one object nobody learns it, and pushes are planned around the place where it
-lies at the beginning: `MakeFingerRegion` keeps the finger away from it, and each task the pushed
-object. In a task with several objects (`station.scene_task`) it is pushed like any other.
+are drawn from the seed, and its pose is seen (`other_0.pose`, `other_1.pose`, ...). In a task with
+one object nobody learns it, and pushes are planned around the place where it lies at the beginning:
+`MakeFingerRegion` keeps the finger away from it, and each task the pushed object. An ideal camera
+of its own sees it then. The pictures of a color and depth camera show it as well; where it hides
+the pushed object, those cells are taken for unseen, as they are behind the robot.
 
-The pictures of a color and depth camera show the other objects as well. Where one of them hides the
-pushed object, those cells are taken for unseen, as they are behind the robot.
+In a task with several objects (`station.scene_task`) it is pushed like any other, and the color and
+depth camera follows it, too (`station.scene_camera`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
@@ -41,12 +42,30 @@ class OtherObject:
     Attributes:
         name: name of its model in the plant; its output port is called name.pose.
         pose: (x, y, theta) X_WB at the beginning, m and rad.
-        part: its body, cells and geometry in the plant.
+        obj: the object.
+        height: its height, m.
+        part: its body, cells and geometry in the plant; None where the objects are real.
     """
 
     name: str
     pose: tuple[float, float, float]
-    part: GridObjectInPlant
+    obj: GridObject
+    height: float
+    part: GridObjectInPlant | None = None
+
+
+def list_others(scenario: PushScenario, objects: Sequence[GridObject]) -> tuple[OtherObject, ...]:
+    """Lists a scenario's other objects, as they are known without a plant.
+
+    Args:
+        scenario: the scenario, with poses and heights.
+        objects: the other objects, in the scenario's order.
+    """
+    others = []
+    for number, (config, obj) in enumerate(zip(scenario.others, objects, strict=True)):
+        x, y, theta = config.pose
+        others.append(OtherObject(f"other_{number}", (x, y, theta), obj, config.height))
+    return tuple(others)
 
 
 def draw_other_truth(
@@ -88,26 +107,32 @@ def AddOthers(
         The other objects in the plant.
     """
     others = []
-    for number, (config, obj) in enumerate(zip(scenario.others, objects, strict=True)):
-        name = f"other_{number}"
+    parts = [pushed]
+    for other in list_others(scenario, objects):
         part = AddGridObject(
             plant,
             scene_graph,
-            obj,
-            CellParameters.uniform(obj),  # `SetOthersStart` writes the drawn truth into a Context
+            other.obj,
+            # `SetOthersStart` writes the drawn truth into a Context
+            CellParameters.uniform(other.obj),
             "free",
             table=table,
-            height=config.height,
-            name=name,
+            height=other.height,
+            name=other.name,
         )
-        x, y, theta = config.pose
         if scenario.camera.kind == "rgbd":
             AddSeenVisual(plant, scene_graph, part)
-        others.append(OtherObject(name, (x, y, theta), part))
+        others.append(replace(other, part=part))
+        parts.append(part)
     # Only now that all objects are in the plant, it is known whose geometries must not collide.
-    for part in (pushed, *(other.part for other in others)):
+    for part in parts:
         ApplyGridObjectFilters(plant, scene_graph, part, table)
     return tuple(others)
+
+
+def list_parts(others: Sequence[OtherObject]) -> list[GridObjectInPlant]:
+    """Lists the bodies, cells and geometries of a simulated station's other objects."""
+    return [other.part for other in others if other.part is not None]
 
 
 def AddOtherCameras(
@@ -118,9 +143,9 @@ def AddOtherCameras(
     Its rate and noise are those of the scenario's camera.
     """
     cameras = []
-    for number, other in enumerate(others):
+    for number, (other, part) in enumerate(zip(others, list_parts(others), strict=True)):
         seed = _make_camera_seed(scenario.seed, number)
-        camera = AddIdealCamera(builder, other.part, scenario.camera, f"{other.name}_camera", seed)
+        camera = AddIdealCamera(builder, part, scenario.camera, f"{other.name}_camera", seed)
         builder.ExportOutput(camera.GetOutputPort("object_pose"), f"{other.name}.pose")
         cameras.append(camera)
     return tuple(cameras)
@@ -143,14 +168,15 @@ def SetOthersStart(
         root_context: the Context of the whole Diagram.
         scenario: the scenario, with the ranges of the truth.
         others: the objects, with their poses.
-        cameras: the camera of each object.
+        cameras: the ideal camera of each object; none where one camera follows all objects.
         seed: seed of the run, for the objects' truth and the noise of their cameras.
     """
     plant_context = plant.GetMyMutableContextFromRoot(root_context)
-    for number, (other, camera) in enumerate(zip(others, cameras, strict=True)):
-        truth = draw_other_truth(scenario, other.part, number, seed)
-        SetGridObjectParameters(plant, scene_graph, root_context, other.part, truth)
-        SetGridObjectPose(plant, plant_context, other.part, other.pose)
+    for number, (other, part) in enumerate(zip(others, list_parts(others), strict=True)):
+        truth = draw_other_truth(scenario, part, number, seed)
+        SetGridObjectParameters(plant, scene_graph, root_context, part, truth)
+        SetGridObjectPose(plant, plant_context, part, other.pose)
+    for number, camera in enumerate(cameras):
         camera.SetSeed(root_context, _make_camera_seed(seed, number))
 
 
@@ -160,7 +186,7 @@ def place_others(others: Sequence[OtherObject]) -> tuple[Polygon, ...]:
     They have no holes: nothing is pushed into one.
     """
     return tuple(
-        Polygon(transform_shape(other.pose, other.part.obj.outline).exterior) for other in others
+        Polygon(transform_shape(other.pose, other.obj.outline).exterior) for other in others
     )
 
 

@@ -5,6 +5,7 @@ plant alone. All other systems know the object through its camera, and the finge
 arm's joints. What a simulated and a real station share is in `station.station`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -19,10 +20,11 @@ from pydrake.geometry import (
     SceneGraph,
 )
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
+from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.display.server import KeepToItsThread
-from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.multibody.contact_material import TABLE, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import (
@@ -40,7 +42,7 @@ from gridpush_drake.multibody.table_rim import AddTableRim
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.perception.sight import Sight
+from gridpush_drake.perception.sight import SceneSight, Sight
 from gridpush_drake.station.arm_driver import (
     DRIVER_OUTPUTS,
     AddArmDriver,
@@ -57,7 +59,13 @@ from gridpush_drake.station.camera import (
     calc_pose_age,
 )
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
-from gridpush_drake.station.others import AddOtherCameras, AddOthers, SetOthersStart
+from gridpush_drake.station.others import (
+    AddOtherCameras,
+    AddOthers,
+    OtherObject,
+    SetOthersStart,
+    list_parts,
+)
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant
 from gridpush_drake.station.scenario import PushScenario
@@ -65,6 +73,12 @@ from gridpush_drake.station.scene import (
     AddScene,
     MakeSupport,
     MakeTruth,
+)
+from gridpush_drake.station.scene_camera import (
+    AddAllSeen,
+    AddObjectsPoseEstimator,
+    AddPosesTogether,
+    AddTruePoses,
 )
 from gridpush_drake.station.station import (
     POSE_LOG,
@@ -90,6 +104,11 @@ TRUE_LOG = "true_pose_log"
 COVARIANCE_LOG = "covariance_log"
 """Names of the systems that log the true pose and the covariance of a color and depth camera's."""
 
+SCENE_LOG = "scene_pose_log"
+TRUE_SCENE_LOG = "true_scene_pose_log"
+"""Names of the systems that log the poses of all objects, as a camera follows them, and the true
+ones."""
+
 
 @dataclass(frozen=True)
 class Sensors:
@@ -106,6 +125,21 @@ class Sensors:
     tip: PusherStateSensor
 
 
+@dataclass(frozen=True)
+class SceneSightPorts:
+    """Ports of a camera that follows N objects.
+
+    Attributes:
+        poses: (3 N,) the poses as they are seen, m and rad.
+        true_poses: (3 N,) the true ones.
+        all_seen: (3,) the pose of object 0; NaN while any object is not seen.
+    """
+
+    poses: OutputPort
+    true_poses: OutputPort
+    all_seen: OutputPort
+
+
 def AddSensors(
     builder: DiagramBuilder,
     scene_graph: SceneGraph,
@@ -113,6 +147,8 @@ def AddSensors(
     robot: Robot,
     part: GridObjectInPlant,
     found: FoundObject | None,
+    followed: Sequence[OtherObject] = (),
+    table_top: BaseGeometry | None = None,
 ) -> Sensors:
     """Adds the sensors of a simulated station, and connects them to its plant.
 
@@ -122,14 +158,31 @@ def AddSensors(
         scenario: the scenario, with its camera.
         robot: the robot, with the name of the tip's frame.
         part: the object in the plant.
-        found: the object that a color and depth camera tracks; None for an ideal camera.
+        found: the object that a color and depth camera found and tracks; None for another camera.
+        followed: other objects that a color and depth camera follows as well, of known outlines;
+            none for another camera.
+        table_top: the table's top, a polygon in W, m, if other objects are followed.
     """
     plant = part.plant
-    if found is None:
+    if followed and table_top is not None:
+        rgbd = AddRgbdCamera(builder, plant, scene_graph, scenario, [part, *list_parts(followed)])
+        camera = StationCamera(
+            AddObjectsPoseEstimator(
+                builder,
+                rgbd,
+                scenario,
+                obj=part.obj,
+                others=followed,
+                table_top=table_top,
+                tip_radius=robot.finger.tip_radius,
+            ),
+            rgbd.noise,
+        )
+    elif found is None:
         ideal = AddIdealCamera(builder, part, scenario.camera, "camera", scenario.seed)
         camera = StationCamera(ideal)
     else:
-        rgbd = AddRgbdCamera(builder, plant, scene_graph, scenario, part)
+        rgbd = AddRgbdCamera(builder, plant, scene_graph, scenario, [part])
         camera = StationCamera(
             AddPoseEstimator(builder, rgbd, scenario, found, robot.finger.tip_radius), rgbd.noise
         )
@@ -246,6 +299,7 @@ def AddWorld(
     resolved: ResolvedScenario,
     show_object: bool = True,
     drake_models: Path | None = None,
+    told: bool = False,
 ) -> World:
     """Adds a finalised plant with all that a scenario has.
 
@@ -255,6 +309,8 @@ def AddWorld(
         show_object: whether Meshcat shows the object's plain outline.
         drake_models: folder of the meshes with which the robot is shown; None to show its
             primitive shapes.
+        told: whether the robot is told the object's outline whatever its camera is. Otherwise a
+            color and depth camera takes a photograph, in which the object is found.
 
     Returns:
         The world.
@@ -265,7 +321,7 @@ def AddWorld(
     """
     scenario = resolved.scenario
     robot = resolved.robot
-    found = resolved.found
+    found = None if told else resolved.found
     true_obj = resolved.obj if found is None else found.true_obj
 
     # The plant: scene, object, other objects.
@@ -288,8 +344,9 @@ def AddWorld(
         visual=show_object,
     )
     others = AddOthers(plant, scene_graph, scenario, resolved.others, table, object_in_plant)
-    if found is not None:
+    if scenario.camera.kind == "rgbd":
         AddSeenVisual(plant, scene_graph, object_in_plant)
+    if found is not None:
         # From here on the scenario is the robot's, which knows only what the camera saw.
         seen = {
             "object_pose": found.pose.tolist(),
@@ -330,7 +387,9 @@ class PushStation(Station):
         - query_object
         - pusher.force
         - other_0.pose
+        - other_0.pose_true
         - ...
+        - camera.message
 
     - ``object.pose_true``: vector of 3, true X_WB, (x, y, theta), m and rad, for display and for
       judging the task.
@@ -341,6 +400,9 @@ class PushStation(Station):
       with `steered`.
     - ``other_0.pose`` and so on: vector of 3, X_WB of another object as its camera sees it,
       (x, y, theta), m and rad; one port for each of the scenario's `others`.
+    - ``other_0.pose_true`` and so on: vector of 3, true X_WB of the same, for judging the task.
+    - ``camera.message``: abstract `str`, why a color and depth camera that follows all objects has
+      not found them yet; empty once it has. Only if the station is made with `several`.
 
     Attributes:
         scene_graph: the plant's scene graph.
@@ -417,6 +479,8 @@ class PushStation(Station):
     def FindSight(self, root_context: Context) -> Sight | None:
         """Returns what the color and depth camera saw in a Context; None for an ideal camera.
 
+        None is returned, too, for a camera that follows several objects, see `FindSceneSight`.
+
         Args:
             root_context: Context of the station, or of the Diagram that the station is part of.
         """
@@ -425,17 +489,54 @@ class PushStation(Station):
         t, poses = self._find_log(root_context, POSE_LOG)
         _, true_poses = self._find_log(root_context, TRUE_LOG)
         _, covariance = self._find_log(root_context, COVARIANCE_LOG)
-        # A true pose in the log is one picture old, for its sensor has the camera's rate. A pose
-        # that the camera saw is older by this many pictures; each is compared with its own time's.
-        late = round(calc_pose_age(self.scenario.camera) * self.scenario.camera.rate) - 1
-        errors = poses[late:] - true_poses[: len(true_poses) - late]
-        errors[:, 2] = wrap_angle(errors[:, 2])
+        late = self._calc_lateness()
+        errors = calc_late_errors(poses, true_poses, late)
         std = np.sqrt(covariance[late:].reshape(-1, 3, 3).diagonal(axis1=1, axis2=2))
         return Sight(self.found.detected.close_up, t[late:], errors, std)
+
+    def FindSceneSight(self, root_context: Context) -> SceneSight | None:
+        """Returns what a camera that follows all objects saw in a Context; None for others.
+
+        Args:
+            root_context: Context of the station, or of the Diagram that the station is part of.
+        """
+        if not self._camera.follows_several:
+            return None
+        t, poses = self._find_log(root_context, SCENE_LOG)
+        _, true_poses = self._find_log(root_context, TRUE_SCENE_LOG)
+        late = self._calc_lateness()
+        shape = (len(t), -1, 3)
+        return SceneSight(
+            t[late:], calc_late_errors(poses.reshape(shape), true_poses.reshape(shape), late)
+        )
+
+    def _calc_lateness(self) -> int:
+        """Calculates by how many pictures a pose that is seen is later in the logs than its truth.
+
+        A true pose in the log is one picture old, for its sensor has the camera's rate. A pose that
+        the camera saw may be older.
+        """
+        return round(calc_pose_age(self.scenario.camera) * self.scenario.camera.rate) - 1
 
     def CoverCamera(self, root_context: Context, covered: bool = True) -> None:
         """Covers the camera's lens, so that it sees no object, or uncovers it."""
         self._camera.SetCovered(root_context, covered)
+
+
+def calc_late_errors(poses: Array, true_poses: Array, late: int) -> Array:
+    """Calculates how far poses that come late are from the true ones of the same pictures.
+
+    Args:
+        poses: (K, ..., 3) poses seen, m and rad.
+        true_poses: (K, ..., 3) the true ones.
+        late: the pose in row k + late is of the picture whose truth is in row k.
+
+    Returns:
+        (K - late, ..., 3) the errors, m and rad.
+    """
+    errors = poses[late:] - true_poses[: len(true_poses) - late]
+    errors[..., 2] = wrap_angle(errors[..., 2])
+    return errors
 
 
 def MakePushStation(
@@ -445,6 +546,7 @@ def MakePushStation(
     show_object: bool = True,
     learning: Learning | None = None,
     steered: bool = False,
+    several: bool = False,
     name: str = "station",
 ) -> PushStation:
     """Makes the simulated station.
@@ -466,6 +568,8 @@ def MakePushStation(
             in its place.
         learning: which pushes are learned from; None for the first `scenario.pokes.count`.
         steered: whether the finger can be steered by its velocity, by the port `steer_command`.
+        several: whether the task is with all objects. A color and depth camera then follows all of
+            them, and the robot is told their outlines.
         name: name of the station in a Diagram, and of its path in Meshcat. Two stations in one
             Diagram must have different names.
 
@@ -480,7 +584,7 @@ def MakePushStation(
     builder = DiagramBuilder()
     resolved = resolve(scenario)
     drake_models = find_drake_models() if meshcat is not None else None
-    world = AddWorld(builder, resolved, show_object, drake_models)
+    world = AddWorld(builder, resolved, show_object, drake_models, told=several)
     setting = world.setting
     robot = setting.robot
     instances = world.robot_in_plant
@@ -492,8 +596,14 @@ def MakePushStation(
         robot=robot,
         part=world.object_in_plant,
         found=setting.found,
+        followed=setting.others if several and setting.scenario.camera.kind == "rgbd" else (),
+        table_top=setting.table_top,
     )
-    other_cameras = AddOtherCameras(builder, setting.scenario, setting.others)
+    other_cameras: tuple[PlanarPoseSensor, ...] = ()
+    if not sensors.camera.follows_several:
+        other_cameras = AddOtherCameras(builder, setting.scenario, setting.others)
+    truths = AddTruePoses(builder, world.plant, setting.others, 1 / setting.scenario.camera.rate)
+    sight = _add_scene_sight(builder, sensors, setting.others, truths)
     true_parameters = builder.AddNamedSystem("truth", TrueParameters(world.truth))
 
     # What commands the robot, as with a real one; it is connected to the simulated arm and gripper.
@@ -501,7 +611,13 @@ def MakePushStation(
         _add_load_sensor(builder, setting, driver) if setting.scenario.nothing_told else None
     )
     control = _add_control(
-        builder, world, sensors, learning=learning, load_sensor=load_sensor, steered=steered
+        builder,
+        world,
+        sensors,
+        learning=learning,
+        load_sensor=load_sensor,
+        steered=steered,
+        sight=sight,
     )
     builder.Connect(
         control.kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position")
@@ -564,14 +680,16 @@ def _add_control(
     learning: Learning | None,
     load_sensor: ArmLoadSensor | None,
     steered: bool,
+    sight: SceneSightPorts | None,
 ) -> RobotControl:
     """Adds what commands the robot, and has the errors of a color and depth camera logged."""
-    camera = sensors.camera.source
     logged = None
-    if world.setting.found is not None:
+    if sight is not None:
+        logged = {SCENE_LOG: sight.poses, TRUE_SCENE_LOG: sight.true_poses}
+    elif world.setting.found is not None:
         logged = {
             TRUE_LOG: sensors.ground_truth.GetOutputPort("object_pose"),
-            COVARIANCE_LOG: camera.GetOutputPort("covariance"),
+            COVARIANCE_LOG: sensors.camera.source.GetOutputPort("covariance"),
         }
     load = None
     if load_sensor is not None:
@@ -596,11 +714,35 @@ def _add_control(
         world.setting,
         learning,
         pusher_state=sensors.tip.GetOutputPort("pusher_state"),
-        object_pose=camera.GetOutputPort("object_pose"),
+        object_pose=sensors.camera.GetPose(),
+        all_seen=None if sight is None else sight.all_seen,
         gripper_state=None if gripper is None else world.plant.get_state_output_port(gripper),
         logged=logged,
         load=load,
         tip_force=tip_force,
+    )
+
+
+def _add_scene_sight(
+    builder: DiagramBuilder,
+    sensors: Sensors,
+    others: Sequence[OtherObject],
+    truths: Sequence[OutputPort],
+) -> SceneSightPorts | None:
+    """Exports what a camera sees that follows all objects; None for another camera."""
+    camera = sensors.camera
+    if not camera.follows_several:
+        return None
+    seen = [camera.GetPose(number) for number in range(len(others) + 1)]
+    for other, port in zip(others, seen[1:], strict=True):
+        builder.ExportOutput(port, f"{other.name}.pose")
+    ExportOutputs(builder, camera.source, "camera", ("message",))
+    first = sensors.ground_truth.GetOutputPort("object_pose")
+    poses = AddPosesTogether(builder, seen, "scene_poses")
+    return SceneSightPorts(
+        poses=poses,
+        true_poses=AddPosesTogether(builder, [first, *truths], "true_scene_poses"),
+        all_seen=AddAllSeen(builder, poses),
     )
 
 

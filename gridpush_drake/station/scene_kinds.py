@@ -84,6 +84,7 @@ class SceneKind(GoalKind):
             "pushes": record.pushes,
             "measured": words,
             "at_end": [float(value) for value in last],
+            "camera": summarize_sight(record),
         }
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
@@ -91,7 +92,7 @@ class SceneKind(GoalKind):
         lines = [f"After {count(summary['pushes'], 'push')}: {summary['message']}"]
         for name, value in zip(summary["objects"], summary["at_end"], strict=True):
             lines.append(f"  {name}, {summary['measured']}: {value * MM:.1f} mm")
-        return lines
+        return [*lines, *describe_sight(summary)]
 
     def make_summary(self, record: SceneTaskRecord) -> ReportSummary:
         """Shows where the objects lay after every push."""
@@ -115,6 +116,7 @@ class SceneKind(GoalKind):
                 ("objects", str(len(record.objects))),
                 ("pushes", str(record.pushes)),
                 ("simulated", f"{record.duration:.0f} s"),
+                *list_sight_facts(summarize_sight(record)),
             ),
             figure=draw_scene_run(
                 record.objects,
@@ -207,7 +209,41 @@ class FetchKind(SceneKind):
         lines = [f"The {summary['objects'][0]}: {summary['message']}"]
         if kinds:
             lines.append(f"  {count(summary['pushes'], 'push')}: {kinds}")
-        return lines
+        return [*lines, *describe_sight(summary)]
+
+
+def summarize_sight(record: SceneTaskRecord) -> dict[str, Any] | None:
+    """Summarizes what a color and depth camera saw, in SI units; None with ideal cameras."""
+    sight = record.scene_sight
+    if sight is None or not len(sight.t):
+        return None
+    position, angle = sight.calc_rms()
+    return {
+        "pictures": len(sight.t),
+        "seen": [float(share) for share in sight.seen.mean(axis=0)],
+        "position_rms": position,
+        "angle_rms": angle,
+    }
+
+
+def list_sight_facts(camera: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """Lists for a report how well the objects were followed; nothing with ideal cameras."""
+    if camera is None:
+        return []
+    off = f"{camera['position_rms'] * MM:.2f} mm, {np.degrees(camera['angle_rms']):.2f}\N{DEGREE SIGN}"
+    return [("seen", f"{min(camera['seen']):.0%} or more"), ("poses off by (RMS)", off)]
+
+
+def describe_sight(summary: dict[str, Any]) -> list[str]:
+    """Tells in a line how well the objects were followed; nothing with ideal cameras."""
+    camera = summary["camera"]
+    if camera is None:
+        return []
+    return [
+        f"  camera: each object seen in {min(camera['seen']):.0%} or more of "
+        f"{count(camera['pictures'], 'picture')}, its pose off by "
+        f"{camera['position_rms'] * MM:.2f} mm and {np.degrees(camera['angle_rms']):.2f}\N{DEGREE SIGN} (RMS)"
+    ]
 
 
 def list_rest_poses(record: SceneTaskRecord) -> Array:

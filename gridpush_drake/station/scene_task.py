@@ -1,7 +1,7 @@
 """Tasks with several objects in the station: separate them, rearrange them, or fetch one.
 
 The scenario's `object` is object 0, and its `others` are the objects after it, in their order. All
-are seen by ideal cameras.
+are seen by ideal cameras, or followed by one color and depth camera (`station.scene_camera`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -17,6 +17,7 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.perception.sight import SceneSight
 from gridpush_drake.planning.closed_loop import LoopOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
@@ -47,7 +48,7 @@ from gridpush_drake.station.pregrasp_task import (
     calc_raised,
     make_options,
 )
-from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.push_task import EDGE_MARGIN, GOAL_COLOR, MAX_PUSH
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -76,7 +77,11 @@ NOISE = (2e-3, 2e-3, 1e-2)
 """Standard deviations of what poses in the station are off from their predictions, m, m and rad."""
 
 LOOK_OPTIONS = LoopOptions(timeout=3.0)
-"""How objects are observed: one may be out of sight for a while behind the arm."""
+"""How objects are observed: one may be out of sight for a while behind the arm, which then moves
+away."""
+
+MESSAGE = "camera.message"
+"""Name of a port that only a station has whose camera follows several objects."""
 
 DRAWS = 3
 """Number of further models that pushes are tried on."""
@@ -90,10 +95,11 @@ class SceneTaskRecord(ControlledRecord[SceneStatus]):
         objects: the N objects, object 0 being `obj`.
         names: what to call them.
         goals: (N, 3) goal poses, m and rad; NaN where there are none.
-        poses: (N, 3) true X_WB of the objects at the end, m and rad, where that of an object other
-            than the first is as its camera saw it; NaN for one that fell.
+        poses: (N, 3) true X_WB of the objects at the end, m and rad, NaN for one that fell; as they
+            were seen last where the robot is real.
         begin: (N, 3) the same before anything was done.
         scene_log: what was seen of each push.
+        scene_sight: what a color and depth camera saw; None with ideal cameras.
         raised: height of the lowest point of object 0 above the table at the end, m; NaN if nobody
             knows it.
     """
@@ -104,6 +110,7 @@ class SceneTaskRecord(ControlledRecord[SceneStatus]):
     poses: Array
     begin: Array
     scene_log: tuple[ObservedScenePush, ...] = field(default=(), kw_only=True)
+    scene_sight: SceneSight | None = field(default=None, kw_only=True)
     raised: float = field(default=float("nan"), kw_only=True)
 
     @property
@@ -147,7 +154,7 @@ class SceneTask(StationTask[SceneTaskRecord]):
             make_station: makes the station; a simulated one by default.
 
         Raises:
-            ScenarioError: the scenario makes no sense, has one object, or a color and depth camera.
+            ScenarioError: the scenario makes no sense, or has one object.
             PlanningError: goals overlap, or the wanted object cannot be grasped.
             StationError: see `MakeHardwareStation`.
         """
@@ -157,17 +164,18 @@ class SceneTask(StationTask[SceneTaskRecord]):
         # the station, which learns nothing by itself
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(
-            make_station(resolved, meshcat, show_object=False, learning=Learning(max_pushes=0))
+            make_station(
+                resolved,
+                meshcat,
+                show_object=False,
+                learning=Learning(max_pushes=0),
+                several=True,
+            )
         )
         station = self.station
-        if len(station.others) != len(scenario.others):
-            raise ScenarioError(
-                "others: this robot's station sees the first object only; expected a simulated "
-                "station, as in gridpush demo"
-            )
         # what the robot knows of the table and the objects
         self.surface = make_surface(station.table_top)
-        self.objects = (station.obj, *(other.part.obj for other in station.others))
+        self.objects = (station.obj, *(other.obj for other in station.others))
         self.names = name_objects(self.objects)
         poses = np.array([scenario.object_pose, *(other.pose for other in station.others)])
         self.goals = make_goals(scenario) if self.has_goals else np.full_like(poses, np.nan)
@@ -194,7 +202,7 @@ class SceneTask(StationTask[SceneTaskRecord]):
             self._draw_goals(meshcat)
 
     def _check(self, scenario: PushScenario) -> None:
-        """Checks that there are several objects, which ideal cameras see."""
+        """Checks that there are several objects, of which each lies freely."""
         if not scenario.others:
             raise ScenarioError(
                 "others: empty; expected other objects on the table: this task is for several"
@@ -202,11 +210,6 @@ class SceneTask(StationTask[SceneTaskRecord]):
         if scenario.posts:
             raise ScenarioError(
                 "posts: given; expected none: a task with several objects plans around no posts"
-            )
-        if scenario.camera.kind != "ideal":
-            raise ScenarioError(
-                f"camera: kind is {scenario.camera.kind}; expected ideal: a task with several "
-                "objects is told the poses of all"
             )
         if scenario.base != "free":
             raise ScenarioError(f"base is {scenario.base}; expected free, as the other objects are")
@@ -292,25 +295,42 @@ class SceneTask(StationTask[SceneTaskRecord]):
         if status.mode is SceneMode.FAILED:
             return TaskStatus.FAILED, status.reason
         if status.mode is SceneMode.LOST:
-            return TaskStatus.LOST, status.reason
+            return TaskStatus.LOST, f"{status.reason} {self._read_message()}".strip()
         if waiting.idle > self.timeout:
             return TaskStatus.STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
         return GO_ON
+
+    def _read_message(self) -> str:
+        """Returns what a camera says that has not found all objects; empty if it has."""
+        if not self.station.HasOutputPort(MESSAGE):
+            return ""
+        message = self.read(MESSAGE)
+        return f"The camera: {message}." if message else ""
+
+    def finish(self, record: SceneTaskRecord) -> None:
+        """Adds what the camera saw; while the gripper holds an object its pose means nothing."""
+        if not isinstance(self.station, PushStation):
+            return
+        sight = self.station.FindSceneSight(self.simulator.get_context())
+        grasps = [step.time for step in record.steps if step.status.mode is SceneMode.GRASPING]
+        if sight is not None:
+            record.scene_sight = sight.until(grasps[0] if grasps else np.inf)
 
     def _judge_held(self, record: SceneTaskRecord) -> Judgment:
         """Judges whether the gripper truly holds the object; here there is none."""
         return TaskStatus.HELD, record.last.reason
 
     def _read_poses(self) -> Array:
-        """Reads where all objects are, (N, 3) m and rad: the first truly, where that is known."""
-        ports = [self.judged_pose, *(f"{other.name}.pose" for other in self.station.others)]
-        return np.array([self.read(port) for port in ports])
+        """Reads where all objects are, (N, 3) m and rad: truly, where that is known."""
+        kind = "pose_true" if self.simulated else "pose"
+        names = ["object", *(other.name for other in self.station.others)]
+        return np.array([self.read(f"{name}.{kind}") for name in names])
 
     def _draw_goals(self, meshcat: Meshcat) -> None:
         """Draws the objects' translucent outlines at their goals."""
         meshcat.Delete(GOALS_PATH)
         heights = [self.station.object_in_plant.height]
-        heights += [other.part.height for other in self.station.others]
+        heights += [other.height for other in self.station.others]
         for b, (obj, pose, height) in enumerate(
             zip(self.objects, self.goals, heights, strict=True)
         ):

@@ -49,6 +49,7 @@ from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.lift_scale import LiftOptions, LiftScale
 from gridpush_drake.systems.messages import GraspCommand, PressCommand, PushCommand
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
+from gridpush_drake.systems.objects_pose_estimator import ObjectsPoseEstimator
 from gridpush_drake.systems.press_executor import ARM_PRESS, PressExecutor
 from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions, plan_push
 from gridpush_drake.systems.steer_executor import SteerExecutor, SteerOptions
@@ -291,6 +292,7 @@ def AddRobotControl(
     tip_bounds: Callable[[Array], str | None] | None = None,
     load: FeltLoad | None = None,
     tip_force: OutputPort | None = None,
+    all_seen: OutputPort | None = None,
 ) -> RobotControl:
     """Adds the systems that command the robot and learn the object, and connects them.
 
@@ -310,6 +312,9 @@ def AddRobotControl(
         load: what the arm feels; None where nothing is weighed.
         tip_force: (3,) force on the tip in W, N, where the finger can be steered by its velocity;
             None where it cannot.
+        all_seen: (3,) the same as `object_pose`, but NaN while any other object of the task is not
+            seen, so that the executor waits, and looks out, for all of them; None where there is
+            only the one.
 
     Returns:
         The systems that were added.
@@ -374,14 +379,16 @@ def AddRobotControl(
     builder.Connect(commander.GetOutputPort("tip_pose"), kinematics.GetInputPort("X_AE_desired"))
 
     # Where tip and object are goes to whoever needs it, and into the logs.
-    for consumer in (executor, identifier):
-        builder.Connect(object_pose, consumer.GetInputPort("object_pose"))
+    builder.Connect(all_seen or object_pose, executor.GetInputPort("object_pose"))
+    builder.Connect(object_pose, identifier.GetInputPort("object_pose"))
     watcher = object_pose.get_system()
-    if isinstance(watcher, ObjectPoseEstimator) and watcher.HasInputPort("pusher_state"):
+    if isinstance(watcher, ObjectPoseEstimator | ObjectsPoseEstimator):
         # A camera is told where pushes take what the arm hides from it.
-        builder.Connect(learned_state, watcher.GetInputPort("pusher_state"))
+        if watcher.HasInputPort("pusher_state"):
+            builder.Connect(learned_state, watcher.GetInputPort("pusher_state"))
         for name in ("mass", "friction", "contact_friction"):
-            builder.Connect(identifier.GetOutputPort(name), watcher.GetInputPort(name))
+            if watcher.HasInputPort(name):
+                builder.Connect(identifier.GetOutputPort(name), watcher.GetInputPort(name))
     builder.Connect(learned_state, identifier.GetInputPort("pusher_state"))
     logs = {PUSHER_LOG: learned_state, POSE_LOG: object_pose} | (logged or {})
     AddLogs(builder, logs, 1 / scenario.camera.rate)
@@ -509,7 +516,7 @@ def _AddSteerExecutor(
 
 StationMaker = Callable[..., "Station"]
 """A function that makes a station of a scenario and a Meshcat (or None), with `show_object`,
-`learning` and `steered` by keyword, as `MakePushStation` does."""
+`learning`, `steered` and `several` by keyword, as `MakePushStation` does."""
 
 
 class Station(Diagram):

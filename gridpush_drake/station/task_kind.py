@@ -92,7 +92,7 @@ class TaskKind:
         files: names of the files that a run leaves in its folder, the report first.
         marks: entries of the recording's legend, besides those of the estimate.
         grasps: whether the robot needs a gripper.
-        several: whether it is a task with several objects, whose poses the robot is told.
+        several: whether it is a task with several objects, of which the robot is told the outlines.
     """
 
     station: Callable[..., Any]

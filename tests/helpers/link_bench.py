@@ -46,18 +46,21 @@ class LinkBench:
     def __init__(self, resolved: ResolvedScenario, task: type) -> None:
         at_control, at_twin = InProcessLink.make_pair()
         self.links = SpoiledLink(at_control, self.read_time), SpoiledLink(at_twin, self.read_time)
-        bus = LinkBus(self.links[1], resolved.robot)
-        self.twin_link = TwinLink(bus, resolved.robot)
+        others = len(resolved.others)
+        bus = LinkBus(self.links[1], resolved.robot, others=others)
+        self.twin_link = TwinLink(bus, resolved.robot, others)
         bus.leave_out = self.twin_link.leave_out
         self.twin = MakeTwin(resolved, self.twin_link.bus, listens=False)
         self.simulator = Simulator(self.twin)
         self.twin.SetStart(self.simulator.get_mutable_context())
         self.rows: list[tuple[float, np.ndarray]] = []
         self._count = 0
-        bus = LinkBus(self.links[0], resolved.robot)
-        self.link = HardwareLink(bus, resolved.robot, robot=self.move, clock=self.read_clock)
+        bus = LinkBus(self.links[0], resolved.robot, others=others)
+        self.link = HardwareLink(
+            bus, resolved.robot, others=others, robot=self.move, clock=self.read_clock
+        )
         bus.leave_out = self.link.leave_out
-        while not self.rows or self.link._object.data is None:
+        while not self.rows or any(each.data is None for each in self.link._objects):
             self.move()
             bus.HandleSubscriptions(0)
         self.task = task(resolved, make_station=partial(MakeHardwareStation, lcm=self.link.bus))

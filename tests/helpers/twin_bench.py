@@ -16,9 +16,9 @@ from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
 from gridpush_drake.station.lcm.picture_tracker import PictureTracker
 from gridpush_drake.station.lcm.robot_messages import (
     ARM_PERIOD,
-    OBJECT_STATUS,
     PICTURES,
     find_arm_messages,
+    name_object_channels,
 )
 from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.lcm.twin_camera import TwinCamera
@@ -44,13 +44,14 @@ class TwinBench:
         self.lcm, self._network = DrakeLcm("memq://"), DrakeLcm("memq://")
         robot = find_robot(scenario.directives)
         self.messages = find_arm_messages(robot)
-        self.twin_link = TwinLink(self._network, robot)
+        others = len(scenario.others)
+        self.twin_link = TwinLink(self._network, robot, others)
         self.twin = MakeTwin(scenario, self.twin_link.bus, listens=False)
         self.simulator = Simulator(self.twin)
         self.spoil: dict[str, Spoiler] = {}
         self.disturb: Callable[[bytes], list[bytes]] | None = None
         self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
-        for channel in (self.messages.status, OBJECT_STATUS):
+        for channel in (self.messages.status, *name_object_channels(others)):
             self._network.Subscribe(channel, partial(self._pass_out, channel))
         self.lcm.Subscribe(self.messages.command, self._pass_in)
         self._last: Any = None
@@ -59,6 +60,7 @@ class TwinBench:
         self.link = HardwareLink(
             self.lcm,
             robot,
+            others=others,
             clock_jump=scenario.safety.clock_jump,
             robot=self.move,
             clock=self.read_clock,
@@ -85,7 +87,7 @@ class TwinBench:
             0  # of which only the first ones are written down
         )
         self._reset()
-        while self.link._object.data is None or len(self.rows) < 10:
+        while any(each.data is None for each in self.link._objects) or len(self.rows) < 10:
             self.move()
             self.lcm.HandleSubscriptions(0)
         self.link.armed = True

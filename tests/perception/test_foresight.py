@@ -8,10 +8,20 @@ import pytest
 import shapely
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import Scene
+from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.perception.foresight import Foresight, PushModel, Tip, foresee
+from gridpush_drake.perception.foresight import (
+    Foresight,
+    PushModel,
+    SceneForesight,
+    ScenePushModel,
+    Tip,
+    foresee,
+    foresee_scene,
+)
 
 OBJ = GridObject.from_outline(shapely.box(-0.06, -0.03, 0.06, 0.03), max_cells=20)
 PARAMS = CellParameters.uniform(OBJ)
@@ -64,3 +74,44 @@ def test_what_it_cannot_follow_is_not_foretold_any_more():
     inside = go([START[:2], START[:2] + [0.01, 0.0]])
     assert inside.expect() is None
     assert replace(pushed, known=False).expect() is None
+
+
+BLOCK = GridObject.from_outline(shapely.box(-0.02, -0.02, 0.02, 0.02), max_cells=16)
+SCENE = Scene([(OBJ, PARAMS, START), (BLOCK, CellParameters.uniform(BLOCK), (0.04, -0.02, 0.4))])
+SCENE_MODEL = ScenePushModel(SCENE, top=0.03, radius=0.006)
+SCENE_BEGIN = SceneForesight(SCENE.poses, SCENE.poses, np.ones(2, dtype=bool))
+
+
+def test_what_is_pushed_through_another_object_is_foretold_too():
+    path = make_path()
+    found = SCENE_BEGIN
+    tips = [Tip(0.1 * k, np.array([*place, 0.01])) for k, place in enumerate(path)]
+    for last, now in pairwise(tips):
+        found = foresee_scene(found, SCENE_MODEL, last, now)
+    whole = simulate_scene(SCENE, Push.along(0.1 * np.arange(len(path)), path, 0.006))
+    moved = np.linalg.norm(whole.poses[-1, :, :2] - SCENE.poses[:, :2], axis=1)
+    assert moved.min() > 0.01
+    np.testing.assert_allclose(found.poses[:, :2], whole.poses[-1, :, :2], atol=1e-3)
+    np.testing.assert_allclose(found.poses[:, 2], whole.poses[-1, :, 2], atol=0.01)
+    expected = found.expect()
+    np.testing.assert_array_equal(expected[1].pose, found.poses[1])
+    assert expected[1].place_deviation == pytest.approx(max(0.005, 0.3 * moved[1]), rel=0.1)
+
+    # one of them is seen again: it is expected nowhere else, and the other one still is
+    seen = np.array([[0.1, 0.0, 0.4], [np.nan] * 3])
+    again = found.see(seen)
+    np.testing.assert_array_equal(again.poses, [seen[0], found.poses[1]])
+    assert again.expect()[0] is None
+    np.testing.assert_array_equal(again.expect()[1].pose, found.poses[1])
+
+
+def test_of_a_tip_that_is_not_known_nothing_is_foretold_until_objects_are_seen():
+    tips = [Tip(0.0, np.zeros(3)), Tip(0.1, np.full(3, np.nan))]
+    gone = foresee_scene(SCENE_BEGIN, SCENE_MODEL, *tips)
+    assert not gone.known.any()
+    assert gone.expect() == (None, None)
+    seen = np.array([SCENE.poses[0], [np.nan] * 3])
+    np.testing.assert_array_equal(gone.see(seen).known, [True, False])
+    # above all objects nothing is pushed
+    high = [Tip(0.1 * k, np.array([*place, 0.05])) for k, place in enumerate(make_path())]
+    assert foresee_scene(SCENE_BEGIN, SCENE_MODEL, high[0], high[-1]) is SCENE_BEGIN

@@ -74,7 +74,9 @@ def test_a_push_is_made_seen_and_learned_from():
     assert now.status.reason == "So it is."
     # while it is under way nothing is decided
     busy = PushStatus(PushPhase.PUSHING, command_id=1)
-    assert watch(loop, now, POSES, busy, 0.3) is now
+    working = watch(loop, now, POSES, busy, 0.3)
+    assert (working.status, working.push_id, working.seen) == (now.status, 1, ())
+    now = working
     after = POSES + [[0.05, 0.0, 0.1], [0.0, 0.0, 0.05]]
     wrapped = after - [[0.0, 0.0, 0.0], [0.0, 0.0, 2 * np.pi]]
     now = watch(loop, now, wrapped, PushStatus(command_id=1, executed=1), 1.0)
@@ -108,6 +110,23 @@ def test_a_refused_push_is_told_to_the_planner_and_many_end_the_task():
     assert now.status.mode is SceneMode.FAILED and "too far" in now.status.reason
     assert len(now.steps) == loop.options.max_refusals and now.log == ()
     assert planner.shown[-1][2][0].refused == "too far"
+
+
+def test_what_the_arm_hides_while_it_is_at_work_is_not_lost():
+    """Neither in a long push, nor while the arm moves out of the way afterwards."""
+    loop, _ = make_loop([decide(SceneAction.PUSH, PUSH), decide(SceneAction.DONE)])
+    hidden = POSES.copy()
+    hidden[1] = np.nan
+    now = watch(loop, loop.begin(), POSES, PushStatus(), 0.0)
+    now = watch(loop, now, hidden, PushStatus(PushPhase.PUSHING, command_id=1), 1.0, times=180)
+    done = PushStatus(command_id=1, executed=1)
+    now = watch(loop, now, hidden, done, 10.0, times=6)
+    away = PushStatus(PushPhase.CLEARING, command_id=1, executed=1)
+    now = watch(loop, now, hidden, away, 10.3, times=180)
+    now = watch(loop, now, hidden, done, 19.3, times=6)
+    assert now.status.mode is SceneMode.WAITING
+    now = watch(loop, now, POSES, done, 19.6)
+    assert now.status.mode is SceneMode.DONE
 
 
 def test_an_object_out_of_sight_is_lost_after_a_while():

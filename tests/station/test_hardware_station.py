@@ -6,15 +6,22 @@ from pydrake.multibody.parsing import AddDirectives, ModelDirective
 
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.multibody.parser import find_models
+from gridpush_drake.planning.scene.separation import MARGIN
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
 from gridpush_drake.station.arm import ArmPosture
 from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
 from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation, make_limits
-from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
+from gridpush_drake.station.lcm.robot_messages import (
+    ARM_MESSAGES,
+    ARM_PERIOD,
+    OBJECT_STATUS,
+    name_object_channel,
+)
 from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.robot import find_robot, make_robot_directives
 from gridpush_drake.station.scenario import OtherConfig, PartTruth
 from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scene_task import SeparateTask
 from gridpush_drake.systems.guard_status import (
     GuardMode,
 )
@@ -477,9 +484,88 @@ def test_no_path_is_planned_on_which_the_guard_would_stop_the_arm():
     assert said[1].startswith("the finger's tip is at (") and "y -0.47 to 0.37 m" in said[1]
 
 
-def test_what_lcm_cannot_tell_is_refused():
+def test_what_the_tracker_cannot_follow_is_refused():
     scenario = make_scenario()
     scenario.others = [OtherConfig(object="pliers", pose=[0.5, 0.35, 0.0])]
+    scenario.camera.use("rgbd")
     for make in (MakeTwin, lambda scenario, lcm: MakeHardwareStation(scenario, lcm=lcm)):
-        with pytest.raises(ScenarioError, match="others: over LCM one object's pose is told"):
+        with pytest.raises(ScenarioError, match="others: gridpush tracker follows one object"):
             make(scenario, DrakeLcm("memq://"))
+
+
+def make_two():
+    """Two objects of which the second is 21 mm from the first: one push away from done."""
+    objects = [
+        {"object": "pliers", "pose": [0.56, -0.1, 0.0]},
+        {"object": "open_book", "pose": [0.56, 0.068, 0.0]},
+    ]
+    scenario = PushScenario(objects=objects, seed=4)
+    scenario.pokes.speed = 0.08
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def bench_of_two():
+    return TwinBench(make_two(), SeparateTask)
+
+
+def test_the_poses_of_several_objects_come_over_lcm(bench_of_two):
+    bench = bench_of_two
+    bench.begin()
+    task = bench.task
+    push = task.preview(bench.link, within=2.0)
+    assert task.read("object.pose") == pytest.approx([0.56, -0.1, 0.0], abs=0.01)
+    assert task.read("other_0.pose") == pytest.approx([0.56, 0.068, 0.0], abs=0.01)
+    assert push is not None and push.distance > 0.003
+    # each object has a truth of its own in the twin, drawn from the scenario's seed
+    plant = bench.twin.world.plant
+    context = plant.GetMyContextFromRoot(bench.simulator.get_context())
+    parts = [bench.twin.world.object_in_plant, bench.twin.world.setting.others[0].part]
+    middles = [part.body.CalcSpatialInertiaInBodyFrame(context).get_com()[:2] for part in parts]
+    even = [part.obj.p_BC.mean(axis=0) for part in parts]
+    assert (np.linalg.norm(np.subtract(middles, even), axis=1) > 1e-3).all()
+
+
+def test_an_object_of_which_nobody_tells_is_named():
+    lcm = DrakeLcm("memq://")
+    link = HardwareLink(lcm, ROBOT, others=2)
+    lcm.Publish(ARM.status, bytes_of_status())
+    now = lcmt_planar_manipuland_status()
+    now.utime = 10_000_000
+    for number in (0, 1):
+        lcm.Publish(name_object_channel(number), now.encode())
+    with pytest.raises(
+        StationError, match=r"nobody says where others\[1\] is on .*_OTHER_1 within"
+    ):
+        link.wait(patience=0.1)
+
+
+def bytes_of_status():
+    message = lcmt_iiwa_status()
+    message.utime, message.num_joints = 10_000_000, 7
+    for name in ("measured", "commanded", "ipo"):
+        setattr(message, f"joint_position_{name}", [0.1] * 7)
+    message.joint_velocity_estimated = [0.0] * 7
+    for name in ("measured", "commanded", "external"):
+        setattr(message, f"joint_torque_{name}", [0.0] * 7)
+    return message.encode()
+
+
+@pytest.mark.slow
+def test_objects_are_separated_over_lcm(bench_of_two):
+    bench = bench_of_two
+    bench.begin()
+    record = bench.task.run(drive=bench.link)
+    assert record.status == TaskStatus.REACHED, record.message
+    assert record.pushes >= 1 and len(record.scene_log) == record.pushes
+    assert bench.link.report.events[-1][1] == "guard holding: the work is done"
+    assert bench.link.report.left_out == {}
+    assert record.clearances.min() > MARGIN - 0.003
+    # the objects are truly where the robot saw them come to rest
+    plant = bench.twin.world.plant
+    poses = plant.get_body_poses_output_port().Eval(
+        plant.GetMyContextFromRoot(bench.simulator.get_context())
+    )
+    parts = [bench.twin.world.object_in_plant, bench.twin.world.setting.others[0].part]
+    places = [poses[int(part.body_index)].translation()[:2] for part in parts]
+    np.testing.assert_allclose(record.poses[:, :2], places, atol=0.003)

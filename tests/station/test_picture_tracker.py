@@ -119,5 +119,5 @@ def test_what_is_missing_or_amiss_is_said(bench):
 def test_several_objects_are_refused():
     scenario = make_scenario()
     scenario.others = [OtherConfig(object="pliers", pose=[0.5, 0.3, 0.0])]
-    with pytest.raises(ScenarioError, match="others: over LCM one object's pose is told"):
+    with pytest.raises(ScenarioError, match="others: gridpush tracker follows one object"):
         PictureTracker(scenario, DrakeLcm("memq://"))

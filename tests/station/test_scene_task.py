@@ -6,10 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydrake.systems.analysis import Simulator
 
-from gridpush_drake import PushScenario, read_scenario
+from gridpush_drake import MakePushStation, PushScenario, read_scenario
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError, ScenarioError
+from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision
 from gridpush_drake.planning.scene.scene_loop import SceneMode, SceneStatus
 from gridpush_drake.planning.scene.separation import MARGIN
@@ -18,6 +20,7 @@ from gridpush_drake.station.others import draw_other_truth
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PostConfig
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, write_scenario
+from gridpush_drake.station.scene_camera import guess_equal_ones
 from gridpush_drake.station.scene_kinds import list_rest_poses
 from gridpush_drake.station.scene_task import (
     FetchTask,
@@ -29,6 +32,7 @@ from gridpush_drake.station.scene_task import (
 from gridpush_drake.station.task import TaskStatus, TaskStep
 from gridpush_drake.station.tasks import TASKS, TaskName
 from gridpush_drake.systems.messages import PushCommand
+from tests.helpers.renderer import require_renderer
 
 NAMES = ("separate", "rearrange", "fetch")
 
@@ -112,10 +116,6 @@ def test_what_a_task_with_several_objects_refuses(tmp_path):
     with pytest.raises(ScenarioError, match="others: empty; expected other objects"):
         SeparateTask(PushScenario())
     scenario = read_scenario("separate")
-    scenario.camera.use("rgbd")
-    with pytest.raises(ScenarioError, match="camera: kind is rgbd; expected ideal"):
-        SeparateTask(scenario)
-    scenario = read_scenario("separate")
     scenario.posts = [PostConfig(position=[0.85, 0.45], radius=0.01)]
     with pytest.raises(ScenarioError, match="posts: given; expected none"):
         SeparateTask(scenario)
@@ -196,6 +196,87 @@ def test_objects_are_separated_by_the_robot():
     assert record.clearances.min() > MARGIN - 0.003
     assert record.limit_report.ok, record.limit_report
     assert len(record.scene_log) == record.pushes >= 1
+
+
+def make_rgbd(name):
+    require_renderer()
+    scenario = read_scenario(name)
+    scenario.camera.use("rgbd")
+    return scenario
+
+
+def test_objects_that_touch_are_found_in_the_first_picture_and_told_apart():
+    """Four objects of the station, all but touching, of which the robot is told the outlines alone."""
+    station = MakePushStation(make_rgbd("separate"), several=True)
+    assert station.found is None
+    context = station.CreateDefaultContext()
+    station.SetStart(context, seed=5)
+    station.GetInputPort("push_command").FixValue(context, PushCommand().to_vector())
+    simulator = Simulator(station, context)
+    simulator.AdvanceTo(0.05)
+    names = ["object", *(other.name for other in station.others)]
+    assert station.GetOutputPort("camera.message").Eval(context) == ""
+    for name in names:
+        seen, true = (
+            station.GetOutputPort(f"{name}.{kind}").Eval(context) for kind in ("pose", "pose_true")
+        )
+        assert np.hypot(*(seen - true)[:2]) < 1e-3, name
+        assert abs(wrap_angle(seen[2] - true[2])) < np.radians(0.5), name
+        assert np.abs(seen - true).max() > 0  # a picture has noise
+    sight = station.FindSceneSight(context)
+    assert sight.errors.shape == (1, len(names), 3) and sight.seen.all()
+    assert station.FindSight(context) is None
+
+    # while one of them is not seen, the executor takes up no push
+    station.CoverCamera(context)
+    simulator.AdvanceTo(0.15)
+    push = PushCommand(1, 0.45, -0.3, 0.0, 0.02, 0.05)
+    station.GetInputPort("push_command").FixValue(context, push.to_vector())
+    simulator.AdvanceTo(0.25)
+    assert np.isnan(station.GetOutputPort("other_2.pose").Eval(context)).all()
+    assert np.isfinite(station.GetOutputPort("other_2.pose_true").Eval(context)).all()
+    assert station.GetOutputPort("executor.status").Eval(context).command_id == 0
+
+
+def test_equal_objects_are_looked_for_where_the_scenario_has_them():
+    scenario = parse_scenario(
+        Path("three.yaml"),
+        "objects:\n- {object: pliers, pose: [0.6, 0.2, 0]}\n- {object: claw_hammer, pose: [0.6, 0, 0]}"
+        "\n- {object: pliers, pose: [0.6, -0.2, 0]}\n",
+    )
+    resolved = resolve(scenario)
+    poses = np.array([[0.6, 0.2, 0.0], [0.6, 0.0, 0.0], [0.6, -0.2, 0.0]])
+    first, hammer, second = guess_equal_ones((resolved.obj, *resolved.others), poses)
+    assert hammer is None
+    np.testing.assert_array_equal([first, second], poses[[0, 2]])
+
+
+def test_what_the_camera_does_not_find_ends_the_task_with_its_message():
+    task = SeparateTask(make_rgbd("separate"))
+    task.begin()
+    task.station.CoverCamera(task.simulator.get_mutable_context())
+    task.simulator.AdvanceTo(0.1)
+    record = task.make_record()
+    record.last = SceneStatus(SceneMode.LOST, "Object 1 has not been seen for 3 s.")
+    status, message = task.judge(record, SimpleNamespace(idle=0.0, unseen=0.0))
+    assert status is TaskStatus.LOST and message == record.last.reason
+    assert np.isfinite(record.poses).all()  # nothing fell: it is only not seen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_every_task_is_done_by_what_a_color_and_depth_camera_shows(name):
+    kind = TASKS[name]
+    task = kind.station(make_rgbd(name))
+    record = task.run()
+    assert record.status == kind.done, record.message
+    assert record.limit_report.ok, record.limit_report
+    camera = kind.summarize(record)["camera"]
+    assert min(camera["seen"]) > 0.5 and camera["position_rms"] < 1e-3
+    assert camera["angle_rms"] < np.radians(0.3)
+    lines = [line for line in kind.describe(kind.summarize(record)) if "camera" in line]
+    assert len(lines) == 1 and "pictures" in lines[0]
+    assert "poses off by (RMS)" in kind.make_report(record)
 
 
 @pytest.mark.slow

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -39,6 +41,14 @@ def test_an_object_that_is_faster_than_the_finger_at_it_is_noticed(speed):
     fault, time = watch(tip, lambda t: POSE + [speed * t, 0, 0])
     assert "; the finger at it moved by " in fault
     assert time < 5 * LOOK
+
+
+def test_in_clutter_a_low_finger_counts_as_near_wherever_it_is():
+    """It may push the object through another one; above all of them it moves nothing."""
+    clutter = replace(WATCH, pushed_by_others=True)
+    for place, height, near in ((AWAY, 0.012, True), (AWAY, 0.12, False), (BESIDE, 0.012, True)):
+        assert clutter.is_near(POSE, np.array([*place[:2], height])) is near
+    assert not WATCH.is_near(POSE, np.array(AWAY))
 
 
 def test_an_object_that_is_pushed_turned_or_seen_with_noise_is_none_of_that():

@@ -81,7 +81,7 @@ class SceneLoopState(Unchanging):
         status: what it says of itself.
         belief: what is believed of the objects.
         seen: poses (N, 3) of the same rest, the last ones that were seen, m and rad.
-        last_seen: when all objects were last seen, s.
+        last_seen: when all objects were last seen, or the robot was last at work, s.
         push: the last push asked for; None before the first.
         push_id: its number, counted from 1; 0 before the first.
         asked: where the objects were before it, and the decision; None where it was dealt with.
@@ -165,7 +165,8 @@ class SceneLoop:
         # The robot is waited for.
         under_way = now.push is not None and seen.robot.command_id != now.push_id
         if not seen.robot.ready or not seen.gripper.ready or under_way:
-            return replace(now, seen=(), last_seen=seen.time) if now.seen else now
+            # Meanwhile the arm may hide objects: they are not missed before it is at rest.
+            return replace(now, seen=(), last_seen=seen.time)
         if now.status.mode is SceneMode.PUSHING:
             now = self._end_push(now, seen)
         # Then the objects, until they lie still.

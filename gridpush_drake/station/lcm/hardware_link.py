@@ -40,8 +40,8 @@ from gridpush_drake.station.lcm.robot_messages import (
     ARM_PERIOD,
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
-    OBJECT_STATUS,
     find_arm_messages,
+    name_object_channels,
 )
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import SafetyConfig
@@ -199,6 +199,7 @@ class HardwareLink:
         lcm: Bus,
         arm: Robot,
         *,
+        others: int = 0,
         realtime_rate: float = 1.0,
         clock_jump: float = SafetyConfig().clock_jump,
         robot: Callable[[], object] | None = None,
@@ -210,6 +211,7 @@ class HardwareLink:
         Args:
             lcm: the network that the robot is on.
             arm: the robot, whose joints, driver and gripper say which messages there are.
+            others: number of other objects on the table, whose poses come, too.
             realtime_rate: number of the robot's seconds in a second; other than 1 for a twin that
                 is slower.
             clock_jump: a message that is further ahead of its sender's clock than this is left out,
@@ -236,11 +238,15 @@ class HardwareLink:
         self._arm = self._make_channel(
             self._messages.status, self._messages.status_type, clock_jump, self._find_arm_fault
         )
-        # The times in messages about the object are by the robot's clock.
-        self._object = self._make_channel(
-            OBJECT_STATUS, lcmt_planar_manipuland_status, clock_jump, reference=self._arm.clock
-        )
-        self._channels = {self._messages.status: self._arm, OBJECT_STATUS: self._object}
+        # The times in messages about objects are by the robot's clock.
+        objects = {
+            name: self._make_channel(
+                name, lcmt_planar_manipuland_status, clock_jump, reference=self._arm.clock
+            )
+            for name in name_object_channels(others)
+        }
+        self._objects = tuple(objects.values())
+        self._channels = {self._messages.status: self._arm, **objects}
         if arm.gripper is not None:
             self._channels[GRIPPER_STATUS] = self._make_channel(
                 GRIPPER_STATUS, lcmt_schunk_wsg_status, clock_jump
@@ -304,8 +310,10 @@ class HardwareLink:
         who = "nobody says how the gripper is"
         if silent[0] is self._arm:
             who = "the robot sends no status"
-        elif silent[0] is self._object:
+        elif silent[0] is self._objects[0]:
             who = "nobody says where the object is"
+        elif silent[0] in self._objects:
+            who = f"nobody says where others[{self._objects.index(silent[0]) - 1}] is"
         unusable = silent[0].describe_unusable()
         where = "in this ROS domain" if self._names else "on this --lcm"
         raise StationError(

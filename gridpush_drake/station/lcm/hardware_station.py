@@ -34,8 +34,10 @@ from gridpush_drake.station.lcm.robot_messages import (
     find_arm_messages,
 )
 from gridpush_drake.station.lcm.twin import check_tracked
+from gridpush_drake.station.others import list_others
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scene_camera import AddAllSeen, AddPosesTogether
 from gridpush_drake.station.station import (
     AddRobotControl,
     FeltLoad,
@@ -134,8 +136,13 @@ def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardL
     )
 
 
-def make_object_watch(setting: Setting) -> ObjectWatch:
-    """Makes the judge of whether a scenario's object moves as the finger moves it."""
+def make_object_watch(setting: Setting, several: bool = False) -> ObjectWatch:
+    """Makes the judge of whether a scenario's object moves as the finger moves it.
+
+    Args:
+        setting: robot and scene.
+        several: whether the object may be pushed through others.
+    """
     scenario = setting.scenario
     outline = setting.obj.outline
     camera = scenario.camera
@@ -145,11 +152,15 @@ def make_object_watch(setting: Setting) -> ObjectWatch:
         radius = float(np.hypot(*np.abs(shapely.get_coordinates(outline)).T).max())
         deviation = camera.position_noise + radius * camera.angle_noise
         noise = max(noise, OBJECT_NOISE_DEVIATIONS * deviation)
+    top = setting.obj.height or scenario.object_height
+    if several:
+        top = max(top, *(other.height for other in setting.others))
     return ObjectWatch(
         outline=outline,
-        height=setting.obj.height or scenario.object_height,
+        height=top,
         tip_radius=setting.robot.finger.tip_radius,
         noise=noise,
+        pushed_by_others=several,
         lag=calc_pose_age(camera) + 1 / camera.rate + OBJECT_MESSAGE_TIME,
     )
 
@@ -168,6 +179,8 @@ class HardwareStation(Station):
         - guard.status
         - guard.position
         - pusher.force
+        - other_0.pose
+        - ...
 
     - ``stop``: vector of 1, whether the arm is to be stopped, and by whom, see `ArmGuard`. It need
       not be connected.
@@ -175,6 +188,8 @@ class HardwareStation(Station):
     - ``guard.position``: vector of n, joint positions as they are sent to the robot, rad.
     - ``pusher.force``: vector of 3, force on the finger's tip in W, calculated from the torques on
       the joints, N.
+    - ``other_0.pose`` and so on: vector of 3, X_WB of another object as its tracker sees it,
+      (x, y, theta), m and rad; one port for each of the scenario's `others`.
     """
 
     __slots__ = NO_SLOTS
@@ -251,6 +266,7 @@ def MakeHardwareStation(
     show_object: bool = True,
     learning: Learning | None = None,
     steered: bool = False,
+    several: bool = False,
     name: str = "station",
 ) -> HardwareStation:
     """Makes the station of a robot on LCM.
@@ -266,13 +282,15 @@ def MakeHardwareStation(
         show_object: has no effect.
         learning: which pushes are learned from; None for the first `scenario.pokes.count`.
         steered: whether the finger can be steered by its velocity, by the port `steer_command`.
+        several: whether the task is with all objects: it then waits until all of them are seen.
         name: name of the station in a Diagram.
 
     Returns:
         The station. Call its `SetStart` on each new Context.
 
     Raises:
-        ScenarioError: the scenario makes no sense, or has several objects.
+        ScenarioError: the scenario makes no sense, or has several objects before a color and depth
+            camera.
         StationError: the messages of the robot's driver are not known.
     """
     resolved = resolve(scenario)
@@ -282,7 +300,8 @@ def MakeHardwareStation(
     if scenario.camera.kind == "rgbd" and resolved.obj.height:
         # The height is the one that the tracker found, and wrote into the object's file.
         scenario = scenario.model_copy(update={"object_height": resolved.obj.height})
-    setting = MakeSetting(resolved, scenario, resolved.scene.plant)
+    others = list_others(scenario, resolved.others)
+    setting = MakeSetting(resolved, scenario, resolved.scene.plant, others=others)
     n = len(setting.q_start)
     messages = find_arm_messages(robot)
     builder = DiagramBuilder()
@@ -296,6 +315,15 @@ def MakeHardwareStation(
         builder.Connect(status[port], tip.GetInputPort(port))
     pose_age = calc_pose_age(scenario.camera)
     object_pose, newest_pose = AddObjectReceiver(builder, lcm, status["time_measured"], pose_age)
+    all_seen = None
+    if others:
+        poses = [object_pose]
+        for number, other in enumerate(others, start=1):
+            pose, _ = AddObjectReceiver(builder, lcm, status["time_measured"], pose_age, number)
+            builder.ExportOutput(pose, f"{other.name}.pose")
+            poses.append(pose)
+        if several:
+            all_seen = AddAllSeen(builder, AddPosesTogether(builder, poses, "scene_poses"))
     gripper_state = None
     gripper = None
     if robot.gripper is not None:
@@ -315,6 +343,7 @@ def MakeHardwareStation(
         tip_bounds=make_bounds(setting),
         load=load,
         tip_force=tip.GetOutputPort("force") if steered else None,
+        all_seen=all_seen,
     )
     if control.grasping is not None and gripper is not None:
         builder.Connect(
@@ -324,7 +353,7 @@ def MakeHardwareStation(
             control.grasping.GetOutputPort("gripper_force_limit"),
             gripper.GetInputPort("force_limit"),
         )
-    guard = _AddGuard(builder, setting, control, status, tip)
+    guard = _AddGuard(builder, setting, control, status, tip, several)
     builder.Connect(newest_pose, guard.GetInputPort("object_pose"))
     builder.Connect(guard.GetOutputPort("position"), messages.AddCommandSender(builder, lcm, n))
 
@@ -356,6 +385,7 @@ def _AddGuard(
     control: RobotControl,
     status: dict[str, OutputPort],
     tip: ArmTipSensor,
+    several: bool,
 ) -> ArmGuard:
     """Adds the guard behind what commands the arm, and exports its ports and the tip's force.
 
@@ -365,6 +395,7 @@ def _AddGuard(
         control: the systems that command the robot.
         status: ports with the arm's status, by the names that a `SimIiwaDriver` uses.
         tip: measures the finger's tip.
+        several: whether objects may be pushed through one another.
     """
     posture = ArmPosture(setting.control_plant, setting.robot)
     guard: ArmGuard = builder.AddNamedSystem(
@@ -374,7 +405,7 @@ def _AddGuard(
             calc_tip=lambda q: posture.calc_tip_pose(q).translation(),
             validator=make_bounds(setting),
             period=ARM_PERIOD,
-            object_watch=make_object_watch(setting),
+            object_watch=make_object_watch(setting, several),
         ),
     )
     if control.grasping is not None:

@@ -81,7 +81,7 @@ class RobotSilhouette:
         AddScene(MakeParser(self.plant), scenario)
         self.plant.Finalize()
         self.table_top = resolved.table_top
-        rgbd = AddRgbdCamera(builder, self.plant, scene_graph, scenario, None)
+        rgbd = AddRgbdCamera(builder, self.plant, scene_graph, scenario, [])
         self.camera = rgbd.camera
         self._labels = list(rgbd.hidden_by)
         self._sensor = rgbd.sensor

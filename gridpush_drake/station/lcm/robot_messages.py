@@ -73,7 +73,8 @@ GRIPPER_COMMAND = "SCHUNK_WSG_COMMAND"
 """Channel of a gripper's command, `lcmt_schunk_wsg_command`, as Drake's driver names it."""
 
 OBJECT_STATUS = "PLANAR_MANIPULAND_STATUS"
-"""Channel of the object's pose, `lcmt_planar_manipuland_status`; the name is this package's own."""
+"""Channel of the object's pose, `lcmt_planar_manipuland_status`; the name is this package's own.
+Those of the other objects on the table are named by `name_object_channel`."""
 
 PICTURES = "DRAKE_RGBD_CAMERA_IMAGES"
 """Channel of a camera's color and depth, `lcmt_image_array`, as Drake's examples name it."""
@@ -410,10 +411,29 @@ def AddGripperSide(
     )
 
 
+def name_object_channel(number: int) -> str:
+    """Names the channel of an object's pose, by its number.
+
+    Args:
+        number: 0 for the scenario's `object`, and 1 and so on for its `others`, whose channels are
+            called after the station's ports, `other_0.pose` and so on.
+    """
+    return OBJECT_STATUS if number == 0 else f"{OBJECT_STATUS}_OTHER_{number - 1}"
+
+
+def name_object_channels(others: int) -> list[str]:
+    """Names the channels of the poses of a scenario's `object` and of as many others."""
+    return [name_object_channel(number) for number in range(others + 1)]
+
+
 def AddObjectReceiver(
-    builder: DiagramBuilder, lcm: DrakeLcmInterface, time: OutputPort, delay: float
+    builder: DiagramBuilder,
+    lcm: DrakeLcmInterface,
+    time: OutputPort,
+    delay: float,
+    number: int = 0,
 ) -> tuple[OutputPort, OutputPort]:
-    """Adds the systems that read where the object is.
+    """Adds the systems that read where an object is.
 
     Args:
         builder: the builder that has the time's system.
@@ -421,24 +441,32 @@ def AddObjectReceiver(
         time: (1,) time by the clock of the messages, s.
         delay: age of the pose that the executor and the identifier get, s; always the same, so that
             the identifier knows it.
+        number: the object's number, see `name_object_channel`.
 
     Returns:
         Output ports with the pose (3,) of that age, and with the newest pose, m and rad.
     """
+    channel = name_object_channel(number)
+    name = "camera" if number == 0 else f"camera_{number}"
     receiver = builder.AddNamedSystem(
-        "camera", PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE, delay)
+        name, PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE, delay)
     )
     builder.Connect(time, receiver.GetInputPort("time"))
-    subscriber = LcmSubscriberSystem.Make(OBJECT_STATUS, lcmt_planar_manipuland_status, lcm)
-    builder.AddNamedSystem("object_subscriber", subscriber)
+    subscriber = LcmSubscriberSystem.Make(channel, lcmt_planar_manipuland_status, lcm)
+    builder.AddNamedSystem(f"{channel}_subscriber", subscriber)
     builder.Connect(subscriber.get_output_port(), receiver.GetInputPort("message"))
     return receiver.GetOutputPort("object_pose"), receiver.GetOutputPort("newest_pose")
 
 
 def AddObjectSender(
-    builder: DiagramBuilder, lcm: DrakeLcmInterface, pose: OutputPort, period: float, offset: float
+    builder: DiagramBuilder,
+    lcm: DrakeLcmInterface,
+    pose: OutputPort,
+    period: float,
+    offset: float,
+    number: int = 0,
 ) -> None:
-    """Adds the systems that say where the object is seen.
+    """Adds the systems that say where an object is seen.
 
     Args:
         builder: the builder that has the camera.
@@ -446,17 +474,19 @@ def AddObjectSender(
         pose: (3,) X_WB of the object as seen, m and rad.
         period: time between two messages, s.
         offset: time of the first message, s.
+        number: the object's number, see `name_object_channel`.
     """
-    sender = builder.AddNamedSystem("object_status_sender", PlanarManipulandStatusSender())
+    channel = name_object_channel(number)
+    sender = builder.AddNamedSystem(f"{channel}_sender", PlanarManipulandStatusSender())
     builder.Connect(pose, sender.get_input_port())
     publisher = LcmPublisherSystem.Make(
-        OBJECT_STATUS,
+        channel,
         lcmt_planar_manipuland_status,
         lcm,
         publish_period=period,
         publish_offset=offset,
     )
-    builder.AddNamedSystem("object_publisher", publisher)
+    builder.AddNamedSystem(f"{channel}_publisher", publisher)
     builder.Connect(sender.get_output_port(), publisher.get_input_port())
 
 

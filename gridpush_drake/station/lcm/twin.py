@@ -1,6 +1,6 @@
 """`MakeTwin`: a simulated robot with the LCM messages of a real one's drivers.
 
-An ideal camera beside it says where the object is, as a tracker of a real object would.
+An ideal camera beside it says where each object is, as a tracker of real objects would.
 """
 
 import numpy as np
@@ -21,11 +21,13 @@ from gridpush_drake.station.lcm.robot_messages import (
     AddObjectSender,
     find_arm_messages,
 )
+from gridpush_drake.station.others import AddOtherCameras, SetOthersStart
 from gridpush_drake.station.push_station import AddSensors, AddWorld, World
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import Setting
 from gridpush_drake.systems.command_ramp import CommandRamp
+from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 
 TORQUE = "torque_external"
 """Name of the port of an arm's driver with the torques from outside."""
@@ -36,13 +38,16 @@ simulation, which lasts one time step, would seem far stronger than a real one."
 
 
 def check_tracked(scenario: PushScenario) -> None:
-    """Checks that a scenario has one object only: there is no LCM message for several.
+    """Checks that several objects need not be found in pictures: `gridpush tracker` follows one.
 
     Raises:
-        ScenarioError: the scenario has other objects.
+        ScenarioError: the scenario has other objects, and a color and depth camera.
     """
-    if scenario.others:
-        raise ScenarioError("others: over LCM one object's pose is told; expected an empty list")
+    if scenario.others and scenario.camera.kind == "rgbd":
+        raise ScenarioError(
+            "others: gridpush tracker follows one object; expected an empty list, or camera.kind "
+            "ideal, with a tracker of your own that says the pose of each object"
+        )
 
 
 def _AddCommandRamp(builder: DiagramBuilder, setting: Setting) -> CommandRamp:
@@ -84,8 +89,11 @@ class Twin(Diagram):
         name: Twin
         output_ports:
         - driver.status
+        - other_0.pose
+        - ...
 
     - ``driver.status``: abstract `GuardStatus` of its `CommandRamp`, how the arm's driver stands.
+    - ``other_0.pose`` and so on: as in a `PushStation`.
 
     Attributes:
         world: the simulated plant with robot, object and table.
@@ -93,11 +101,18 @@ class Twin(Diagram):
 
     __slots__ = NO_SLOTS
 
-    def __init__(self, builder: DiagramBuilder, world: World, camera: StationCamera) -> None:
+    def __init__(
+        self,
+        builder: DiagramBuilder,
+        world: World,
+        camera: StationCamera,
+        other_cameras: tuple[PlanarPoseSensor, ...] = (),
+    ) -> None:
         """Builds the Diagram of a builder's systems; `MakeTwin` calls it."""
         super().__init__()
         self.world = world
         self._camera = camera
+        self._other_cameras = other_cameras
         builder.BuildInto(self)
 
     def GetPositions(self, root_context: Context) -> Array:
@@ -106,8 +121,18 @@ class Twin(Diagram):
         return np.array(plant.GetPositions(plant.GetMyContextFromRoot(root_context)))
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
-        """Puts arm and object at rest where the scenario has them; see `PushStation.SetStart`."""
+        """Puts arm and objects at rest where the scenario has them; see `PushStation.SetStart`."""
         self.world.SetStart(self, root_context, seed)
+        setting = self.world.setting
+        SetOthersStart(
+            self.world.plant,
+            self.world.scene_graph,
+            root_context,
+            scenario=setting.scenario,
+            others=setting.others,
+            cameras=self._other_cameras,
+            seed=setting.scenario.seed if seed is None else seed,
+        )
         if seed is not None:
             self._camera.SetSeed(root_context, seed)
 
@@ -132,7 +157,8 @@ def MakeTwin(
         The twin. Call its `SetStart` on each new Context.
 
     Raises:
-        ScenarioError: the scenario makes no sense, or has several objects.
+        ScenarioError: the scenario makes no sense, or has several objects before a color and depth
+            camera.
         StationError: the messages of the robot's driver are not known.
     """
     resolved = resolve(scenario)
@@ -171,15 +197,19 @@ def MakeTwin(
         part=world.object_in_plant,
         found=None,
     ).camera
+    other_cameras = AddOtherCameras(builder, setting.scenario, setting.others)
     if scenario.camera.kind == "ideal":
-        AddObjectSender(
-            builder,
-            lcm,
-            camera.source.GetOutputPort("object_pose"),
-            period=1 / scenario.camera.rate,
-            # A pose is on the camera's port one time step after it was taken.
-            offset=scenario.simulation.time_step,
-        )
-    twin = Twin(builder, world, camera)
+        poses = [camera.GetPose(), *(each.GetOutputPort("object_pose") for each in other_cameras)]
+        for number, pose in enumerate(poses):
+            AddObjectSender(
+                builder,
+                lcm,
+                pose,
+                period=1 / scenario.camera.rate,
+                # A pose is on the camera's port one time step after it was taken.
+                offset=scenario.simulation.time_step,
+                number=number,
+            )
+    twin = Twin(builder, world, camera, other_cameras)
     twin.set_name("twin")
     return twin

@@ -54,7 +54,7 @@ class TwinCamera:
             world.plant,
             world.scene_graph,
             scenario=world.setting.scenario,
-            part=world.object_in_plant,
+            parts=[world.object_in_plant],
         )
         self._plant = world.plant
         self._noise = camera.noise

@@ -19,8 +19,8 @@ from gridpush_drake.station.lcm.message_forms import decode_message, find_form_f
 from gridpush_drake.station.lcm.robot_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
-    OBJECT_STATUS,
     find_arm_messages,
+    name_object_channels,
 )
 from gridpush_drake.station.robot import Robot
 
@@ -33,19 +33,20 @@ class TwinLink:
         left_out: number of commands that could not be used, by why.
     """
 
-    def __init__(self, lcm: Bus, robot: Robot) -> None:
+    def __init__(self, lcm: Bus, robot: Robot, others: int = 0) -> None:
         """Listens from now on.
 
         Args:
             lcm: the network.
             robot: the robot, whose joints, driver and gripper say which messages there are.
+            others: number of other objects on the table, whose poses are said, too.
         """
         self.bus = DrakeLcm("memq://")
         self.left_out = Counter[str]()
         self._lcm = lcm
         messages = find_arm_messages(robot)
         # Channels out of the twin; and channels into it, with their type and number of joints.
-        statuses = [messages.status, OBJECT_STATUS]
+        statuses = [messages.status, *name_object_channels(others)]
         commands = {messages.command: (messages.command_type, len(robot.arm.posture))}
         if robot.gripper is not None:
             statuses.append(GRIPPER_STATUS)

@@ -69,14 +69,18 @@ class GripperStatus:
 class ObjectSight:
     """Where an object was seen.
 
+    The objects of a scenario are numbered: 0 is its `object`, and 1 and so on are its `others`.
+
     Attributes:
         time: when the picture was taken, s, by the arm's clock.
         pose: (3,) x and y of the object's body frame in the scenario's W, m, and its turn about
             the vertical, rad; NaN where it was not seen.
+        number: the object's number.
     """
 
     time: float
     pose: Numbers
+    number: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,9 +31,10 @@ from gridpush_drake.station.lcm.picture_messages import decode_frame
 from gridpush_drake.station.lcm.robot_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
-    OBJECT_STATUS,
     PICTURES,
     find_arm_messages,
+    name_object_channel,
+    name_object_channels,
 )
 from gridpush_drake.station.links.link import (
     ArmCommand,
@@ -65,6 +66,7 @@ class LinkBus:
         robot: Robot,
         *,
         camera: Camera | None = None,
+        others: int = 0,
         leave_out: Callable[[str], None] | None = None,
     ) -> None:
         """Makes the bus.
@@ -73,6 +75,7 @@ class LinkBus:
             link: carries the records.
             robot: which messages its driver would speak over LCM.
             camera: that takes the pictures; needed only to send some.
+            others: number of other objects on the table, whose poses are said, too.
             leave_out: is told of what came and cannot be used, and why; it may be set later.
 
         Raises:
@@ -82,6 +85,7 @@ class LinkBus:
         self._link = link
         self._camera = camera
         self._messages = find_arm_messages(robot)
+        self._objects = name_object_channels(others)
         self._handlers: dict[str, list[Callable[[bytes], None]]] = {}
 
     def Subscribe(self, channel: str, handler: Callable[[bytes], None]) -> None:
@@ -129,7 +133,9 @@ class LinkBus:
             return GRIPPER_STATUS
         if isinstance(message, GripperCommand):
             return GRIPPER_COMMAND
-        return OBJECT_STATUS if isinstance(message, ObjectSight) else PICTURES
+        if isinstance(message, ObjectSight):
+            return name_object_channel(message.number)
+        return PICTURES
 
     def _encode(self, message: LinkMessage) -> bytes:
         """The LCM message of a record; numbers that will not do are left to the reader's checks."""
@@ -181,9 +187,10 @@ class LinkBus:
                 opening=wanted.target_position_mm / MILLIMETERS,
                 force=wanted.force,
             )
-        if channel == OBJECT_STATUS:
+        if channel in self._objects:
             seen = lcmt_planar_manipuland_status.decode(data)
-            return ObjectSight(seen.utime / MICROSECONDS, (*seen.position, seen.theta))
+            pose = (*seen.position, seen.theta)
+            return ObjectSight(seen.utime / MICROSECONDS, pose, self._objects.index(channel))
         if channel == PICTURES and self._camera is not None:
             try:
                 frame = decode_frame(lcmt_image_array.decode(data), self._camera)

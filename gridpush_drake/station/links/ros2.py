@@ -7,6 +7,7 @@ Topics are relative names, so that namespaces and remapping work as ROS users ex
     wrench                                     geometry_msgs/WrenchStamped, on the flange
     object_pose                                geometry_msgs/PoseStamped
     object_pose_with_covariance                geometry_msgs/PoseWithCovarianceStamped
+    other_0/object_pose, ...                   the same of the scenario's other objects
     camera/color/image_raw, camera/depth/image_raw      sensor_msgs/Image
     camera/color/camera_info                   sensor_msgs/CameraInfo
     joint_trajectory_controller/joint_trajectory        trajectory_msgs/JointTrajectory
@@ -21,6 +22,7 @@ them. Nothing of ROS is imported before a link is made.
 
 from collections.abc import Callable, Sequence
 from enum import StrEnum
+from functools import partial
 from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
@@ -117,6 +119,16 @@ TYPES = {
     "WrenchStamped": "geometry_msgs",
 }
 """Messages, by the ROS packages that define them."""
+
+
+def name_object_topic(topic: str, number: int) -> str:
+    """Names a topic of an object's pose, by the object's number; see `ObjectSight`.
+
+    Args:
+        topic: the topic of the scenario's `object`.
+        number: 0 for it, and 1 and so on for the scenario's `others`.
+    """
+    return topic if number == 0 else f"other_{number - 1}/{topic}"
 
 
 class Ros2Role(StrEnum):
@@ -254,8 +266,8 @@ class Ros2Link:
         if role == Ros2Role.CONTROL:
             if self._robot.load == "wrench":
                 self._subscribe("WrenchStamped", WRENCH, self._take_wrench)
-            self._subscribe("PoseStamped", OBJECT_POSE, self._take_pose)
-            self._subscribe("PoseWithCovarianceStamped", OBJECT_COVARIANCE, self._take_covariance)
+            for number in range(self._robot.others + 1):
+                self._subscribe_to_object(number)
             if command == "trajectory":
                 self._senders[ArmCommand] = self._send_arm_trajectory
                 self._senders[GripperCommand] = self._send_gripper_trajectory
@@ -292,6 +304,19 @@ class Ros2Link:
                 "joint_trajectory_controller) or position (for forward_position_controller)"
             )
         return str(kind)
+
+    def _subscribe_to_object(self, number: int) -> None:
+        """Subscribes to the topics of an object's pose, by the object's number."""
+        self._subscribe(
+            "PoseStamped",
+            name_object_topic(OBJECT_POSE, number),
+            partial(self._take_pose, number=number),
+        )
+        self._subscribe(
+            "PoseWithCovarianceStamped",
+            name_object_topic(OBJECT_COVARIANCE, number),
+            partial(self._take_covariance, number=number),
+        )
 
     def _subscribe(
         self,
@@ -398,21 +423,22 @@ class Ros2Link:
             np.array([torque.x, torque.y, torque.z]),
         )
 
-    def _take_pose(self, message: Any) -> None:
-        self._take_stamped(OBJECT_POSE, message.header, message.pose)
+    def _take_pose(self, message: Any, number: int = 0) -> None:
+        self._take_stamped(OBJECT_POSE, message.header, message.pose, number)
 
-    def _take_covariance(self, message: Any) -> None:
+    def _take_covariance(self, message: Any, number: int = 0) -> None:
         variances = [message.pose.covariance[place] for place in COVARIANCE_PLACES]
         deviation = np.sqrt(np.abs(variances)) * [1.0, 1.0, TURN_SHARE]
         if not (deviation <= MAX_DEVIATION).all():  # true for NaN
             self._leave_out(
-                f"{OBJECT_COVARIANCE}: the standard deviation is more than {MAX_DEVIATION:g} m, or "
-                f"{MAX_DEVIATION / TURN_SHARE:g} rad"
+                f"{name_object_topic(OBJECT_COVARIANCE, number)}: the standard deviation is more "
+                f"than {MAX_DEVIATION:g} m, or {MAX_DEVIATION / TURN_SHARE:g} rad"
             )
             return
-        self._take_stamped(OBJECT_COVARIANCE, message.header, message.pose.pose)
+        self._take_stamped(OBJECT_COVARIANCE, message.header, message.pose.pose, number)
 
-    def _take_stamped(self, topic: str, header: Any, pose: Any) -> None:
+    def _take_stamped(self, name: str, header: Any, pose: Any, number: int) -> None:
+        topic = name_object_topic(name, number)
         known = ("", WORLD, self._robot.base_frame)
         if header.frame_id not in known:
             self._leave_out(
@@ -435,7 +461,7 @@ class Ros2Link:
         if not np.isfinite(seen).all():
             self._leave_out(f"{topic} is not finite")
             return
-        self._received.append(ObjectSight(_read_time(header.stamp), seen))
+        self._received.append(ObjectSight(_read_time(header.stamp), seen, number))
 
     def _take_arm_trajectory(self, message: Any) -> None:
         point = self._find_point(ARM_TRAJECTORY, message, self._robot.joints)
@@ -592,7 +618,7 @@ class Ros2Link:
             message.header.stamp = self._make_stamp(sight.time)
             message.header.frame_id = WORLD
             write_pose(message.pose, sight.pose)
-            self.publish(OBJECT_POSE, message)
+            self.publish(name_object_topic(OBJECT_POSE, sight.number), message)
 
     def _send_picture(self, picture: Picture) -> None:
         stamp = self._make_stamp(picture.time)

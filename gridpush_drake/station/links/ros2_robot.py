@@ -60,6 +60,7 @@ class RosRobot:
         tip_load: converts between wrenches and torques.
         camera: that the scenario has; None for an ideal one.
         max_force: greatest force of the gripper, N.
+        others: number of other objects on the table, whose poses are said, too.
     """
 
     joints: tuple[str, ...]
@@ -72,6 +73,7 @@ class RosRobot:
     tip_load: TipLoad
     camera: Camera | None = None
     max_force: float = 0.0
+    others: int = 0
 
 
 def MakeRosRobot(resolved: ResolvedScenario, camera: Camera | None = None) -> RosRobot:
@@ -105,6 +107,7 @@ def MakeRosRobot(resolved: ResolvedScenario, camera: Camera | None = None) -> Ro
         tip_load=TipLoad(resolved.control_plant, robot),
         camera=camera,
         max_force=max_force,
+        others=len(resolved.others),
     )
 
 

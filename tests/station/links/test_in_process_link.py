@@ -11,6 +11,7 @@ from pydrake.multibody.tree import JacobianWrtVariable
 from gridpush_drake.station.camera import make_camera
 from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.lcm.picture_messages import decode_frame
+from gridpush_drake.station.lcm.robot_messages import name_object_channel
 from gridpush_drake.station.links import (
     ArmCommand,
     ArmStatus,
@@ -194,16 +195,18 @@ def reading(resolved):
 def test_records_keep_all_they_say_on_their_way_through_messages(reading, resolved):
     """From a link to messages, and from these to another link."""
     link, end = InProcessLink.make_pair()
-    out = LinkBus(link, resolved.robot)
-    for channel in ("IIWA_STATUS", "SCHUNK_WSG_STATUS", "PLANAR_MANIPULAND_STATUS"):
+    out = LinkBus(link, resolved.robot, others=2)
+    second = name_object_channel(2)
+    for channel in ("IIWA_STATUS", "SCHUNK_WSG_STATUS", "PLANAR_MANIPULAND_STATUS", second):
         reading.bus.Subscribe(channel, partial(out.Publish, channel))
     position = np.linspace(-1.0, 1.0, 7)
     reading.world.send(ArmStatus(1.25, position, 2 * position, 3 * position, 4 * position))
     reading.world.send(GripperStatus(1.5, 0.03, -0.01, 12.0))
     reading.world.send(ObjectSight(1.75, [0.5, -0.25, 3.0]))
-    assert reading.bus.HandleSubscriptions(0) == 3
+    reading.world.send(ObjectSight(1.8, [0.6, 0.25, -1.0], number=2))
+    assert reading.bus.HandleSubscriptions(0) == 4
     assert reading.left_out == []
-    status, gripper, sight = end.receive(0.0)
+    status, gripper, sight, other = end.receive(0.0)
     assert status.time == 1.25
     np.testing.assert_array_equal(status.position, position)
     np.testing.assert_array_equal(status.velocity, 2 * position)
@@ -211,7 +214,8 @@ def test_records_keep_all_they_say_on_their_way_through_messages(reading, resolv
     np.testing.assert_array_equal(status.position_commanded, 4 * position)
     assert (gripper.time, gripper.force) == (1.5, 12.0)
     assert (gripper.opening, gripper.speed) == pytest.approx((0.03, -0.01))
-    assert (sight.time, *sight.pose) == (1.75, 0.5, -0.25, 3.0)
+    assert (sight.time, *sight.pose, sight.number) == (1.75, 0.5, -0.25, 3.0, 0)
+    assert (other.time, *other.pose, other.number) == (1.8, 0.6, 0.25, -1.0, 2)
 
 
 @pytest.mark.parametrize("time", [np.nan, -1.0, np.inf, 1e15])

@@ -14,6 +14,7 @@ from gridpush_drake.station.links.ros2 import (
     Ros2Role,
     find_orientation_fault,
     import_ros,
+    name_object_topic,
     open_ros2,
 )
 from gridpush_drake.station.links.ros2_pictures import find_camera_fault, read_color, read_depth
@@ -48,6 +49,12 @@ def test_names_are_the_models_and_the_gripper_opens_as_its_joints_do():
     assert robot.gripper.names == ("left_finger_sliding_joint", "right_finger_sliding_joint")
     assert robot.gripper.calc_position(0.06) == pytest.approx([-0.03, 0.03])
     assert robot.gripper.calc_share(np.array([-0.03, 0.03])) == pytest.approx(0.6)
+
+
+def test_each_object_has_topics_of_its_own():
+    assert MakeRosRobot(resolve(read_scenario("fetch"))).others == 1
+    assert name_object_topic("object_pose", 0) == "object_pose"
+    assert name_object_topic("object_pose", 2) == "other_1/object_pose"
 
 
 def test_a_gripper_of_one_turning_joint_is_wide_open_at_another_end():
