@@ -179,6 +179,7 @@ class SceneForesight:
 
     def expect(self) -> tuple[Expectation | None, ...]:
         """Says where each object is expected; None where the model says nothing of it."""
+        # The further a push took an object in the model, the less sure it is where it lies.
         moved = self.poses - self.told
         ways = np.linalg.norm(moved[:, :2], axis=1).tolist()
         turns = np.abs(wrap_angle(moved[:, 2])).tolist()
@@ -193,6 +194,7 @@ class SceneForesight:
         Args:
             poses: (N, 3) where they were seen, W, m and rad; NaN for one that was not.
         """
+        # What was not seen goes on from where it was foretold.
         seen: NDArray[np.bool_] = np.asarray(np.isfinite(poses).all(axis=1))
         return SceneForesight(
             told=np.where(seen[:, None], poses, self.told),

@@ -230,8 +230,10 @@ def list_sight_facts(camera: dict[str, Any] | None) -> list[tuple[str, str]]:
     """Lists for a report how well the objects were followed; nothing with ideal cameras."""
     if camera is None:
         return []
-    off = f"{camera['position_rms'] * MM:.2f} mm, {np.degrees(camera['angle_rms']):.2f}\N{DEGREE SIGN}"
-    return [("seen", f"{min(camera['seen']):.0%} or more"), ("poses off by (RMS)", off)]
+    return [
+        ("seen", f"{min(camera['seen']):.0%} or more"),
+        ("poses off by (RMS)", describe_errors(camera, ", ")),
+    ]
 
 
 def describe_sight(summary: dict[str, Any]) -> list[str]:
@@ -241,9 +243,15 @@ def describe_sight(summary: dict[str, Any]) -> list[str]:
         return []
     return [
         f"  camera: each object seen in {min(camera['seen']):.0%} or more of "
-        f"{count(camera['pictures'], 'picture')}, its pose off by "
-        f"{camera['position_rms'] * MM:.2f} mm and {np.degrees(camera['angle_rms']):.2f}\N{DEGREE SIGN} (RMS)"
+        f"{count(camera['pictures'], 'picture')}, its pose off by {describe_errors(camera, ' and ')} "
+        "(RMS)"
     ]
+
+
+def describe_errors(camera: dict[str, Any], joint: str) -> str:
+    """Gives the errors of poses that a camera followed, with a word between the two."""
+    turn = np.degrees(camera["angle_rms"])
+    return f"{camera['position_rms'] * MM:.2f} mm{joint}{turn:.2f}\N{DEGREE SIGN}"
 
 
 def list_rest_poses(record: SceneTaskRecord) -> Array:

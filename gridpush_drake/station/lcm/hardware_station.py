@@ -353,7 +353,7 @@ def MakeHardwareStation(
             control.grasping.GetOutputPort("gripper_force_limit"),
             gripper.GetInputPort("force_limit"),
         )
-    guard = _AddGuard(builder, setting, control, status, tip, several)
+    guard = _AddGuard(builder, setting, control, status=status, tip=tip, several=several)
     builder.Connect(newest_pose, guard.GetInputPort("object_pose"))
     builder.Connect(guard.GetOutputPort("position"), messages.AddCommandSender(builder, lcm, n))
 
