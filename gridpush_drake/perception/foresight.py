@@ -218,6 +218,7 @@ def foresee_scene(
         Where they are now. Nothing is known of them any more, until they are seen, where nothing is
         known of the tip, or where the model cannot follow the push.
     """
+    # A tip that nobody knows of, as in a grasp, may have moved any of them.
     unknown = replace(before, known=np.zeros_like(before.known))
     if not _is_known(last, now):
         return unknown
@@ -229,6 +230,7 @@ def foresee_scene(
         motion = simulate_scene(scene, _make_push(last, now, model.radius))
     except GridPushError:
         return unknown
+    # What the tip did not touch lies where it lay.
     if motion.status == MotionStatus.NO_CONTACT:
         return before
     # So may the tip and an object; the first steps push them apart.

@@ -89,6 +89,7 @@ def calc_rms(errors: Array) -> tuple[float, float]:
     """
     if not len(errors):
         return float("nan"), float("nan")
+    # The square of the distance, and of the turn, in each picture.
     position = np.square(errors[:, :2]).sum(axis=1)
     angle = np.square(errors[:, 2])
     return float(np.sqrt(position.mean())), float(np.sqrt(angle.mean()))

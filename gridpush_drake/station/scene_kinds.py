@@ -243,8 +243,8 @@ def describe_sight(summary: dict[str, Any]) -> list[str]:
         return []
     return [
         f"  camera: each object seen in {min(camera['seen']):.0%} or more of "
-        f"{count(camera['pictures'], 'picture')}, its pose off by {describe_errors(camera, ' and ')} "
-        "(RMS)"
+        f"{count(camera['pictures'], 'picture')}, its pose off by "
+        f"{describe_errors(camera, ' and ')} (RMS)"
     ]
 
 
