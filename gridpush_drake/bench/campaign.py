@@ -23,12 +23,14 @@ from gridpush_drake.bench.results import Results
 from gridpush_drake.bench.table import CONFIDENCE, MM, PERCENT, Share, Table, Value, calc_mean
 from gridpush_drake.errors import GridPushError, OutputError
 from gridpush_drake.files import is_file, make_folder
+from gridpush_drake.planning.scene.fetching import POKE, SLIDE
 from gridpush_drake.station.pregrasp_task import PreGraspRecord
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.run_recorder import RunRecorder, import_rosbags
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario
 from gridpush_drake.station.scene import use_object
+from gridpush_drake.station.scene_task import SceneTaskRecord
 from gridpush_drake.station.task import Progress, StationTask, TaskRecord, TaskStatus
 from gridpush_drake.station.tasks import TASKS, calc_center_error
 
@@ -57,7 +59,7 @@ BROKEN = "error"
 """Status of an episode that could not be run for any other reason."""
 
 DROPPED = "dropped"
-"""Outcome of an episode whose object fell off the table."""
+"""Outcome of an episode in which an object fell off the table."""
 
 NOT_LIFTED = "not lifted"
 """Outcome of an episode whose object stayed behind when the gripper went up."""
@@ -186,11 +188,17 @@ def run_episode(job: EpisodeJob) -> Episode:
     if recorder is not None:
         # A recording of an episode that is run again takes the place of the earlier one
         recorder.write(Path(job.recording), record, force=True)
-    fell = bool(np.isnan(task.read("object.pose_true")).any())
+    fell = _has_fallen(task)
     done = TASKS[job.task].done
     ends = {done: str(done), TaskStatus.DROPPED: DROPPED, TaskStatus.NOT_LIFTED: NOT_LIFTED}
     outcome = DROPPED if fell else ends.get(record.status, GAVE_UP)
     return _make_episode(job, record, outcome, perf_counter() - begin)
+
+
+def _has_fallen(task: StationTask[Any]) -> bool:
+    """Says whether any object, by its true pose, is not on the table any more."""
+    names = ["object", *(other.name for other in task.station.others)]
+    return any(np.isnan(task.read(f"{name}.pose_true")).any() for name in names)
 
 
 def _watch(task: StationTask[Any], recorder: RunRecorder | None) -> Progress | None:
@@ -217,6 +225,13 @@ def _make_episode(job: EpisodeJob, record: TaskRecord, outcome: str, wall: float
         episode = replace(
             episode, pokes=record.last.pokes, slides=record.last.slides, raised=raised
         )
+    if isinstance(record, SceneTaskRecord):
+        kinds = record.list_kinds()
+        raised = None if np.isnan(record.raised) else record.raised
+        # Only fetching makes pushes of several kinds.
+        pokes = kinds.count(POKE) if any(kinds) else None
+        slides = kinds.count(SLIDE) if any(kinds) else None
+        episode = replace(episode, pushes=record.pushes, pokes=pokes, slides=slides, raised=raised)
     if record.estimates:
         error = calc_center_error(record, record.estimates[-1].params)
         episode = replace(episode, center_of_mass_error=error)

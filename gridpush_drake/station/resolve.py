@@ -37,6 +37,7 @@ from gridpush_drake.station.camera import (
 )
 from gridpush_drake.station.posts import place_posts
 from gridpush_drake.station.robot import GetRobotInPlant, Robot, check_robot, find_robot
+from gridpush_drake.station.scatter import scatter_objects
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import (
     AddScene,
@@ -55,7 +56,8 @@ class ResolvedScenario:
     """A scenario, and all that was read, drawn and solved for it.
 
     Attributes:
-        scenario: the scenario that was resolved; it must not be changed any more.
+        scenario: the scenario that was resolved, with the poses that were drawn for its `scatter`;
+            it must not be changed any more.
         robot: measures of the robot, and the names of its models.
         obj: the object that is pushed; its `prior` has the radius and height of the robot's finger.
         others: the other objects on the table, in the scenario's order.
@@ -188,6 +190,7 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
     tip_radius = robot.finger.tip_radius
     _check_heights(scenario, tip_radius)
     table_top = FindTableOutline(plant, inspector)
+    scenario = scatter_objects(scenario, obj, others, table_top)
     _check_on_table(("object", "object_pose"), obj, scenario.object_pose, table_top)
     _check_others(scenario, obj, others, table_top, tip_radius)
     _check_posts(scenario, obj, others, table_top, tip_radius)

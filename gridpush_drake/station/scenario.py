@@ -370,6 +370,19 @@ class PostConfig(Config):
     height: Annotated[Number, positive("m", low=1e-3)] = 0.06
 
 
+class ScatterConfig(Config):
+    """How far objects lie from their poses in the scenario, drawn anew for each seed.
+
+    Attributes:
+        distance: greatest distance of an object's origin from where the scenario has it, along x
+            and along y, m.
+        turn: greatest angle by which it is turned from there, rad.
+    """
+
+    distance: Annotated[Number, not_negative("m")] = 0.0
+    turn: Annotated[Number, not_negative("rad")] = 0.0
+
+
 class FollowConfig(Config):
     """How the object is pushed along a path, with a finger that is steered while it pushes.
 
@@ -430,6 +443,8 @@ class PushScenario(Config):
         safety: limits beyond which a real arm is stopped.
         others: other objects on the table, around which pushes are planned, or which are pushed,
             too, in a task with several objects; see `station.others`.
+        scatter: how far all objects lie from their poses in the scenario, drawn from its seed; see
+            `station.scatter`.
         posts: posts fixed on the table, around which pushes are planned; see `station.posts`.
         objects: all objects in one list, instead of `object`, `object_pose`, `object_height` and
             `others`: the wanted one takes the place of the first three, and the rest are the
@@ -468,6 +483,7 @@ class PushScenario(Config):
     posts: Annotated[
         list[PostConfig], Field(description="a list of posts, each with a position")
     ] = []
+    scatter: ScatterConfig = ScatterConfig()
     objects: Annotated[
         list[ObjectConfig], Field(description="a list of objects, each with a pose")
     ] = []

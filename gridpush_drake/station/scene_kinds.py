@@ -197,7 +197,7 @@ class FetchKind(SceneKind):
     def summarize(self, record: SceneTaskRecord) -> dict[str, Any]:
         """Adds to the summary how far the object was raised, and what the pushes were for."""
         # every push is for something
-        kinds = [step.status.kind for step in record.steps if step.push is not None]
+        kinds = record.list_kinds()
         return super().summarize(record) | {
             "raised": record.raised,
             "kinds": {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)},

@@ -118,6 +118,10 @@ class SceneTaskRecord(ControlledRecord[SceneStatus]):
         """Number of pushes that were made."""
         return self.last.pushes
 
+    def list_kinds(self) -> list[str]:
+        """Lists what each push that was asked for was for, in a word; empty words in most tasks."""
+        return [step.status.kind for step in self.steps if step.push is not None]
+
     @property
     def clearances(self) -> NDArray[np.float64]:
         """(N,) distance of each object from the nearest other one at the end, m."""

@@ -6,8 +6,11 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -33,10 +36,14 @@ from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.results import open_results
 from gridpush_drake.cli.demo import demo
 from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.planning.scene.scene_loop import SceneMode, SceneStatus
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import format_scenario
+from gridpush_drake.station.scenario_file import format_scenario, read_scenario
+from gridpush_drake.station.scene_task import SceneTaskRecord
+from gridpush_drake.station.task import TaskStatus, TaskStep
 from gridpush_drake.station.tasks import TASKS, TaskName
+from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.command_line import run_gridpush
 
 HELD = Episode("pliers", 0, "held", "It was lifted.", "held", 5, 3, 2, 0.1, 0.002, 60.0, 30.0)
@@ -148,6 +155,54 @@ def test_what_cannot_be_run_says_why(monkeypatch):
     assert (broken.status, broken.outcome) == (BROKEN, GAVE_UP)
     assert broken.message.startswith("RuntimeError in test_campaign.py, line ")
     assert broken.message.endswith("with pliers, seed 4")
+
+
+def make_scene_task(resolved, fallen=()):
+    """A task with several objects as it is after three pushes; some objects may have fallen."""
+
+    def read(port):
+        return np.full(3, np.nan) if port.split(".")[0] in fallen else np.zeros(3)
+
+    objects = (resolved.obj, *resolved.others)
+    zeros = np.zeros((len(objects), 3))
+    record = SceneTaskRecord(
+        obj=resolved.obj,
+        truth=None,
+        surface=None,
+        last=SceneStatus(mode=SceneMode.HOLDING, pushes=3),
+        objects=objects,
+        names=("hammer", "pliers"),
+        goals=zeros,
+        poses=zeros,
+        begin=zeros,
+        status=TaskStatus.HELD,
+        message="It was lifted.",
+        raised=0.098,
+        duration=40.0,
+        steps=[
+            TaskStep(1.0 * k, SceneStatus(kind=kind), np.zeros(3), push=PushCommand(k))
+            for k, kind in enumerate(("clear", "poke", "slide"), start=1)
+        ],
+    )
+    others = [SimpleNamespace(name=f"other_{k}") for k in range(len(resolved.others))]
+    return SimpleNamespace(
+        run=lambda progress: record, station=SimpleNamespace(others=others), read=read
+    )
+
+
+@pytest.mark.parametrize(
+    ("fallen", "outcome"), [((), "held"), (("object",), DROPPED), (("other_0",), DROPPED)]
+)
+def test_an_episode_with_several_objects_counts_pushes_and_whatever_fell(
+    monkeypatch, fallen, outcome
+):
+    monkeypatch.setattr(
+        TASKS["fetch"], "station", partial(make_scene_task, fallen=fallen), raising=False
+    )
+    text = format_scenario(read_scenario("fetch"))
+    episode = run_episode(EpisodeJob("claw_hammer", 3, task="fetch", scenario=text))
+    assert (episode.outcome, episode.status) == (outcome, "held"), episode.message
+    assert (episode.pushes, episode.pokes, episode.slides, episode.raised) == (3, 1, 1, 0.098)
 
 
 class Instead:

@@ -254,6 +254,8 @@ def test_a_shipped_scenario_goes_by_its_name(tmp_path, monkeypatch):
     shipped = [
         "default",
         "fetch",
+        "fetch_three",
+        "fetch_two",
         "grasp",
         "grasp_heavy",
         "grasp_untold",
