@@ -1,6 +1,7 @@
 """`ArmLoadSensor`: what an arm feels at its fingertip and in its gripper, by its joints."""
 
 from dataclasses import dataclass
+from math import exp
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -24,6 +25,10 @@ GRASP_FORCE = slice(6, 9)
 
 SIZE = 9
 """Number of values in a sample."""
+
+SMOOTHING = 0.03
+"""Time over which the smooth force is averaged, s: about that between two poses of the camera, with
+which it is written down."""
 
 ORIGIN = np.zeros(3)
 """Origin of a frame in that frame, m."""
@@ -67,19 +72,23 @@ class ArmLoadSensor(LeafSystem):
         - torque_external
         output_ports:
         - tip_force
+        - smooth_tip_force
         - grasp_wrench
 
     * position_measured: vector of n, angles of the joints, rad.
     * torque_external: vector of n, torques on the joints from outside, N m.
     * tip_force: vector of 3, the force f on the tip in W, N, that explains the torques tau best if
       nothing but the tip is touched: the least squares solution of J^T f = tau.
+    * smooth_tip_force: vector of 3, a running average of `tip_force`, N, for readers that take few
+      samples: with the period h, a sample x changes it by (1 - exp(-h / SMOOTHING)) (x - smooth).
+      It begins anew after a sample that is not finite.
     * grasp_wrench: vector of 6, torque about the grasp point, N m, above force, N, on the gripper
       in W, which explain the torques best if nothing but the gripper is touched. NaN without a
       gripper, and if the arm has fewer than six joints.
 
-    Both are NaN if the torques are not finite. Noise and offsets are added.
+    All are NaN if the torques are not finite. Noise and offsets are added.
 
-    Discrete state: the nine values on the ports, and the number of samples so far. The noise of the
+    Discrete state: the twelve values on the ports, and the number of samples so far. The noise of the
     k-th sample, and the offsets, depend only on k and the seed, which is numeric parameter 0.
     """
 
@@ -112,15 +121,18 @@ class ArmLoadSensor(LeafSystem):
         self._noise = noise or LoadNoise()
         # Used within a calculation only, so that it holds no state between two of them.
         self._plant_context = control_plant.CreateDefaultContext()
+        self._share = 1 - exp(-period / SMOOTHING)
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self._q = self.DeclareVectorInputPort("position_measured", control_plant.num_positions())
         self._torque = self.DeclareVectorInputPort(
             "torque_external", control_plant.num_velocities()
         )
         self._force_on_port = self.DeclareDiscreteState(3)
+        self._smooth_on_port = self.DeclareDiscreteState([np.nan] * 3)
         self._wrench_on_port = self.DeclareDiscreteState(6)
         self._count = self.DeclareDiscreteState(1)
         self.DeclareStateOutputPort("tip_force", self._force_on_port)
+        self.DeclareStateOutputPort("smooth_tip_force", self._smooth_on_port)
         self.DeclareStateOutputPort("grasp_wrench", self._wrench_on_port)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._sample)
 
@@ -147,7 +159,14 @@ class ArmLoadSensor(LeafSystem):
             force = np.linalg.lstsq(self._calc_jacobian(self._tip_frame)[3:].T, torque)[0]
             if self._grasp_frame is not None and len(torque) >= len(wrench):
                 wrench = np.linalg.lstsq(self._calc_jacobian(self._grasp_frame).T, torque)[0]
-        state.set_value(self._force_on_port, force + error[FORCE])
+        told = force + error[FORCE]
+        smooth = context.get_discrete_state(self._smooth_on_port).value()
+        if np.isfinite(smooth).all():
+            smooth = smooth + self._share * (told - smooth)
+        else:
+            smooth = told
+        state.set_value(self._force_on_port, told)
+        state.set_value(self._smooth_on_port, smooth)
         state.set_value(
             self._wrench_on_port,
             wrench + np.concatenate([error[GRASP_TORQUE], error[GRASP_FORCE]]),

@@ -369,7 +369,7 @@ def push_and_learn(obj: GridObject, truth: CellParameters, seed: int) -> Identif
 
 def make_pushes(obj: GridObject, truth: CellParameters, seed: int, count: int) -> PushLog:
     """Makes pushes from random places of the outline inwards, with measured forces."""
-    rng = np.random.default_rng((seed, 13))
+    rng = np.random.default_rng((seed, 13, crc32(obj.name.encode())))
     noise = WeighingNoise()
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     pushes: list[ObservedPush] = []
@@ -510,7 +510,7 @@ def tabulate_scores(scores: Sequence[WeighingScore], names: Sequence[str]) -> Ta
         f"Hidden: mass {MASS_RANGE[0]:g} to {MASS_RANGE[1]:g} kg, friction of each part "
         f"{FRICTION_RANGE[0]:g} to {FRICTION_RANGE[1]:g}. Nothing but the outline is told.",
         f"{PUSHES[0]} to {PUSHES[-1]} pushes with forces, then presses at the edge in Drake. "
-        "Noise: 0.2 N in each sample of the force, 1 mm and 0.3° of each pose, 0.5 mm of the tip.",
+        "Noise: 0.2 N in each sample of the force, 1 mm and 0.3° of each pose, 0.5 mm of the edge.",
         "pushes, presses: means; time: mean of what all of them took; mass, center, friction: "
         "medians of the errors; held: true values "
         "within 95 % intervals (of the center, a region); tilt: the greatest.",

@@ -6,6 +6,7 @@ measured with noise and an offset.
 """
 
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 from pydrake.geometry import Box, CollisionFilterDeclaration, GeometrySet, Sphere
@@ -31,7 +32,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.weighing.plan import Edge
 from gridpush_drake.planning.weighing.press import PressOptions, PressState, PressTarget
-from gridpush_drake.pushes.weighings import ANGLE_STD, FORCE_STD, POSITION_STD, TIP_STD
+from gridpush_drake.pushes.weighings import ANGLE_STD, EDGE_STD, FORCE_STD, POSITION_STD
 from gridpush_drake.systems.contact_force_sensor import ContactForceSensor
 from gridpush_drake.systems.edge_presser import EdgePresser
 from gridpush_drake.systems.messages import PressCommand
@@ -67,6 +68,9 @@ START = (0.05, 0.0)
 OFFSET_STD = 0.5
 """Standard deviation of the force sensor's offset, per axis, N."""
 
+MAX_SEED = 2**31
+"""Bound of the seed of the force sensor's noise."""
+
 LOOKS = 0.1
 """Time between two looks at a press under way, s."""
 
@@ -81,19 +85,19 @@ class WeighingNoise:
     Attributes:
         force: of each sample of the force at the tip, per axis, N.
         offset: of the force's offset, per axis, N.
-        tip: of the tip's distance from the edge, m.
+        edge: of where the edge is along its normal, m, drawn anew for each press.
         position: of the object's seen position, per axis, m.
         angle: of its seen heading, rad.
     """
 
     force: float = FORCE_STD
     offset: float = OFFSET_STD
-    tip: float = TIP_STD
+    edge: float = EDGE_STD
     position: float = POSITION_STD
     angle: float = ANGLE_STD
 
 
-EXACT = WeighingNoise(force=0.0, offset=0.0, tip=0.0, position=0.0, angle=0.0)
+EXACT = WeighingNoise(force=0.0, offset=0.0, edge=0.0, position=0.0, angle=0.0)
 """No noise at all."""
 
 
@@ -152,7 +156,9 @@ class WeighingWorld:
         self.height = height
         self.options = options or PressOptions()
         self.noise = noise or WeighingNoise()
-        self._rng = np.random.default_rng((seed, 11))
+        # Two objects with one seed are told apart, so that their errors are not the same.
+        name = crc32(obj.name.encode())
+        self._rng = np.random.default_rng((seed, 11, name))
         builder = DiagramBuilder()
         plant, scene_graph = AddPlantAndSceneGraph(builder, TIME_STEP)
         self._plant = plant
@@ -184,7 +190,9 @@ class WeighingWorld:
         presser = builder.AddSystem(EdgePresser(TIP_RADIUS, self.options))
         sensor = builder.AddSystem(PusherStateSensor(tip.index()))
         feeler = builder.AddSystem(
-            ContactForceSensor(tip.index(), noise=self.noise.force, seed=seed)
+            ContactForceSensor(
+                tip.index(), noise=self.noise.force, seed=int(self._rng.integers(MAX_SEED))
+            )
         )
         builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
         builder.Connect(
@@ -252,7 +260,7 @@ class WeighingWorld:
         """
         self._presses += 1
         before = self.read_pose()
-        off = self.noise.tip * float(self._rng.standard_normal())
+        off = self.noise.edge * float(self._rng.standard_normal())
         edge_x, edge_y = (np.array(target.edge_point) + off * target.normal).tolist()
         believed = PressTarget(
             place=target.place,

@@ -11,8 +11,9 @@ coefficient, and n the outward normal of a table's edge through the point E:
 
 with c_W = p + R(theta) c for an object that lies at the pose (p, theta). No friction enters the
 press. One press gives the product of mass and lever arm, two at other overhangs or over another
-edge give both. The unknowns are u = (log m, c, log mu), the error of every pose and that of every
-place at which the tip pressed. All have normal priors, and least squares and Laplace's
+edge give both. The unknowns are u = (log m, c, log mu), the error of every pose and, of each press,
+how far the edge is truly from where it is said to be: e along n makes b longer by e and a shorter
+by e. All have normal priors, and least squares and Laplace's
 approximation give estimate and covariance (`docs/theory/identification.md`, section 11).
 
 How the estimate changes a learned model is not here but in `weighed_model`.
@@ -33,8 +34,8 @@ from gridpush_drake.identification.prior_fit import fit_with_prior
 from gridpush_drake.objects.object_file import UNTOLD_FRICTION
 from gridpush_drake.pushes.weighings import (
     ANGLE_STD,
+    EDGE_STD,
     POSITION_STD,
-    TIP_STD,
     EdgePress,
     Lift,
     WeighingLog,
@@ -56,7 +57,7 @@ LOG_FRICTION = 3
 """Index of log mu among the unknowns."""
 
 ABSOLUTE = 4
-"""Number of unknowns that are wanted; those after them are errors of poses and places."""
+"""Number of unknowns that are wanted; those after them are errors of poses and edges."""
 
 START_SIGMAS = (-1.5, 0.0, 1.5)
 """Standard deviations of the prior from its mean at which the mass is begun with. From far off the
@@ -116,15 +117,16 @@ class PoseNoise:
     Attributes:
         position: of an object's seen position, per axis, m.
         angle: of its seen heading, rad.
-        tip: of the fingertip's distance from the edge, m.
+        edge: of where the edge is along its normal, m, in each press. The fingertip is then as
+            much nearer to it as the center of mass is farther from it.
     """
 
     position: float = POSITION_STD
     angle: float = ANGLE_STD
-    tip: float = TIP_STD
+    edge: float = EDGE_STD
 
     def __post_init__(self) -> None:
-        for name in ("position", "angle", "tip"):
+        for name in ("position", "angle", "edge"):
             value = getattr(self, name)
             if not 0 < value < np.inf:
                 raise IdentificationError(f"{name} is {value!r}; expected a positive number")
@@ -242,7 +244,7 @@ class WeighingProblem:
         center_covariance: (2, 2) of that, m².
         force: what measured forces say; None where there are none.
         prior: what is held of mass and friction beforehand.
-        noise: of poses and places.
+        noise: of poses and edges.
         gravity: m/s².
     """
 
@@ -269,7 +271,7 @@ class WeighingProblem:
     def make_prior(self) -> tuple[Array, Array]:
         """Mean (N,) of the unknowns beforehand, and the root (N, N) of their covariance.
 
-        The errors of poses and places are unknowns in units of their standard deviations.
+        The errors of poses and edges are unknowns in units of their standard deviations.
         """
         mass, mass_std = self.prior.log_mass
         friction, friction_std = self.prior.log_friction
@@ -295,8 +297,8 @@ class WeighingProblem:
         rows: list[Array] = []
         for i, press in enumerate(self.log.presses):
             rest = ABSOLUTE + 3 * rests.index(tuple(press.pose.tolist()))
-            place = ABSOLUTE + 3 * len(rests) + i
-            r, row = self._calc_press(u, press, rest, place)
+            edge = ABSOLUTE + 3 * len(rests) + i
+            r, row = self._calc_press(u, press, rest, edge)
             residuals.append(r)
             rows.append(row)
         for lift in self.log.lifts:
@@ -337,18 +339,26 @@ class WeighingProblem:
         J[:, rest + 2] = angle * turn_left(arm)
         return p + arm, J
 
-    def _calc_press(self, u: Array, press: EdgePress, rest: int, place: int) -> tuple[float, Array]:
-        """Calculates the residual of a press, and its derivatives (N,)."""
+    def _calc_press(self, u: Array, press: EdgePress, rest: int, edge: int) -> tuple[float, Array]:
+        """Calculates the residual of a press, and its derivatives (N,).
+
+        Args:
+            u: (N,) the unknowns.
+            press: the press.
+            rest: index of the first of its pose's three errors among the unknowns.
+            edge: index of its edge's error.
+        """
         weight = self.gravity * np.exp(u[LOG_MASS])
         c_W, J_c = self._place_center(u, press.pose, rest)
         n = press.normal
-        # F = m g b / a
-        b = float(n @ (press.edge_point - c_W))
-        a = press.arm + self.noise.tip * u[place]
+        # F = m g b / a, with the edge by e farther out than it is said to be.
+        e = self.noise.edge * float(u[edge])
+        b = float(n @ (press.edge_point - c_W)) + e
+        a = press.arm - e
         force = weight * b / a
         row = -weight / a * (n @ J_c)
         row[LOG_MASS] = force
-        row[place] = -force / a * self.noise.tip
+        row[edge] = (weight + force) / a * self.noise.edge
         return float(force - press.force) / press.force_std, row / press.force_std
 
     def _calc_lift(self, u: Array, lift: Lift, rest: int) -> tuple[list[float], list[Array]]:

@@ -6,8 +6,10 @@ push p so measures K by least squares,
 
     K_p = sum_j f_j·y_j / sum_j f_j·f_j,    y_j the forces seen,
 
-and their spread says how well (`docs/theory/identification.md`, section 10). It is not for fast
-pushes, whose forces accelerate the object, too.
+and their spread says how well (`docs/theory/identification.md`, section 10). Only forces count that
+were measured while the finger pushed steadily: as it meets the object, and as it stops, the force
+is anything from nothing to all that friction can carry. It is not for fast pushes, whose forces
+accelerate the object, too.
 """
 
 from collections.abc import Sequence
@@ -16,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gridpush_drake.dynamics.physics import GRAVITY, Physics
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import TimedPush
 from gridpush_drake.objects.grid_object import GridObject
@@ -24,8 +26,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 PUSH_STD = 0.15
-"""Prior standard deviation of log K from push to push: the friction of a table differs by so much
-from place to place."""
+"""Prior standard deviation of K from push to push, over K: the friction of a table differs by so
+much from place to place."""
 
 PUSH_STD_WEIGHT = 3.0
 """Number of pushes that the prior belief in `PUSH_STD` is worth."""
@@ -35,6 +37,19 @@ HUBER = 1.5
 
 ROUNDS = 20
 """Number of times that the pushes' weights are computed anew."""
+
+SETTLE_DISTANCE = 0.003
+"""Way of the finger after it meets the object, by the model, on which forces do not count, m. Where
+it truly meets it is known to a millimeter or two, and an arm that is held by springs needs a moment
+until it pushes with all of its force."""
+
+STEADY_SHARE = 0.9
+"""A force counts only if the finger was at least this share as fast as in the middle of the push.
+While it slows down to stop, an object that stands already may push back with less than its
+friction."""
+
+MIN_STEADY = 3
+"""Least number of forces of a push that count. If there are fewer, all of the push count."""
 
 DRAWS = 8
 """Number of draws from the posterior whose K are compared, because K is only as sure as the
@@ -140,21 +155,21 @@ def calc_force_scale(
 
     # Forces against the pusher's motion are wrong: of sign or frame. If as many are wrong as
     # right, none can be trusted.
-    scales = _calc_scales(obj, params, timed, physics)
+    scales, stds = _calc_scales(obj, params, timed, physics)
     right = scales > 0
     against = int((np.isfinite(scales) & ~right).sum())
     if against >= right.sum():
         return None
-    mean, variance = _average(np.log(scales[right]))
+    mean, variance = _average(scales[right], stds[right])
 
     # An error of the normalized loads is common to all pushes, and does not average out.
     few = [one for one, use in zip(timed, right, strict=True) if use][:MAX_DRAWN_PUSHES]
     draws = posterior.draw_parameters(params, DRAWS, seed)
-    drawn = [_calc_scales(obj, draw, few, physics) for draw in draws]
+    drawn = [_calc_scales(obj, draw, few, physics)[0] for draw in draws]
     medians = [np.median(scales[scales > 0]) for scales in drawn if (scales > 0).any()]
     spread = float(np.var(np.log(medians))) if len(medians) > 1 else 0.0
     return ForceScale(
-        friction=float(np.exp(mean)),
+        friction=mean,
         relative_std=float(np.sqrt(variance + spread)),
         pushes=int(right.sum()),
         against=against,
@@ -164,48 +179,103 @@ def calc_force_scale(
 
 def _calc_scales(
     obj: GridObject, params: CellParameters, pushes: Sequence[TimedPush], physics: Physics
-) -> Array:
-    """K_p (P,) of each push, N; NaN where the model has no force while one was measured."""
-    whole = physics.gravity * float(params.mass @ params.friction)
-    found = []
-    for one in pushes:
-        motion = one.simulate(obj, params, physics, record=[])
-        force = motion.contact_forces.sum(axis=1)
-        found.append(_calc_scale(one.observed, one.times, force, whole))
-    return np.array(found)
-
-
-def _calc_scale(seen: ObservedPush, times: Array, force: Array, whole: float) -> float:
-    """Calculates K_p of one push by least squares.
-
-    Args:
-        seen: the push, with measured forces.
-        times: (T+1,) times of the simulation's steps, s.
-        force: (T, 2) simulated force on the object during each step, N.
-        whole: friction of the whole object in the simulation, N.
+) -> tuple[Array, Array]:
+    """Calculates K_p of each push, and how much of it the noise of the forces may be.
 
     Returns:
-        K_p, N; NaN if the simulated force is zero throughout.
+        K_p (P,), N; NaN where the model has no force while one was measured. And its standard
+        deviation (P,) by the noise of single forces, N.
     """
+    whole = physics.gravity * float(params.mass @ params.friction)
+    scales = []
+    sizes = []
+    squares = 0.0
+    freedom = 0
+    for one in pushes:
+        motion = one.simulate(obj, params, physics, record=[])
+        f, y = _choose_steady(one, motion.contact_forces.sum(axis=1) / whole)
+        # K_p = sum_j f_j·y_j / sum_j f_j·f_j
+        size = float((f * f).sum())
+        scale = float((f * y).sum()) / size if size > 0 else np.nan
+        scales.append(scale)
+        sizes.append(size)
+        # What is left of the forces is their noise, for which all pushes speak together.
+        if size > 0:
+            squares += float(((y - scale * f) ** 2).sum())
+            freedom += y.size - 1
+    variance = squares / max(freedom, 1)
+    with np.errstate(divide="ignore"):
+        stds = np.sqrt(variance / np.array(sizes))
+    return np.array(scales), stds
+
+
+def _choose_steady(one: TimedPush, force: Array) -> tuple[Array, Array]:
+    """Chooses the forces that were measured while the finger pushed steadily.
+
+    Args:
+        one: the push, with measured forces.
+        force: (T, 2) simulated force on the object during each step, over the whole friction.
+
+    Returns:
+        Simulated forces (F, 2), over the whole friction, and measured ones (F, 2), N. All of the
+        push where hardly any was steady.
+    """
+    seen = one.observed
     assert seen.force_t is not None and seen.force is not None
-    # The force of the step within which each sample was taken.
-    steps = np.clip(np.searchsorted(times, seen.force_t, side="right") - 1, 0, len(force) - 1)
-    # K_p = sum_j f_j·y_j / sum_j f_j·f_j
-    f = force[steps] / whole
-    size = float((f * f).sum())
-    return float((f * seen.force).sum()) / size if size > 0 else np.nan
+    # A force is the mean of all samples of about this time before and after.
+    half = float(np.median(np.diff(seen.force_t))) / 2 if len(seen.force_t) > 1 else 0.0
+    begin = seen.push.distance_at(seen.force_t - half)
+    end = seen.push.distance_at(seen.force_t + half)
+
+    # The force of the step within which each sample was taken, and that in which it began.
+    steps = _find_steps(one.times, seen.force_t, len(force))
+    first_steps = _find_steps(one.times, seen.force_t - half, len(force))
+
+    # How far the finger has come since it met the object the last time, at each step's beginning.
+    apart = ~force.any(axis=1)
+    way = seen.push.distance_at(one.times)
+    met = np.maximum.accumulate(np.where(apart, way[1:], 0.0))
+    settled = begin - met[first_steps] >= SETTLE_DISTANCE
+    pushes = ~apart[first_steps] & ~apart[steps]
+    gone = end - begin
+    steady = settled & pushes & (gone >= STEADY_SHARE * np.median(gone))
+    if steady.sum() < MIN_STEADY:
+        steady = np.ones(len(steps), dtype=bool)
+    return force[steps[steady]], seen.force[steady]
 
 
-def _average(values: Array) -> tuple[float, float]:
-    """Calculates Huber's robust mean of log K_p (P,), and the variance of that mean."""
-    mean = float(np.median(values))
+def _find_steps(times: Array, wanted: Array, count: int) -> IntArray:
+    """Finds the step of a simulation, of `count` steps, within which each of some times (F,) is."""
+    return np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, count - 1)
+
+
+def _average(scales: Array, stds: Array) -> tuple[float, float]:
+    """Averages the scales of pushes robustly.
+
+    A push's scale differs from the mean by the table's friction there, whose spread s is found
+    here, and by the noise of its forces.
+
+    Args:
+        scales: (P,) K_p, N.
+        stds: (P,) their standard deviations by the noise of the forces, N.
+
+    Returns:
+        K, N, and the variance of K / K.
+    """
+    mean = float(np.median(scales))
     variance = PUSH_STD**2
-    weights = np.ones(len(values))
+    weights = np.ones(len(scales))
+    total = np.full(len(scales), variance)
     for _ in range(ROUNDS):
-        distance = np.maximum(np.abs(values - mean), np.finfo(float).tiny)
-        weights = np.minimum(1.0, HUBER * np.sqrt(variance) / distance)
-        mean = float(weights @ values / weights.sum())
-        # Section 10: s² = (nu s_0² + sum w_p (log K_p - log K)²) / (nu + sum w_p - 1).
-        squares = float(weights @ (values - mean) ** 2)
+        off = scales / mean - 1
+        total = variance + (stds / mean) ** 2
+        distance = np.maximum(np.abs(off), np.finfo(float).tiny)
+        weights = np.minimum(1.0, HUBER * np.sqrt(total) / distance)
+        mean = float((weights / total) @ scales / (weights / total).sum())
+        # Section 10: s² = (nu s_0² + sum w_p e_p²) / (nu + sum w_p - 1), with e_p² what the table's
+        # part of the distance is expected to be, squared.
+        share = variance / total
+        expected = (share * (scales / mean - 1)) ** 2 + variance * (1 - share)
+        squares = float(weights @ expected)
         variance = (PUSH_STD_WEIGHT * PUSH_STD**2 + squares) / (PUSH_STD_WEIGHT + weights.sum() - 1)
-    return mean, variance / float(weights.sum())
+    return mean, 1 / float((weights / total).sum())

@@ -47,8 +47,9 @@ POSITION_STD = 0.001
 ANGLE_STD = 0.3 * pi / 180
 """Standard deviation of an object's seen heading, rad."""
 
-TIP_STD = 0.0005
-"""Standard deviation of the fingertip's distance from the table's edge, m."""
+EDGE_STD = 0.0005
+"""Standard deviation of where the table's edge is along its normal, m, as seen from both fingertip
+and object."""
 
 PRESS = "press"
 LIFT = "lift"

@@ -695,6 +695,7 @@ def _add_control(
     if load_sensor is not None:
         load = FeltLoad(
             tip_force=load_sensor.GetOutputPort("tip_force"),
+            smooth_tip_force=load_sensor.GetOutputPort("smooth_tip_force"),
             grasp_wrench=load_sensor.GetOutputPort("grasp_wrench"),
         )
     tip_force = None

@@ -248,10 +248,12 @@ class FeltLoad:
 
     Attributes:
         tip_force: (3,) force on the finger's tip in W, N.
+        smooth_tip_force: (3,) a running average of it, N.
         grasp_wrench: (6,) torque about the grasp point, N m, above force, N, on the gripper in W.
     """
 
     tip_force: OutputPort
+    smooth_tip_force: OutputPort
     grasp_wrench: OutputPort
 
 
@@ -451,7 +453,7 @@ def _add_weighing(
     builder.Connect(object_pose, pressing.GetInputPort("object_pose"))
     builder.Connect(pusher_state, pressing.GetInputPort("pusher_state"))
     builder.Connect(load.tip_force, pressing.GetInputPort("force"))
-    builder.Connect(load.tip_force, identifier.GetInputPort("force"))
+    builder.Connect(load.smooth_tip_force, identifier.GetInputPort("force"))
     builder.Connect(pressing.GetOutputPort("status"), executor.GetInputPort("press_status"))
     builder.ExportInput(pressing.GetInputPort("press_command"), "press_command")
     ExportOutputs(builder, pressing, "press", ("status",))

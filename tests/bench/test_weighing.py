@@ -13,6 +13,7 @@ from gridpush_drake.bench.weighing import (
     WeighingScore,
     draw_truth,
     make_jobs,
+    make_pushes,
     run_edge_job,
     run_job,
     score,
@@ -165,6 +166,21 @@ def test_hidden_masses_differ_from_object_to_object():
     masses = [draw_truth(load_object(name), 3).total_mass for name in ("pliers", "toolbox")]
     assert masses[0] != masses[1]
     assert all(0.1 <= mass <= 3.0 for mass in masses)
+
+
+def test_errors_differ_from_object_to_object():
+    """Runs with one seed count as independent ones."""
+    seen = []
+    pushed = []
+    for name in ("pliers", "toolbox"):
+        obj = load_object(name)
+        truth = draw_truth(obj, 3)
+        world = WeighingWorld(obj, truth, seed=3)
+        seen.append(world.observe() - world.read_pose())
+        # The first pose of a push is that of an object at the origin, with noise.
+        pushed.append(make_pushes(obj, truth, 3, 1)[0].pose)
+    assert (np.abs(seen[0] - seen[1]) > 1e-6).all()
+    assert (np.abs(pushed[0] - pushed[1]) > 1e-6).all()
 
 
 def test_jobs_are_those_that_were_asked_for():

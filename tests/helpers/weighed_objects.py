@@ -79,7 +79,9 @@ def make_problem(
         for _ in range(presses):
             a = rng.uniform(0.03, 0.08)
             y = rng.uniform(-0.02, 0.02)
-            force = weight * b / (a + noise * std.tip * rng.standard_normal())
+            # The edge is off: the tip is as much nearer to it as the center is farther from it.
+            e = noise * std.edge * rng.standard_normal()
+            force = weight * (b + e) / (a - e)
             made.append(
                 EdgePress(
                     pose=seen,

@@ -140,8 +140,8 @@ def test_a_slow_way_says_the_same():
 
     places = {tuple(press.pose): place(press.pose) for press in problem.log.presses}
     for press in problem.log.presses:
-        a = press.place[0] + PoseNoise().tip * rng.standard_normal(draws)
-        force = -weight * places[tuple(press.pose)][0] / a
+        e = PoseNoise().edge * rng.standard_normal(draws)
+        force = weight * (e - places[tuple(press.pose)][0]) / (press.place[0] - e)
         log_weight -= 0.5 * ((force - press.force) / press.force_std) ** 2
     for lift in problem.log.lifts:
         x, y = places[tuple(lift.pose)]
@@ -187,8 +187,8 @@ def test_nothing_measured_is_refused():
         estimate_absolute(WeighingProblem(WeighingLog(), CENTER, np.eye(2)))
     with pytest.raises(IdentificationError, match="expected 0 < least < greatest"):
         AbsolutePrior(mass=(1.0, 0.5))
-    with pytest.raises(IdentificationError, match=r"tip is 0\.0; expected a positive number"):
-        PoseNoise(tip=0.0)
+    with pytest.raises(IdentificationError, match=r"edge is 0\.0; expected a positive number"):
+        PoseNoise(edge=0.0)
 
 
 def test_sources_are_named():

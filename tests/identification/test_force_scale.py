@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.physics import GRAVITY
-from gridpush_drake.dynamics.push import make_path_times
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushLogWarning
+from gridpush_drake.identification.force_scale import _average
 from gridpush_drake.identification.identifiability import (
     _calc_box_of_known_scale,
     calc_center_of_mass_box,
@@ -76,6 +77,68 @@ def test_friction_comes_out_as_far_off_as_is_said(count: int) -> None:
     assert np.abs(off).max() < 3.0 and 0.2 < np.sqrt((off**2).mean()) < 1.6, off
     assert max(one.relative_std for one in found) < 0.35 / np.sqrt(count) + 0.05
     assert all(one.pushes == count and one.against == 0 for one in found)
+
+
+def make_station_log(obj: GridObject, truth: CellParameters, contact: float, end: float) -> PushLog:
+    """Pushes with forces as a station writes them: 20 of a push, each the mean of some time.
+
+    The finger takes four times as long for the last twentieth of its way.
+
+    Args:
+        obj: the object.
+        truth: its true masses and frictions.
+        contact: factor on the first two forces after the finger met the object.
+        end: factor on the forces while the finger slows down.
+    """
+    pushes = []
+    for seen in make_pokes(obj, truth, 4, 0, noise=(3e-4, 3e-3)):
+        slow = 0.95 * seen.push.duration
+        stop = 1.15 * seen.push.duration
+        places = seen.push.tip_at([0.0, slow, seen.push.duration])
+        push = Push.along(np.array([0.0, slow, stop]), places, seen.push.radius)
+        times = make_path_times(push, "quasi_static")
+        motion = simulate(obj, truth, push, seen.pose, regime="quasi_static", times=times)
+        fine = np.linspace(0.0, stop, 400, endpoint=False)
+        force = motion.contact_forces.sum(axis=1)[np.searchsorted(times, fine, side="right") - 1]
+        force[fine > slow] *= end
+        means = force.reshape(20, 20, 2).mean(axis=1)
+        first = int(np.flatnonzero(means.any(axis=1))[0])
+        means[first : first + 2] *= contact
+        t = fine.reshape(20, 20).mean(axis=1)
+        seen_at = np.append(seen.t_observed[:-1], stop)
+        pushes.append(replace(seen, push=push, t_observed=seen_at, force_t=t, force=means))
+    return PushLog(tuple(pushes))
+
+
+def test_forces_of_a_finger_that_meets_the_object_or_stops_do_not_count() -> None:
+    obj, truth = make_case()
+    right = GRAVITY * truth.mass @ truth.friction
+    whole = identify(obj, make_station_log(obj, truth, 1.0, 1.0)).force
+    cut = identify(obj, make_station_log(obj, truth, 0.4, 0.1)).force
+    assert whole.friction == pytest.approx(right, rel=0.02)
+    assert cut.friction == pytest.approx(whole.friction, rel=1e-6)
+
+
+def test_if_no_force_was_steady_all_of_them_count() -> None:
+    obj, truth = make_case()
+    log = make_station_log(obj, truth, 1.0, 1.0)
+    few = [replace(seen, force_t=seen.force_t[-2:], force=seen.force[-2:]) for seen in log]
+    found = identify(obj, PushLog(tuple(few))).force
+    assert found.pushes == 4
+    assert found.friction == pytest.approx(GRAVITY * truth.mass @ truth.friction, rel=0.05)
+
+
+def test_pushes_with_noisy_forces_count_less() -> None:
+    scales = np.array([1.0, 1.02, 0.98, 1.6])
+    mean, variance = _average(scales, np.array([0.02, 0.02, 0.02, 0.6]))
+    alike, of_alike = _average(scales, np.zeros(4))
+    assert abs(mean - 1) < 0.03 < abs(alike - 1)
+    assert variance < of_alike
+    # Noise that is known is no spread of the table's friction.
+    rng = np.random.default_rng(0)
+    noisy, of_noisy = _average(1 + 0.2 * rng.standard_normal(400), np.full(400, 0.2))
+    assert abs(noisy - 1) < 0.03
+    assert 0.005 < np.sqrt(of_noisy) < 0.013
 
 
 def test_an_unknown_mass_is_bounded_and_the_estimate_has_the_forces_scale() -> None:

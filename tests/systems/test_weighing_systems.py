@@ -70,6 +70,7 @@ def feel(robot, frame, wrench, noise=None, seed=0, time=0.0):
                 [
                     sensor.GetOutputPort("tip_force").Eval(simulator.get_context()),
                     sensor.GetOutputPort("grasp_wrench").Eval(simulator.get_context()),
+                    sensor.GetOutputPort("smooth_tip_force").Eval(simulator.get_context()),
                 ]
             )
         )
@@ -82,7 +83,7 @@ def test_an_arm_feels_the_force_on_its_tip_and_the_load_in_its_gripper(robot):
     np.testing.assert_allclose(tip[0, :3], force, atol=1e-5)
     load = np.array([0.3, -0.2, 0.0, 0.0, 0.0, -6.0])
     grasp = feel(robot, robot[0].gripper.grasp_frame, load)
-    np.testing.assert_allclose(grasp[0, 3:], load, atol=1e-5)
+    np.testing.assert_allclose(grasp[0, 3:9], load, atol=1e-5)
 
 
 def test_the_noise_is_as_large_as_is_said_and_depends_on_the_seed_alone(robot):
@@ -93,9 +94,37 @@ def test_the_noise_is_as_large_as_is_said_and_depends_on_the_seed_alone(robot):
     stds = one.std(axis=0)
     np.testing.assert_allclose(stds[:3], 0.2, rtol=0.2)
     np.testing.assert_allclose(stds[3:6], 0.02, rtol=0.2)
-    np.testing.assert_allclose(stds[6:], 0.2, rtol=0.2)
+    np.testing.assert_allclose(stds[6:9], 0.2, rtol=0.2)
+    # A running average over 6 samples leaves 0.2 N sqrt(5 ms / (2 x 30 ms)), about its own mean.
+    np.testing.assert_allclose(one[60:, 9:].std(axis=0), 0.2 * np.sqrt(1 / 12), rtol=0.35)
+    np.testing.assert_allclose(one[60:, 9:].mean(axis=0), one[60:, :3].mean(axis=0), atol=0.02)
     # The offset stays the same within a run and differs from run to run.
     assert np.abs(one.mean(axis=0) - other.mean(axis=0)).max() > 0.1
+
+
+def test_the_smooth_force_follows_the_force_and_begins_anew_after_what_is_not_finite(robot):
+    measures, plant, q = robot
+    sensor = ArmLoadSensor(plant, measures.finger.tip_frame)
+    context = sensor.CreateDefaultContext()
+    sensor.GetInputPort("position_measured").FixValue(context, q)
+    simulator = Simulator(sensor, context)
+
+    def feel_torque(size, until):
+        torque = np.full(len(q), size)
+        sensor.GetInputPort("torque_external").FixValue(simulator.get_mutable_context(), torque)
+        simulator.AdvanceTo(until)
+        ports = (sensor.GetOutputPort(name) for name in ("tip_force", "smooth_tip_force"))
+        return [np.array(port.Eval(simulator.get_context())) for port in ports]
+
+    # The first sample is taken as it is; a change arrives with a time constant of 30 ms.
+    force, smooth = feel_torque(1.0, 0.0001)
+    np.testing.assert_array_equal(force, smooth)
+    twice, smooth = feel_torque(2.0, 0.0301)
+    np.testing.assert_allclose(twice, 2 * force)
+    np.testing.assert_allclose(smooth, force * (2 - np.exp(-1)), rtol=1e-9)
+    assert np.isnan(feel_torque(np.nan, 0.0351)).all()
+    three, smooth = feel_torque(3.0, 0.0401)
+    np.testing.assert_array_equal(three, smooth)
 
 
 class Presser:

@@ -14,7 +14,9 @@ Two things must hold for each c in C, whatever the mass:
 s* is a quotient of linear functions of c, so that it is enough to look at the corners of C. Of all
 places that do, the one is taken that is expected to tell the product m b best,
 
-    (std of m b / m b)² = (s_F a / (m g b))² + (s_a / a)²
+    (std of m b / m b)² = (s_F a / (m g b))² + (s_e (1 / a + 1 / b))²
+
+with s_F the error of the force and s_e that of the edge.
 """
 
 from collections.abc import Sequence
@@ -30,7 +32,7 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_rotation, transform, transform_shape
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.weighing.press import PressTarget
-from gridpush_drake.pushes.weighings import TIP_STD
+from gridpush_drake.pushes.weighings import EDGE_STD
 
 FAR = 10.0
 """Half the length of the line that stands for an edge, m."""
@@ -167,8 +169,8 @@ def plan_press(
     # The most telling one, with the center of mass in the middle of the region.
     arm = a[safe, 0]
     by_force = rules.force_std * arm / (rules.mass * GRAVITY * middle)
-    by_place = TIP_STD / arm
-    stds = np.hypot(by_force, by_place)
+    by_edge = EDGE_STD * (1 / arm + 1 / middle)
+    stds = np.hypot(by_force, by_edge)
     best = int(np.argmin(stds))
     x, y = places[safe][best].tolist()
     target = PressTarget(

@@ -10,9 +10,9 @@ Of all presses that are safe, the one comes next after which mass and center are
 known best. With S the covariance of (log m, c, log mu) now, a press that will show the force F with
 the derivatives J and the variance r leaves
 
-    S' = S - S J^T J S / (J S J^T + r),    r = s_F² + (F s_a / a)² + (m g / a)² (s_p² + ...)
+    S' = S - S J^T J S / (J S J^T + r),    r = s_F² + ((F + m g) s_e / a)² + (m g / a)² (s_p² + ...)
 
-with the errors of force, tip and pose, and what is made small is
+with the errors of force, edge and pose, and what is made small is
 
     S'(log m) / (what is enough of it)² + trace S'(c) / (what is enough of it)²
 """
@@ -157,10 +157,10 @@ def calc_left_open(
     J = np.zeros(len(belief.mean))
     J[LOG_MASS] = force
     J[CENTER] = -weight / a * (n @ R)
-    by_tip = force / a * noise.tip
+    by_edge = (force + weight) / a * noise.edge
     by_place = weight / a * noise.position
     by_angle = weight / a * float(n @ turn_left(arm)) * noise.angle
-    r = rules.force_std**2 + by_tip**2 + by_place**2 + by_angle**2
+    r = rules.force_std**2 + by_edge**2 + by_place**2 + by_angle**2
 
     S = belief.covariance
     SJ = S @ J

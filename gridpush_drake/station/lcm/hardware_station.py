@@ -375,6 +375,7 @@ def _add_load(builder: DiagramBuilder, setting: Setting, status: dict[str, Outpu
         builder.Connect(status[port], sensor.GetInputPort(port))
     return FeltLoad(
         tip_force=sensor.GetOutputPort("tip_force"),
+        smooth_tip_force=sensor.GetOutputPort("smooth_tip_force"),
         grasp_wrench=sensor.GetOutputPort("grasp_wrench"),
     )
 
