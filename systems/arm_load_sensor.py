@@ -27,8 +27,8 @@ SIZE = 9
 """Number of values in a sample."""
 
 SMOOTHING = 0.03
-"""Time over which the smooth force is averaged, s: about that between two poses of the camera, with
-which it is written down."""
+"""Time over which the smooth force is averaged, s: about that between two poses of the camera,
+with which it is written down."""
 
 ORIGIN = np.zeros(3)
 """Origin of a frame in that frame, m."""
@@ -88,8 +88,8 @@ class ArmLoadSensor(LeafSystem):
 
     All are NaN if the torques are not finite. Noise and offsets are added.
 
-    Discrete state: the twelve values on the ports, and the number of samples so far. The noise of the
-    k-th sample, and the offsets, depend only on k and the seed, which is numeric parameter 0.
+    Discrete state: the twelve values on the ports, and the number of samples so far. The noise of
+    the k-th sample, and the offsets, depend only on k and the seed, which is numeric parameter 0.
     """
 
     __slots__ = NO_SLOTS
@@ -160,18 +160,20 @@ class ArmLoadSensor(LeafSystem):
             if self._grasp_frame is not None and len(torque) >= len(wrench):
                 wrench = np.linalg.lstsq(self._calc_jacobian(self._grasp_frame).T, torque)[0]
         told = force + error[FORCE]
-        smooth = context.get_discrete_state(self._smooth_on_port).value()
-        if np.isfinite(smooth).all():
-            smooth = smooth + self._share * (told - smooth)
-        else:
-            smooth = told
         state.set_value(self._force_on_port, told)
-        state.set_value(self._smooth_on_port, smooth)
+        state.set_value(self._smooth_on_port, self._smooth(context, told))
         state.set_value(
             self._wrench_on_port,
             wrench + np.concatenate([error[GRASP_TORQUE], error[GRASP_FORCE]]),
         )
         state.set_value(self._count, [count + 1])
+
+    def _smooth(self, context: Context, told: Array) -> Array:
+        """Calculates the running average after one more force (3,)."""
+        before = context.get_discrete_state(self._smooth_on_port).value()
+        if not np.isfinite(before).all():
+            return told
+        return np.asarray(before + self._share * (told - before))
 
     def _calc_jacobian(self, frame: str) -> Array:
         """Calculates the Jacobian (6, n) of a frame's spatial velocity in W, at the scratch's q."""

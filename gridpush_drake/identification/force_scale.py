@@ -23,7 +23,7 @@ from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import TimedPush
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import PushLog
 
 PUSH_STD = 0.15
 """Prior standard deviation of K from push to push, over K: the friction of a table differs by so
@@ -232,13 +232,13 @@ def _choose_steady(one: TimedPush, force: Array) -> tuple[Array, Array]:
     first_steps = _find_steps(one.times, seen.force_t - half, len(force))
 
     # How far the finger has come since it met the object the last time, at each step's beginning.
-    apart = ~force.any(axis=1)
+    apart = np.asarray((force == 0.0).all(axis=1))
     way = seen.push.distance_at(one.times)
     met = np.maximum.accumulate(np.where(apart, way[1:], 0.0))
     settled = begin - met[first_steps] >= SETTLE_DISTANCE
-    pushes = ~apart[first_steps] & ~apart[steps]
+    lost = apart[first_steps] | apart[steps]
     gone = end - begin
-    steady = settled & pushes & (gone >= STEADY_SHARE * np.median(gone))
+    steady = np.asarray(settled & ~lost & (gone >= STEADY_SHARE * np.median(gone)))
     if steady.sum() < MIN_STEADY:
         steady = np.ones(len(steps), dtype=bool)
     return force[steps[steady]], seen.force[steady]
