@@ -612,7 +612,7 @@ def prepare(obj: GridObject, learned: Identification, pose: Array, rules: Follow
         learned.params,
         path,
         rules.finger,
-        draws=learned.samples(rules.options.draws, rules.seed),
+        draws=learned.samples(rules.options.ensemble, rules.seed),
         physics=learned.physics,
         constraints=rules.constraints,
         options=rules.options,
@@ -684,7 +684,7 @@ def decide(
     """
     after = follower.copy()
     if learned is not None:
-        after.set_model(learned.params, learned.samples(after.options.draws))
+        after.set_model(learned.params, learned.samples(after.options.ensemble))
     for time, x, y in tips:
         after.add_tip(time, (x, y))
     for each in seen:

@@ -273,7 +273,7 @@ def make_follower(job: Job, case: Case, goal: ArrayLike | PosePath) -> TimedFoll
         params = case.truth
     elif case.learned is not None:
         params = case.learned.params
-        draws = case.learned.samples(options.draws, job.seed)
+        draws = case.learned.samples(options.ensemble, job.seed)
     return TimedFollower(
         case.obj, params, goal, FINGER, draws=draws, options=options, seed=job.seed
     )

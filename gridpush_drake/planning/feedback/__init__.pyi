@@ -14,6 +14,8 @@ from .follow_log import SeenPose as SeenPose
 from .follow_options import FollowDecision as FollowDecision
 from .follow_options import FollowOptions as FollowOptions
 from .follow_options import FollowStatus as FollowStatus
+from .model_ensemble import EnsembleOptions as EnsembleOptions
+from .model_ensemble import ModelEnsemble as ModelEnsemble
 from .path_planner import PathPlan as PathPlan
 from .path_planner import plan_pose_path as plan_pose_path
 from .pose_path import PosePath as PosePath

@@ -64,6 +64,8 @@ class FollowOptions:
         refinements: Gauss-Newton steps at each decision on a path.
         draws: models drawn from the posterior with which a plan on a path is refined, beside the
             estimate.
+        ensemble: models drawn from the posterior with which the estimate is corrected while the
+            finger is steered; with less than 2 it is not.
         position_tolerance: distance from the goal within which it is reached.
         angle_tolerance: turn from the goal within which it is reached, rad.
         weight_along: how much a distance along the path counts, against 1 of one beside it.
@@ -91,6 +93,7 @@ class FollowOptions:
     path_horizon: int = 15
     refinements: int = 2
     draws: int = 4
+    ensemble: int = 32
     position_tolerance: float = 0.002
     angle_tolerance: float = float(np.radians(1.0))
     weight_along: float = 0.3
@@ -108,7 +111,7 @@ class FollowOptions:
         for name in ("strokes", "changes", "horizon", "path_horizon", "attempts"):
             if not getattr(self, name) >= 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected 1 or more")
-        for name in ("refinements", "draws"):
+        for name in ("refinements", "draws", "ensemble"):
             if not getattr(self, name) >= 0:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected 0 or more")
         require_positive(

@@ -179,6 +179,16 @@ class PoseTrack:
         position = self.options.position_std**2
         return np.array([position, position, self.options.angle_std**2])
 
+    @property
+    def seen_pose(self) -> Array:
+        """(3,) the filtered pose of the time `seen_at`, m and rad."""
+        return self._state[X : THETA + 1].copy()
+
+    def find_tips(self, begin: float, end: float) -> Array:
+        """The finger's path (K, 2) after one time and up to another, s; its last place is then."""
+        between = [tip for t, tip in zip(self._times, self._tips, strict=True) if begin < t < end]
+        return np.array([*between, self._find_tip(end)])
+
     def predict(self, model: PushedModel) -> Array:
         """The state (STATE,) now, which is when the finger's last place was told."""
         state = self._state.copy()
@@ -195,8 +205,7 @@ class PoseTrack:
 
     def _follow(self, model: PushedModel, state: Array, begin: float, end: float) -> float:
         """Carries a state along the finger's path between two times; returns the way, m."""
-        between = [tip for t, tip in zip(self._times, self._tips, strict=True) if begin < t < end]
-        tips = np.array([*between, self._find_tip(end)])
+        tips = self.find_tips(begin, end)
         way = np.diff(np.vstack([state[TIP_X : TIP_Y + 1], tips]), axis=0)
         follow_tip(model, state, tips)
         return float(np.linalg.norm(way, axis=1).sum())

@@ -28,17 +28,7 @@ from gridpush_drake.dynamics.kernels.finger_push import (
     X,
     follow_tip,
 )
-from gridpush_drake.dynamics.kernels.plan_search import (
-    ANGLE,
-    BEND,
-    CHANGE,
-    LENGTH,
-    PLACE,
-    ROUND,
-    STROKE,
-    WALK,
-    Plan,
-)
+from gridpush_drake.dynamics.kernels.plan_search import Plan
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform, wrap_angle
@@ -50,36 +40,19 @@ from gridpush_drake.planning.feedback.follow_options import (
     FollowOptions,
     FollowStatus,
 )
+from gridpush_drake.planning.feedback.model_ensemble import ModelEnsemble
 from gridpush_drake.planning.feedback.plan_refinement import refine_plan
 from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
 from gridpush_drake.planning.feedback.pose_track import PoseTrack, TrackOptions
-from gridpush_drake.planning.feedback.push_search import Candidates, Wish, search_push
+from gridpush_drake.planning.feedback.push_candidates import draw_candidates
+from gridpush_drake.planning.feedback.push_search import Wish, search_push
 from gridpush_drake.planning.feedback.pushed_object import (
     FeedbackFinger,
     covers_places,
-    make_model,
     make_room,
 )
 from gridpush_drake.planning.feedback.ways import make_ways
 from gridpush_drake.planning.push_constraints import PushConstraints
-
-LENGTHS = (0.15, 1.0)
-"""Least and greatest speed of a stroke, as a share of the finger's."""
-
-ANGLES = (-1.0, 1.0)
-"""Least and greatest angle of a stroke from the inward normal, rad."""
-
-BEND_STD = 0.06
-"""Standard deviation of a stroke's turn in a decision, rad."""
-
-AT_ONCE = 0.25
-"""Share of the strokes that push at once, from where the finger is."""
-
-FROM_NOW = 0.4
-"""Share of the strokes that replace the whole plan; the others keep some of its beginning."""
-
-CHANGE_SIZES = (0.0002, 0.015)
-"""Least and greatest standard deviation of a change of places, m."""
 
 HIT = 0.2
 """Share of the tolerances within which a plan ends: nearer it need not come."""
@@ -139,7 +112,7 @@ class PushFollower:
             goal: (3,) pose X_WB, m and rad; or a path, at whose end its last pose is the goal.
             finger: the finger.
             draws: other models that agree with what was learned, such as
-                `Identification.samples(4)`; at most `options.draws` are used.
+                `Identification.samples(32)`; at most `options.ensemble` are used.
             physics: physics of the models; the search is quasi-static in any case.
             constraints: table, obstacles, margins and the finger's region; the further rules are
                 those of straight pushes, and are not asked.
@@ -177,6 +150,7 @@ class PushFollower:
         """Makes a copy that goes on by itself, alike; what never changes is shared."""
         other = copy(self)
         other.track = self.track.copy()
+        other._ensemble = self._ensemble.copy()
         other._plan = self._plan.copy()
         other._rng = deepcopy(self._rng)
         return other
@@ -191,10 +165,13 @@ class PushFollower:
         Raises:
             PlanningError: a model is of another object.
         """
-        used = [params, *list(draws)[: self.options.draws]]
-        self._models = [
-            make_model(self.obj, each, self.finger.radius, self._physics) for each in used
-        ]
+        self._ensemble = ModelEnsemble(
+            self.obj,
+            params,
+            list(draws)[: self.options.ensemble],
+            self.finger.radius,
+            self._physics,
+        )
         self._unlike_since = np.inf
 
     def set_goal(self, goal: ArrayLike | PosePath) -> None:
@@ -235,7 +212,7 @@ class PushFollower:
     @property
     def model(self) -> PushedModel:
         """The estimate, as the compiled search takes it."""
-        return self._models[0]
+        return self._ensemble.models[0]
 
     def add_pose(self, time: float, pose: ArrayLike) -> None:
         """Takes in a pose that was seen, at once or as soon as it comes.
@@ -247,8 +224,15 @@ class PushFollower:
         seen = np.asarray(pose, dtype=np.float64)
         if seen.shape != (3,) or not np.isfinite(seen).all():
             return
+        since = self.track.seen_at
+        shoves = self.track.shoves
         if not self.track.add_pose(self.model, time, seen):
             return
+        if self.track.shoves != shoves:
+            self._ensemble.forget()
+        else:
+            tips = self.track.find_tips(since, time)
+            self._ensemble.add(time, self.track.seen_pose, tips)
         moved = max(self.track.moved, LEAST_MOTION * self.obj.radius_of_gyration)
         if float(np.linalg.norm(self.track.corrected)) > self.options.unlike * moved:
             self._unlike_since = min(self._unlike_since, time)
@@ -402,6 +386,7 @@ class PushFollower:
 
     def _search(self, state: Array, wish: Wish) -> Array:
         """Improves the plan from a state (STATE,) on; returns the velocity (2,) of its begin."""
+        options = self.options
         count = self._count_decisions(wish.follows)
         if self._follows != wish.follows or len(self._plan) != count:
             self._begin_plan()
@@ -414,10 +399,10 @@ class PushFollower:
         plan = Plan(targets=self._plan, states=states)
         if self._length == 0:
             self._per_decision = 1.0 if self._found else self._per_decision
-        for attempt in range(self.options.attempts):
+        for attempt in range(options.attempts):
             if attempt or not self._found:
                 self._per_decision = max(0.5 * self._per_decision, LEAST_PER_DECISION)
-            candidates = self._draw_candidates()
+            candidates = draw_candidates(self._rng, options, self.finger)
             cost, self._length, to_go = search_push(
                 self.model,
                 wish._replace(per_decision=self._per_decision),
@@ -435,12 +420,13 @@ class PushFollower:
         if self._length == 0:
             return np.zeros(2)
         if wish.follows:
-            for _ in range(self.options.refinements):
+            for _ in range(options.refinements):
                 targets = self._plan[: self._length]
                 longest = candidates.longest
-                if not refine_plan(self._models, wish, self._room, state, targets, longest):
+                models = self._ensemble.models[: 1 + options.draws]
+                if not refine_plan(models, wish, self._room, state, targets, longest):
                     break
-        velocity = self._limit((self._plan[0] - tip) / self.options.period, state)
+        velocity = self._limit((self._plan[0] - tip) / options.period, state)
         self._plan[:-1] = self._plan[1:]
         self._length -= 1
         return velocity
@@ -460,43 +446,8 @@ class PushFollower:
         speed = float(np.linalg.norm(velocity))
         return np.asarray(velocity * min(1.0, most / max(speed, most)))
 
-    def _draw_candidates(self) -> Candidates:
-        """Draws what the search tries."""
-        rng = self._rng
-        options = self.options
-        # strokes from all around, most of them after going there
-        count = options.strokes
-        period = options.period
-        strokes = np.empty((count, STROKE))
-        strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
-        strokes[:, ANGLE] = rng.uniform(*ANGLES, count)
-        strokes[:, LENGTH] = period * self.finger.speed * _draw_log_uniform(rng, LENGTHS, count)
-        strokes[:, BEND] = rng.normal(0.0, BEND_STD, count)
-        strokes[:, WALK] = period * self.finger.walking_speed
-        strokes[:, ROUND] = rng.choice([-1.0, 1.0], count)
-        at_once = rng.random(count) < AT_ONCE
-        strokes[at_once, PLACE] = -1.0
-        strokes[at_once, ANGLE] = rng.uniform(-np.pi, np.pi, int(at_once.sum()))
-        # later cuts are more often useful: a plan's beginning is good already
-        cuts = np.sqrt(rng.random(count))
-        cuts[rng.random(count) < FROM_NOW] = 0.0
-        # changes of all sizes: the largest find something new, the smallest make it exact
-        changes = rng.standard_normal((options.changes, CHANGE))
-        return Candidates(
-            strokes=strokes,
-            cuts=cuts,
-            changes=changes,
-            scales=_draw_log_uniform(rng, CHANGE_SIZES, options.changes),
-            longest=float(period * self.finger.walking_speed),
-        )
-
     def _rest(self, status: FollowStatus, pose: Array | None = None) -> FollowDecision:
         """Lets the finger rest."""
         self._begin_plan()
         where = np.full(3, np.nan) if pose is None else pose
         return FollowDecision(np.zeros(2), status, FOLLOW_REASONS[status], where, self.progress)
-
-
-def _draw_log_uniform(rng: np.random.Generator, bounds: tuple[float, float], count: int) -> Array:
-    """Draws numbers (count,) between two bounds, whose logarithms are spread evenly."""
-    return np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]), count))

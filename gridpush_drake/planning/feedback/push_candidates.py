@@ -1,0 +1,72 @@
+"""Draws what the search for a plan tries (`push_search`): strokes, and changes of the plan."""
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.plan_search import (
+    ANGLE,
+    BEND,
+    CHANGE,
+    LENGTH,
+    PLACE,
+    ROUND,
+    STROKE,
+    WALK,
+)
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.planning.feedback.follow_options import FollowOptions
+from gridpush_drake.planning.feedback.push_search import Candidates
+from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
+
+LENGTHS = (0.4, 1.0)
+"""Least and greatest speed of a stroke, as a share of the finger's."""
+
+ANGLES = (-1.0, 1.0)
+"""Least and greatest angle of a stroke from the inward normal, rad."""
+
+BEND_STD = 0.06
+"""Standard deviation of a stroke's turn in a decision, rad."""
+
+AT_ONCE = 0.25
+"""Share of the strokes that push at once, from where the finger is."""
+
+FROM_NOW = 0.4
+"""Share of the strokes that replace the whole plan; the others keep some of its beginning."""
+
+CHANGE_SIZES = (0.0002, 0.015)
+"""Least and greatest standard deviation of a change of places, m."""
+
+
+def draw_candidates(
+    rng: np.random.Generator, options: FollowOptions, finger: FeedbackFinger
+) -> Candidates:
+    """Draws as many candidates as the options say, for one decision."""
+    period = options.period
+    # strokes from all around, most of them after going there
+    count = options.strokes
+    strokes = np.empty((count, STROKE))
+    strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
+    strokes[:, ANGLE] = rng.uniform(*ANGLES, count)
+    strokes[:, LENGTH] = period * finger.speed * _draw_log_uniform(rng, LENGTHS, count)
+    strokes[:, BEND] = rng.normal(0.0, BEND_STD, count)
+    strokes[:, WALK] = period * finger.walking_speed
+    strokes[:, ROUND] = rng.choice([-1.0, 1.0], count)
+    at_once = rng.random(count) < AT_ONCE
+    strokes[at_once, PLACE] = -1.0
+    strokes[at_once, ANGLE] = rng.uniform(-np.pi, np.pi, int(at_once.sum()))
+    # later cuts are more often useful: a plan's beginning is good already
+    cuts = np.sqrt(rng.random(count))
+    cuts[rng.random(count) < FROM_NOW] = 0.0
+    # changes of all sizes: the largest find something new, the smallest make it exact
+    changes = rng.standard_normal((options.changes, CHANGE))
+    return Candidates(
+        strokes=strokes,
+        cuts=cuts,
+        changes=changes,
+        scales=_draw_log_uniform(rng, CHANGE_SIZES, options.changes),
+        longest=float(period * finger.walking_speed),
+    )
+
+
+def _draw_log_uniform(rng: np.random.Generator, bounds: tuple[float, float], count: int) -> Array:
+    """Draws numbers (count,) between two bounds, whose logarithms are spread evenly."""
+    return np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]), count))
