@@ -5,16 +5,18 @@ it holds the other back. So all are learned in one: with z = (log k of every obj
 the frictions with the pusher; log of the pairs' frictions) and the residuals r(z) of all poses that
 were seen, divided by their noise,
 
-    min over z of  |r(z)|²/2 + (z - z_0)^T P^-1 (z - z_0)/2
+    min over z of  sum of rho(|r_b(z)|²) + (z - z_0)^T P^-1 (z - z_0)/2
 
-by the least squares of `prior_fit`, with the exact derivatives of `simulate_scene`. The prior of
-an object's log k is a smooth field of amplitude a (`hypotheses.calc_smooth_covariance`) and one
-number more for the object as a whole: how heavy it is beside the others. Several amplitudes are
-fitted, coarse to fine, and the one of greatest evidence, by Laplace's approximation, is taken.
+with a block r_b for all objects at each time of each push. Poses that the model cannot explain
+count for little by rho (`robust_least_squares`), and their pushes are named in the result. The
+prior of an object's log k is a smooth field of amplitude a (`hypotheses.calc_smooth_covariance`)
+and one number more for the object as a whole: how heavy it is beside the others. Several amplitudes
+are fitted, coarse to fine, and the one of greatest evidence, by Laplace's approximation, is taken.
 
 What pushes cannot tell: a factor that all k have in common, for slow pushes only weigh the objects
 against each other; and masses by themselves, as for one object (`docs/theory/model.md`, section 7).
 The masses that are given stand for k_i = mu_i m_i g with the friction that the object's file names.
+Two objects that never pushed each other cannot be compared, either; `SceneIdentification` says so.
 """
 
 from collections.abc import Iterable, Sequence
@@ -26,17 +28,16 @@ from scipy.linalg import block_diag
 
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.dynamics.push import make_times_with
-from gridpush_drake.dynamics.scene.bodies import DEFAULT_PAIR_FRICTION, Scene, SceneBody
-from gridpush_drake.dynamics.scene.motion import SceneJacobian, SceneMotion
+from gridpush_drake.dynamics.scene.bodies import DEFAULT_PAIR_FRICTION, Scene
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.identification.hypotheses import WEAKNESS
 from gridpush_drake.identification.load_prior import calc_smooth_covariance
 from gridpush_drake.identification.prediction import calc_pose_error
-from gridpush_drake.identification.prior_fit import fit_with_prior
+from gridpush_drake.identification.robust_least_squares import RobustFit, fit_robustly
+from gridpush_drake.identification.scene_problem import SceneProblem
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
 
@@ -57,9 +58,12 @@ MOVED = 4.0
 """An object counts as moved where it was seen to end this many standard deviations of the noise
 from where it lay."""
 
-LIMITS = {"xtol": 1e-4, "ftol": 1e-4, "gtol": 1e-6, "max_nfev": 25}
-"""At which changes of unknowns and loss, at which slope and after how many evaluations a fit
-ends."""
+UNEXPLAINED = 4.0
+"""Root mean square of a push's residuals, in units of the noise, beyond which the model does not
+explain the push."""
+
+TOLD = 0.8
+"""Share of the standard deviation beforehand that is left of what pushes did tell, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,9 @@ class SceneIdentification:
         amplitude: standard deviation of log k of the smooth fields that were taken.
         evidence: logarithm of the evidence of each of `AMPLITUDES`.
         noise: standard deviations of poses that were assumed, m, m and rad.
-        noise_scale: root mean square of the residuals, in units of that noise.
+        noise_scale: root mean square of the residuals, in units of that noise, in which poses that
+            the model cannot explain count for little.
+        push_scales: (P,) root mean square of each push's residuals, in units of that noise.
         simulations: number of pushes that were simulated.
         push_names: names of the pushes.
         moved: (N,) whether a push moved the object by more than the noise.
@@ -91,12 +97,23 @@ class SceneIdentification:
     evidence: Array
     noise: tuple[float, float, float]
     noise_scale: float
+    push_scales: Array
     simulations: int
     push_names: tuple[str, ...]
     moved: NDArray[np.bool_]
     errors_before: Array
     errors: Array
     physics: Physics
+
+    @property
+    def unexplained(self) -> tuple[str, ...]:
+        """Names of the pushes that the model does not explain: what was learned hangs on others.
+
+        A pose may have jumped, somebody may have moved an object, or the fit found no loads with
+        which an object is hit, or missed, as it was.
+        """
+        far = self.push_scales > UNEXPLAINED
+        return tuple(name for name, off in zip(self.push_names, far, strict=True) if off)
 
     def list_unknowns(self, body: int) -> IntArray:
         """Lists the places in z of an object's cells, and of its friction with the pusher."""
@@ -133,19 +150,39 @@ class SceneIdentification:
             standard deviation.
         """
         loads = []
-        J = np.zeros(len(self.covariance))
-        for b, sign in ((body, 1.0), (other, -1.0)):
+        for b in (body, other):
             params = self.scene.params[b]
             loads.append(float(params.mass @ params.friction))
-            J[self._cells(b)] += sign * params.relative_friction()
-        ratio = float(np.log(loads[0] / loads[1]))
-        return ratio, float(np.sqrt(J @ self.covariance @ J))
+        return float(np.log(loads[0] / loads[1])), self._calc_ratio_std(
+            body, other, self.covariance
+        )
+
+    def tells_load_ratio(self, body: int, other: int) -> bool:
+        """Says whether the pushes told how heavy one object is beside another.
+
+        They do not where none moved both, or a third one that both moved in other pushes.
+        """
+        before = self._calc_ratio_std(body, other, self.prior_covariance)
+        return self._calc_ratio_std(body, other, self.covariance) < TOLD * before
+
+    def tells_pair_friction(self) -> NDArray[np.bool_]:
+        """Says of which pairs (P,) the pushes told the friction on each other."""
+        pairs = len(self.scene) * (len(self.scene) - 1) // 2
+        before = np.sqrt(np.diag(self.prior_covariance)[len(self.z) - pairs :])
+        return np.asarray(self.calc_pair_friction_std() < TOLD * before)
 
     def calc_pair_friction_std(self) -> Array:
         """Calculates the posterior standard deviations (P,) of the logarithms of pair frictions."""
         pairs = len(self.scene) * (len(self.scene) - 1) // 2
         variances = np.diag(self.covariance)
         return np.sqrt(variances[len(variances) - pairs :])
+
+    def _calc_ratio_std(self, body: int, other: int, covariance: Array) -> float:
+        """Calculates the standard deviation of the logarithm of two objects' ratio of loads."""
+        J = np.zeros(len(covariance))
+        for b, sign in ((body, 1.0), (other, -1.0)):
+            J[self._cells(b)] += sign * self.scene.params[b].relative_friction()
+        return float(np.sqrt(J @ covariance @ J))
 
     def _cells(self, body: int) -> IntArray:
         """The places in z of an object's cells."""
@@ -161,6 +198,7 @@ def identify_scene(
     noise: tuple[float, float, float] = NOISE,
     amplitudes: Sequence[float] = AMPLITUDES,
     physics: Physics = QUASI_STATIC,
+    start: SceneIdentification | None = None,
 ) -> SceneIdentification:
     """Learns the objects of a log together.
 
@@ -171,6 +209,8 @@ def identify_scene(
         noise: standard deviations of the poses about their predictions, m, m and rad.
         amplitudes: standard deviations of log k of the smooth fields that are tried, increasing.
         physics: spin, gravity and tolerances.
+        start: what was learned of the same objects from fewer pushes, to begin from; None to begin
+            from even objects. The result depends on it only where there are several minima.
 
     Returns:
         What was learned.
@@ -186,18 +226,23 @@ def identify_scene(
             f"scene log of {len(log.names)} objects ({', '.join(log.names)}); expected "
             f"{len(objects)}: {', '.join(obj.name for obj in objects)}"
         )
-    for name, values in (("noise", noise), ("amplitudes", amplitudes)):
+    given = (("noise", noise), ("amplitudes", amplitudes), ("pair_friction", (pair_friction,)))
+    for name, values in given:
         if not (len(values) and np.isfinite(values).all() and min(values) > 0):
             raise IdentificationError(f"{name} is {tuple(values)!r}; expected positive numbers")
-    problem = _SceneProblem(objects, log, pair_friction, np.asarray(noise), physics)
+    problem = SceneProblem(objects, log, pair_friction, np.asarray(noise), physics)
+    if start is not None and start.z.shape != problem.z0.shape:
+        raise IdentificationError(
+            f"start: has {len(start.z)} unknowns; expected {len(problem.z0)}, those of the same "
+            "objects"
+        )
 
-    # Coarse to fine, each from where the last one ended.
-    fits = []
-    z = problem.z0
-    for amplitude in amplitudes:
-        fit = problem.fit(amplitude, z)
-        z = fit.z
-        fits.append(fit)
+    fits = _fit_all(problem, amplitudes, problem.z0 if start is None else start.z)
+    if start is not None and max(fits[-1].push_scales) > UNEXPLAINED:
+        # What was learned before may be a minimum from which no step leads to a better one.
+        others = _fit_all(problem, amplitudes, problem.z0)
+        if others[-1].evidence > fits[-1].evidence:
+            fits = others
     evidence = np.array([fit.evidence for fit in fits])
     weighted = evidence - WEAKNESS * np.log(amplitudes)
     best = fits[int(np.argmax(weighted))]
@@ -211,6 +256,7 @@ def identify_scene(
         evidence=evidence,
         noise=noise,
         noise_scale=best.noise_scale,
+        push_scales=best.push_scales,
         simulations=problem.simulations,
         push_names=tuple(seen.name for seen in log),
         moved=_find_moved(log, noise),
@@ -272,133 +318,45 @@ def _find_moved(log: SceneLog, noise: tuple[float, float, float]) -> NDArray[np.
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """The best z of one amplitude, its covariances after and before, and its evidence."""
+    """The best z of one amplitude, and what `SceneIdentification` says of it."""
 
     z: Array
     covariance: Array
     prior_covariance: Array
     evidence: float
     noise_scale: float
+    push_scales: Array
 
 
-class _SceneProblem:
-    """The residuals of a log as a function of z, and their derivatives."""
-
-    def __init__(
-        self,
-        objects: Sequence[GridObject],
-        log: SceneLog,
-        pair_friction: float,
-        noise: Array,
-        physics: Physics,
-    ) -> None:
-        self.objects = tuple(objects)
-        self.log = log
-        self.noise = noise
-        self.physics = physics
-        self.simulations = 0
-        self.even = [CellParameters.uniform(obj) for obj in objects]
-        n = len(objects)
-        self.pairs = np.triu_indices(n, 1)
-        k = [np.log(each.mass * each.friction) for each in self.even]
-        finger = np.log([each.contact_friction for each in self.even])
-        self.z0 = np.concatenate([*k, finger, np.full(len(self.pairs[0]), np.log(pair_friction))])
-        self._smooth = [calc_smooth_covariance(obj) for obj in objects]
-
-    def make_params(self, z: Array) -> tuple[list[CellParameters], Array]:
-        """Makes the parameters and the pair frictions (N, N) of z."""
-        sizes = [obj.n for obj in self.objects]
-        n = len(sizes)
-        *logs, finger, pair = np.split(z, np.cumsum([*sizes, n]))
-        params = [
-            CellParameters(np.exp(log) / even.friction, even.friction, float(np.exp(mu)))
-            for log, even, mu in zip(logs, self.even, finger, strict=True)
-        ]
-        friction = np.zeros((n, n))
-        friction[self.pairs] = np.exp(pair)
-        return params, friction + friction.T
-
-    def make_scene(self, z: Array, poses: Array) -> Scene:
-        """Makes the scene of z at poses (N, 3), m and rad."""
-        params, friction = self.make_params(z)
-        bodies = [
-            SceneBody(obj, each, pose)
-            for obj, each, pose in zip(self.objects, params, poses, strict=True)
-        ]
-        return Scene(bodies, friction, may_overlap=True)
-
-    def linearize(self, z: Array) -> tuple[Array, Array]:
-        """Calculates the residuals (R,), in units of the noise, and their derivatives by z."""
-        residuals = []
-        derivatives = []
-        for seen in self.log:
-            motion, rows = self._simulate(z, seen, gradients=True)
-            residuals.append(self._calc_residual(motion, rows, seen))
-            derivatives.append(self._chain(z, motion.jacobian) / self.noise[:, None])
-        J = np.concatenate([each.reshape(-1, len(z)) for each in derivatives])
-        return np.concatenate(residuals), J
-
-    def calc_residuals(self, z: Array) -> Array:
-        """Calculates the residuals (R,) alone."""
-        parts = []
-        for seen in self.log:
-            motion, rows = self._simulate(z, seen, gradients=False)
-            parts.append(self._calc_residual(motion, rows, seen))
-        return np.concatenate(parts)
-
-    def fit(self, amplitude: float, z: Array) -> _Fit:
-        """Finds the best z of one amplitude, from a start."""
-        # z = z_0 + L v with v ~ N(0, 1)
-        cells = [np.linalg.cholesky(amplitude**2 * C + TOTAL_STD**2) for C in self._smooth]
-        others = len(self.z0) - sum(obj.n for obj in self.objects)
+def _fit_all(problem: SceneProblem, amplitudes: Sequence[float], z: Array) -> list[_Fit]:
+    """Fits every amplitude, coarse to fine, each from where the last one ended."""
+    smooth = [calc_smooth_covariance(obj) for obj in problem.objects]
+    others = len(problem.z0) - sum(obj.n for obj in problem.objects)
+    fits = []
+    for amplitude in amplitudes:
+        # z = z_0 + L v with v ~ N(0, I)
+        cells = [np.linalg.cholesky(amplitude**2 * C + TOTAL_STD**2) for C in smooth]
         L = block_diag(*cells, FRICTION_STD * np.eye(others))
-        start = np.linalg.solve(L, z - self.z0)
-        objective, v = fit_with_prior(
-            self.calc_residuals, lambda z: self.linearize(z)[1], self.z0, L, start, LIMITS
-        )
-        r, J = self.linearize(self.z0 + L @ v)
-        A = J @ L
-        curvature = A.T @ A + np.eye(len(v))
-        # the evidence by Laplace's approximation, and the posterior, with the noise that was found
-        evidence = -objective - 0.5 * float(np.linalg.slogdet(curvature)[1])
-        scale = float(np.sqrt(r @ r / len(r)))
-        covariance = L @ np.linalg.inv(A.T @ A / max(scale, 1.0) ** 2 + np.eye(len(v))) @ L.T
-        return _Fit(
-            z=self.z0 + L @ v,
-            covariance=covariance,
-            prior_covariance=L @ L.T,
-            evidence=float(evidence),
-            noise_scale=scale,
-        )
+        v = np.linalg.solve(L, z - problem.z0)
+        fit = _describe_fit(problem, L, fit_robustly(problem.linearize, problem.z0, L, v))
+        fits.append(fit)
+        z = fit.z
+    return fits
 
-    def _simulate(
-        self, z: Array, seen: ObservedScenePush, gradients: bool
-    ) -> tuple[SceneMotion, IntArray]:
-        """Simulates a push from where it was seen to begin, and finds the rows that were seen."""
-        self.simulations += 1
-        times = make_times_with(seen.push, seen.t_observed, "quasi_static")
-        rows = np.searchsorted(times, seen.t_observed)
-        motion = simulate_scene(
-            self.make_scene(z, seen.poses),
-            seen.push,
-            gradients=gradients,
-            physics=self.physics,
-            times=times,
-            record=rows,
-        )
-        return motion, rows
 
-    def _calc_residual(self, motion: SceneMotion, rows: IntArray, seen: ObservedScenePush) -> Array:
-        """Calculates a push's residuals, in units of the noise."""
-        off = motion.poses[rows] - seen.poses_observed
-        off[..., 2] = np.arctan2(np.sin(off[..., 2]), np.cos(off[..., 2]))
-        return np.asarray((off / self.noise).ravel())
-
-    def _chain(self, z: Array, jacobian: SceneJacobian) -> Array:
-        """Makes the derivatives (K, N, 3, Z) of the poses by z."""
-        params, friction = self.make_params(z)
-        by_k = [block * each.mass for block, each in zip(jacobian.mass, params, strict=True)]
-        finger = jacobian.contact_friction * np.array([each.contact_friction for each in params])
-        i, j = self.pairs
-        pair = jacobian.pair_friction[..., i, j] * friction[i, j]
-        return np.concatenate([*by_k, finger, pair], axis=-1)
+def _describe_fit(problem: SceneProblem, L: Array, found: RobustFit) -> _Fit:
+    """Calculates posterior and evidence of a minimum."""
+    identity = np.eye(len(found.v))
+    # the evidence by Laplace's approximation, and the posterior, with the noise that was found
+    log_determinant = float(np.linalg.slogdet(found.curvature + identity)[1])
+    noise = max(found.noise_scale, 1.0) ** 2
+    squares = np.mean(found.residuals**2, axis=1)
+    pushes = problem.push_of_block
+    return _Fit(
+        z=problem.z0 + L @ found.v,
+        covariance=L @ np.linalg.inv(found.curvature / noise + identity) @ L.T,
+        prior_covariance=L @ L.T,
+        evidence=-found.loss - 0.5 * log_determinant,
+        noise_scale=found.noise_scale,
+        push_scales=np.sqrt(np.bincount(pushes, squares) / np.bincount(pushes)),
+    )

@@ -21,9 +21,8 @@ from gridpush_drake.objects.parameters import CellParameters
 METHOD = "scene"
 """Name of the method in the models."""
 
-FAR_OFF = 4.0
-"""Residuals that are this many times as large as the noise, on average, mean that the model
-explains little."""
+LITTLE = 0.5
+"""Share of the pushes that the model does not explain from which on it explains little."""
 
 
 def make_object_models(found: SceneIdentification) -> tuple[Identification, ...]:
@@ -67,10 +66,12 @@ def _make_model(found: SceneIdentification, body: int) -> Identification:
         f"{count(len(found.push_names), 'push')}: cell error {after:.2f} mm, "
         f"{before:.2f} mm as an even object."
     )
+    if found.unexplained:
+        message += f" It does not explain {', '.join(found.unexplained)}."
     if not found.moved[body]:
         status = IdentificationStatus.PRIOR_KEPT
         message = "No push moved it: nothing was learned of it."
-    elif found.noise_scale > FAR_OFF:
+    elif len(found.unexplained) >= LITTLE * len(found.push_names):
         status = IdentificationStatus.EXPLAINS_LITTLE
         message = f"The model explains little of the pushes. {message}"
     return Identification(

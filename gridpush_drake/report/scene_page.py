@@ -25,6 +25,9 @@ MAX_PUSHES = 12
 SIGMAS = 1.96
 """Standard deviations from a value to the ends of its 95 % interval."""
 
+NOT_TOLD = "; hardly more is known than before the pushes"
+"""What is added to a value that the pushes did not tell."""
+
 
 def make_scene_report(
     found: SceneIdentification, models: Sequence[Identification], log: SceneLog
@@ -101,14 +104,17 @@ def list_scene_numbers(found: SceneIdentification, names: Sequence[str]) -> list
         )
         rows.append((f"center of friction of {name}, body frame", f"x {x}, y {y}"))
     for b in range(1, len(names)):
-        ratio, spread = found.calc_load_ratio(b, 0)
-        rows.append(
-            (f"friction on the table, {names[b]} to {names[0]}", _describe_factor(ratio, spread))
-        )
+        ratio = _describe_factor(*found.calc_load_ratio(b, 0))
+        if not found.tells_load_ratio(b, 0):
+            ratio += NOT_TOLD
+        rows.append((f"friction on the table, {names[b]} to {names[0]}", ratio))
     spreads = found.calc_pair_friction_std()
-    for (i, j), spread in zip(combinations(range(len(names)), 2), spreads, strict=True):
-        mu = np.log(found.scene.pair_friction[i, j])
-        rows.append((f"friction of {names[i]} and {names[j]}", _describe_factor(mu, spread)))
+    told = found.tells_pair_friction()
+    for p, (i, j) in enumerate(combinations(range(len(names)), 2)):
+        friction = _describe_factor(float(np.log(found.scene.pair_friction[i, j])), spreads[p])
+        if not told[p]:
+            friction += NOT_TOLD
+        rows.append((f"friction of {names[i]} and {names[j]}", friction))
     return rows
 
 
@@ -135,6 +141,11 @@ def explain_scene(
     after = found.errors.mean() * MM
     lines.append(f"cell error of these pushes: {after:.2f} mm; {before:.2f} mm with even objects")
     lines += [f"{name}: {value}" for name, value in list_scene_numbers(found, names)]
+    if found.unexplained:
+        lines.append(
+            f"Not explained by any loads that were found: {', '.join(found.unexplained)}. What was "
+            "learned hangs on the other pushes. Was an object moved by hand, or seen wrongly?"
+        )
     lines.append(
         "How heavy all objects are together, slow pushes cannot tell: the models' masses have the "
         "ratios that were learned."
@@ -165,6 +176,7 @@ def tell_scene(found: SceneIdentification, names: Sequence[str]) -> dict[str, An
                 "center_of_friction_covariance": found.calc_center(b)[1].tolist(),
                 "log_load_ratio": None if b == 0 else found.calc_load_ratio(b, 0)[0],
                 "log_load_ratio_std": None if b == 0 else found.calc_load_ratio(b, 0)[1],
+                "load_ratio_told": None if b == 0 else found.tells_load_ratio(b, 0),
             }
             for b, name in enumerate(names)
         ],
@@ -173,10 +185,14 @@ def tell_scene(found: SceneIdentification, names: Sequence[str]) -> dict[str, An
                 "objects": [names[i], names[j]],
                 "friction": float(found.scene.pair_friction[i, j]),
                 "log_std": float(spread),
+                "told": bool(told),
             }
-            for (i, j), spread in zip(pairs, spreads, strict=True)
+            for (i, j), spread, told in zip(
+                pairs, spreads, found.tells_pair_friction(), strict=True
+            )
         ],
         "training_pushes": list(found.push_names),
+        "unexplained_pushes": list(found.unexplained),
         "noise_scale": found.noise_scale,
         "amplitude": found.amplitude,
         "simulations": found.simulations,

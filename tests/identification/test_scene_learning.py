@@ -1,5 +1,7 @@
 """Several objects learned together, from pushes in which they push each other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,10 +10,14 @@ from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.prediction import calc_pose_error
+from gridpush_drake.identification.result import IdentificationStatus
+from gridpush_drake.identification.robust_least_squares import MAX_CHANGE
 from gridpush_drake.identification.scene_learning import identify_scene
+from gridpush_drake.identification.scene_models import make_object_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
+from gridpush_drake.report.scene_page import explain_scene, tell_scene
 from tests.helpers.shapes import rectangle
 
 PAIR_FRICTION = 0.25
@@ -102,3 +108,71 @@ def test_what_is_refused():
         identify_scene(truth.objects[:1], log)
     with pytest.raises(IdentificationError, match="noise"):
         identify_scene(truth.objects, log, noise=(0.0, 1.0, 1.0))
+
+
+def test_a_push_that_no_loads_explain_is_named_and_spoils_nothing():
+    truth = make_truth()
+    pushes = [push_scene(truth, seed) for seed in range(6)]
+    # somebody turned an object while it was pushed
+    moved = pushes[0].poses_observed + [[0.0, 0.02, 0.5], [0.0, 0.0, 0.0]]
+    pushes[0] = replace(pushes[0], poses_observed=moved)
+    held_out = [push_scene(truth, seed, noise=0.0) for seed in range(100, 104)]
+    log = SceneLog(tuple(pushes), ("block 0", "block 1"))
+    found = identify_scene(truth.objects, log, noise=NOISE, amplitudes=(0.7,))
+    assert found.unexplained == ("push 0",)
+    assert found.noise_scale < 2.0
+    assert calc_errors(found.scene, held_out).mean() < 1e-3
+    models = make_object_models(found)
+    assert all(model.status == IdentificationStatus.LEARNED for model in models)
+    assert "It does not explain push 0." in models[0].message
+    assert any("push 0" in line for line in explain_scene(found, models, log.names))
+
+
+def test_loads_stay_where_the_model_can_be_solved_though_nothing_explains_the_log():
+    truth = make_truth()
+    rng = np.random.default_rng(5)
+    pushes = [
+        replace(seen, poses_observed=seen.poses_observed + rng.normal(size=(6, 2, 3)) * 0.3)
+        for seen in (push_scene(truth, seed) for seed in range(3))
+    ]
+    log = SceneLog(tuple(pushes), ("block 0", "block 1"))
+    found = identify_scene(truth.objects, log, noise=NOISE, amplitudes=(0.7, 1.5))
+    assert len(found.unexplained) == 3
+    assert np.isfinite(found.covariance).all()
+    even = identify_scene(truth.objects, log, noise=(1e3, 1e3, 1e3), amplitudes=(0.7,))
+    assert np.abs(found.z - even.z).max() < MAX_CHANGE + 0.1
+    statuses = {model.status for model in make_object_models(found)}
+    assert statuses == {IdentificationStatus.EXPLAINS_LITTLE}
+
+
+def test_it_is_said_what_pushes_of_one_object_alone_do_not_tell():
+    truth = make_truth()
+    apart = truth.with_poses([[0.0, 0.0, 0.0], [0.4, 0.3, 0.0]])
+    push = Push((-0.05 - RADIUS - 1e-3, 0.01), (0.04, 0.0), 2.0, RADIUS)
+    motion = simulate_scene(apart, push)
+    seen = ObservedScenePush("push", push, apart.poses, motion.times[-1:], motion.poses[-1:])
+    log = SceneLog((seen,), ("block 0", "block 1"))
+    found = identify_scene(truth.objects, log, noise=NOISE, amplitudes=(0.7,))
+    assert not found.tells_load_ratio(1, 0)
+    assert not found.tells_pair_friction().any()
+    document = tell_scene(found, log.names)
+    assert document["pair_friction"][0]["told"] is False
+    assert document["objects"][1]["load_ratio_told"] is False
+    together = SceneLog(tuple(push_scene(truth, seed) for seed in range(2)), log.names)
+    found = identify_scene(truth.objects, together, noise=NOISE, amplitudes=(0.7,))
+    assert found.tells_load_ratio(1, 0)
+
+
+def test_learning_goes_on_from_what_was_learned():
+    truth = make_truth()
+    pushes = tuple(push_scene(truth, seed) for seed in range(5))
+    names = ("block 0", "block 1")
+    options = {"noise": NOISE, "amplitudes": (0.7,)}
+    few = identify_scene(truth.objects, SceneLog(pushes[:4], names), **options)
+    cold = identify_scene(truth.objects, SceneLog(pushes, names), **options)
+    warm = identify_scene(truth.objects, SceneLog(pushes, names), start=few, **options)
+    assert warm.simulations < cold.simulations
+    assert abs(warm.evidence[0] - cold.evidence[0]) < 1.0
+    third = GridObject.from_outline(rectangle(0.10, 0.05), max_cells=30, name="block 0")
+    with pytest.raises(IdentificationError, match=r"start: has .* unknowns; expected"):
+        identify_scene((third, truth.objects[1]), SceneLog(pushes, names), start=few, **options)

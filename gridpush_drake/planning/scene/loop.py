@@ -136,25 +136,19 @@ class SceneLearning:
     def learn(
         self, belief: SceneBelief, pushes: Sequence[ObservedScenePush], seed: int
     ) -> SceneBelief | None:
-        """Learns from all pushes in which something moved; see `SceneLearner`.
-
-        None is returned, too, where the fit's equations cannot be solved.
-        """
+        """Learns from all pushes in which something moved; see `SceneLearner`."""
         telling = [seen for seen in pushes if _moves(seen) >= self.min_move]
         if len(pushes) not in self.after or not telling:
             return None
         names = tuple(f"object_{i}" for i in range(len(belief.objects)))
-        try:
-            with threadpool_limits(limits=1, user_api="blas"):
-                found = identify_scene(
-                    belief.objects,
-                    SceneLog(tuple(telling), names),
-                    amplitudes=self.amplitudes,
-                    noise=self.noise,
-                )
-        except np.linalg.LinAlgError:
-            # The fit went where its equations cannot be solved: what was believed still holds.
-            return None
+        with threadpool_limits(limits=1, user_api="blas"):
+            found = identify_scene(
+                belief.objects,
+                SceneLog(tuple(telling), names),
+                amplitudes=self.amplitudes,
+                noise=self.noise,
+                start=belief.identification,
+            )
         learned = SceneBelief.of_identification(found, draws=len(belief.draws), seed=seed)
         return replace(learned, models=belief.models)
 
