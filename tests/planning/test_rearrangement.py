@@ -18,7 +18,7 @@ from gridpush_drake.planning.scene.rearrangement import (
     RearrangePlanner,
 )
 from gridpush_drake.planning.scene.rollouts import SceneRollouts
-from gridpush_drake.planning.scene.search import SceneRules, SceneSearchOptions
+from gridpush_drake.planning.scene.search import SceneRules, SceneSearch, SceneSearchOptions
 from gridpush_drake.planning.scene.world import SceneWorld, SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.random_pushes import make_random_contents
@@ -117,6 +117,38 @@ def test_rollouts_are_those_of_the_simulator():
     threaded = SceneRollouts(scene, tip_step=0.002, workers=2).roll_all([push] * 3, scene.poses)
     for each in threaded:
         np.testing.assert_array_equal(each.poses, rolled.poses)
+
+
+def test_a_push_stops_between_the_steps_of_its_simulation():
+    truth = make_truth(["square"], [(0, 0, 0)])
+    one = replace(QUICK, candidates=1, refined=0, firsts=0, slant=0.1)
+    for seed in range(6):
+        goal = 0.03 + 0.0005 * seed
+
+        def cost(poses, goal=goal):
+            return 1e4 * np.abs(np.hypot(poses[:, 0, 0], poses[:, 0, 1]) - goal)
+
+        search = SceneSearch(SceneBelief.of_truth(truth), options=one)
+        found = search.find_push(truth.poses, cost, [0], np.random.default_rng(seed))
+        last = simulate_scene(truth, found.push).final_poses[0]
+        assert abs(np.hypot(*last[:2]) - goal) < 5e-4
+        np.testing.assert_allclose(last, found.poses[0], atol=5e-4)
+
+
+def test_a_good_second_push_is_made_at_once():
+    truth = make_truth(["square"], [(0, 0, 0)])
+    # one first push is drawn, hardly ever a good one, and many second ones
+    few = replace(QUICK, candidates=1, refined=0, firsts=1, seconds=40)
+
+    def cost(poses):
+        return 100.0 * np.hypot(poses[:, 0, 0] - 0.06, poses[:, 0, 1] - 0.06)
+
+    search = SceneSearch(SceneBelief.of_truth(truth), options=few)
+    left = [
+        search.find_push(truth.poses, cost, [0], np.random.default_rng(seed)).left
+        for seed in range(6)
+    ]
+    assert np.median(left) < 0.5 * cost(truth.poses[None])[0]
 
 
 def test_draws_surround_what_was_learned():

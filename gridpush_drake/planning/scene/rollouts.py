@@ -45,6 +45,22 @@ class Rollout:
     touched: bool
     solved: bool
 
+    def interpolate(self, places: Array) -> tuple[Array, Array]:
+        """Interpolates between steps.
+
+        Args:
+            places: (K,) numbers of steps, which need not be whole.
+
+        Returns:
+            The length (K,) of the pusher's path until then, m, and the poses (K, N, 3), m and rad.
+        """
+        low = np.floor(places).astype(int)
+        high = np.minimum(low + 1, len(self.traveled) - 1)
+        share = places - low
+        traveled = (1.0 - share) * self.traveled[low] + share * self.traveled[high]
+        part = share[:, None, None]
+        return traveled, (1.0 - part) * self.poses[low] + part * self.poses[high]
+
 
 class SceneRollouts:
     """Simulates pushes of one scene from any poses.

@@ -237,14 +237,21 @@ class SceneSearch:
             for each in _pick_different(turned, options.firsts):
                 left = float(cost(each.poses[None])[0])
                 firsts.append(replace(each, cost=left + each.push.duration, left=left))
+        at_once = []
         for first in firsts:
             after = first.cost - first.left + options.approach_time
             drawn = self._draw(first.poses, bodies, options.seconds, options.lengths[1], rng)
             rolled = self._best.roll_all([each[3] for each in drawn], first.poses)
             seconds = self._cut(first.poses, cost, drawn, rolled)
             if seconds:
-                both = after + min(each.cost for each in seconds)
-                scored.append((min(both, first.cost), first))
+                second = min(seconds, key=lambda each: each.cost)
+                scored.append((min(after + second.cost, first.cost), first))
+                at_once.append((second.body, second.arc_length, second.angle))
+        # A good second push may be as good at once. Were it not asked, a push that hardly moves
+        # anything could be chosen over and over again, for what a second one would bring.
+        fitting = self._keep_fitting(poses, at_once, options.lengths[1])
+        rolled = self._best.roll_all([each[3] for each in fitting], poses)
+        scored += [(each.cost, each) for each in self._cut(poses, cost, fitting, rolled)]
         # By the other models it may look different.
         scored.sort(key=lambda pair: pair[0])
         return self._compare(poses, cost, scored)
@@ -361,27 +368,26 @@ class SceneSearch:
         for (body, place, angle, push), rollout in zip(drawn, rolled, strict=True):
             if not (rollout.touched and rollout.solved):
                 continue
-            row = self._find_best_row(push, rollout, cost, allowed_distances)
-            if row is None:
+            stop = self._find_stop(push, rollout, cost, allowed_distances)
+            if stop is None:
                 continue
-            at, value, left = row
             found.append(
                 ScenePush(
                     body=body,
                     arc_length=place,
                     angle=angle,
-                    push=cut_push(push, float(rollout.traveled[at])),
-                    poses=rollout.poses[at].copy(),
-                    cost=value,
-                    left=left,
+                    push=cut_push(push, stop.traveled),
+                    poses=stop.poses,
+                    cost=stop.left + stop.traveled / self.options.speed,
+                    left=stop.left,
                 )
             )
         return found
 
-    def _find_best_row(
+    def _find_stop(
         self, push: Push, rollout: Rollout, cost: CostToGo, allowed: Array
-    ) -> tuple[int, float, float] | None:
-        """Finds the step of a rollout after which to stop: its number, its cost, what is left."""
+    ) -> "_Stop | None":
+        """Finds where to stop in a rollout; None where it may not even begin."""
         last = len(rollout.traveled)
         # up to where a rule is broken
         inside = (self.calc_edge_distances(rollout.poses) >= allowed).all(axis=1)
@@ -393,10 +399,20 @@ class SceneSearch:
         first = int(np.searchsorted(rollout.traveled, least - SLACK))
         if first >= last:
             return None
-        left = cost(rollout.poses[first:last])
-        values = left + rollout.traveled[first:last] / self.options.speed
-        best = int(np.argmin(values))
-        return first + best, float(values[best]), float(left[best])
+        # the best of the steps, and then of places between it and those beside it
+        best = first + int(np.argmin(self._rate(rollout, np.arange(first, last), cost)[0]))
+        places = np.arange(-STOPS_A_STEP, STOPS_A_STEP + 1) / STOPS_A_STEP + best
+        places = places[(places >= first) & (places <= last - 1)]
+        values, left = self._rate(rollout, places, cost)
+        at = int(np.argmin(values))
+        traveled, poses = rollout.interpolate(places[at : at + 1])
+        return _Stop(float(traveled[0]), poses[0], float(left[at]))
+
+    def _rate(self, rollout: Rollout, places: Array, cost: CostToGo) -> tuple[Array, Array]:
+        """Calculates the cost of stopping after so many steps (K,), and what is left then, s."""
+        traveled, poses = rollout.interpolate(places)
+        left = cost(poses)
+        return left + traveled / self.options.speed, left
 
     def _allows_finger(self, tips: Array) -> NDArray[np.bool_]:
         """Says where the finger may be, of places (K, 2) along a push."""
@@ -454,6 +470,24 @@ class SceneSearch:
             left.append(float(cost(rollout.poses[-1:])[0]))
         return float(np.mean(left))
 
+
+@dataclass(frozen=True, eq=False)
+class _Stop:
+    """Where a push is cut.
+
+    Attributes:
+        traveled: length of the pusher's path until then, m.
+        poses: (N, 3) the objects then, m and rad.
+        left: what is left then, s.
+    """
+
+    traveled: float
+    poses: Array
+    left: float
+
+
+STOPS_A_STEP = 6
+"""Places between two steps of a simulation at which a push may stop: every 0.5 mm."""
 
 PLACE_SPREAD = 0.03
 """Standard deviation of the place of a push that is varied, as a share of the perimeter."""
