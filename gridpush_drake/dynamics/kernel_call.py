@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.cell_pooling import POOLED_FROM, CellPooling
 from gridpush_drake.dynamics.first_compilation import have_rollouts_compiled
 from gridpush_drake.dynamics.kernels.contact import Edges
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.inputs import Body, Load, Pushes, Scheme, Steps, make_record
+from gridpush_drake.dynamics.kernels.isotropic_friction import Isotropic
 from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
 from gridpush_drake.dynamics.kernels.step_memory import make_memory
 from gridpush_drake.dynamics.kernels.step_start import make_state
@@ -22,6 +24,10 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+
+EARLY_END = 1e-4
+"""Residual of a step, as a share of the load, from which one more Newton step is taken to solve it
+where poses may be approximate: it leaves about the square of this."""
 
 
 def run_kernel(
@@ -90,10 +96,11 @@ def run_pushes(
     J: Array,
     rows: int,
     table: Array | None = None,
+    approximate: bool = False,
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Simulates P pushes of one object in one call.
 
-    The arguments are those of `run_kernel` and `rollout_pushes`.
+    The arguments are those of `run_kernel`, `rollout_pushes` and `prepare_rollout`.
 
     Returns:
         The poses (rows, 3) that are recorded, and whether the object was touched (P,).
@@ -101,7 +108,7 @@ def run_pushes(
     have_rollouts_compiled()
     poses = np.empty((rows, 3))
     touched = np.empty(len(pushes.radii), np.bool_)
-    prepared = prepare_rollout(obj, params, physics, table)
+    prepared = prepare_rollout(obj, params, physics, table, approximate=approximate)
     rollout_pushes(*prepared, pushes, row_of_step, poses, touched, J)
     return poses, touched
 
@@ -112,8 +119,12 @@ def prepare_rollout(
     physics: Physics,
     table: Array | None,
     ahead: float | None = None,
+    approximate: bool = False,
 ) -> tuple[Any, Body, Support, Edges, Scheme]:
     """Makes the rollout's first arguments: law, body, support, outline and scheme.
+
+    Args:
+        approximate: whether poses may be off by as much as `PushBatch` says, which takes less time.
 
     The other arguments are those of `run_kernel`.
     """
@@ -123,11 +134,15 @@ def prepare_rollout(
     # Where loads shift, the rollout writes the law's k at every step; the body's must stay.
     k = body.k.copy() if support.active else body.k
     law = physics.law.make(k, calc_spin_arm(obj, params), physics.used_spin)
+    # Loads that shift would have to be brought to the nodes at every step.
+    if approximate and isinstance(law, Isotropic) and obj.n >= POOLED_FROM and not support.active:
+        law = law._replace(pool=CellPooling.of_object(obj).make_pool(k))
     scheme = Scheme(
         inertial=physics.inertial,
         ahead=physics.ahead if ahead is None else ahead,
         stiction=float(physics.stiction_tolerance),
         relative_stiction=float(physics.relative_stiction_tolerance),
+        early_end=EARLY_END if approximate else 0.0,
     )
     return law, body, support, outline.edges, scheme
 
@@ -226,6 +241,11 @@ def find_rest_loads(
 def calc_reach(obj: GridObject) -> float:
     """The farthest cell's distance from B's origin, m."""
     return _get_lines(obj).reach
+
+
+def get_cells(obj: GridObject) -> Array:
+    """The cells' centers (2, n), m, in the array that all kernels share; not to be changed."""
+    return _get_outline(obj).cells
 
 
 class _Lines(NamedTuple):

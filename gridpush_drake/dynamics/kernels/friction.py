@@ -60,6 +60,11 @@ def renew(law):
     raise NotImplementedError
 
 
+def begin_push(law):
+    """Lets the law forget another push, see `FrictionLaw`; compiled code only."""
+    raise NotImplementedError
+
+
 def begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known):
     """Lets the law look at the motion before a step, see `FrictionLaw`; compiled code only."""
     raise NotImplementedError
@@ -95,6 +100,12 @@ def _find_law(data: types.Type) -> FrictionLaw:
 @overload(renew, jit_options=BORROWED)
 def _renew(law):
     call = _find_law(law).renew
+    return lambda law: call(law)
+
+
+@overload(begin_push, jit_options=BORROWED)
+def _begin_push(law):
+    call = _find_law(law).begin_push
     return lambda law: call(law)
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from math import asinh, sqrt
 from typing import Any, Literal
 
+from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -32,6 +33,11 @@ def calc_spin_arm(obj: GridObject, params: CellParameters) -> float:
     s is the side of the patch that they fill.
     """
     return SPIN_ARM * params.patch_ratio * obj.cell_size
+
+
+@kernel(allocates=False, inlined=True)
+def _remember_nothing(law):
+    """Begins a push of a law that remembers nothing from step to step."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,8 @@ class FrictionLaw:
         gradients: the values of `simulate`'s argument that it knows.
         looks_ahead: whether a step sees the body halfway through it (the midpoint rule) or where it
             begins.
+        begin_push: (law): forgets what it remembers of another push, so that each push is simulated
+            as by itself.
     """
 
     name: str
@@ -77,6 +85,7 @@ class FrictionLaw:
     regimes: tuple[Literal["inertial", "quasi_static"], ...] = ("inertial", "quasi_static")
     gradients: tuple[bool | str, ...] = (False, True)
     looks_ahead: bool = True
+    begin_push: Callable[..., Any] = _remember_nothing
 
     def choose_spin(self, spin: str) -> str:
         """The spin model that the law uses where `spin` is asked for."""

@@ -83,12 +83,15 @@ class Scheme(NamedTuple):
         ahead: share of a step after which it looks at the body: 0.5, or 0.
         stiction: tolerance of the inertial regime, m/s.
         relative_stiction: the least tolerance, as a share of the speed.
+        early_end: residual, as a share of the load, below which the Newton step that follows is
+            taken to solve the step, without being checked; 0 for none.
     """
 
     inertial: bool
     ahead: float
     stiction: float
     relative_stiction: float
+    early_end: float
 
 
 class Steps(NamedTuple):

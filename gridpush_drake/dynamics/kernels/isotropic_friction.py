@@ -21,6 +21,9 @@ stiction tolerance. With a_i = d(s_i²/2)/dxi and G_i = da_i/dxi,
     dPsi/dxi       = sum_i k_i a_i/s_i
     d²Psi/dxi²     = sum_i k_i (G_i - a_i a_i^T/s_i²)/s_i
     d²Psi/dxi dk_i = a_i/s_i
+
+Of an object with thousands of cells, those that are far from the center of rotation may be replaced
+by few points that are loaded almost alike (`pooled_loads`).
 """
 
 from math import sqrt
@@ -30,6 +33,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.friction_law import FrictionLaw
+from gridpush_drake.dynamics.kernels.pooled_loads import NO_POOL, forget_points, gather_points
 
 
 class Isotropic(NamedTuple):
@@ -39,10 +43,12 @@ class Isotropic(NamedTuple):
         k: (n,) friction each cell can carry, N.
         spin: (3,) kappa² (m²), the spin load K_spin (N m) and the spin arm (m) by which k_i enters
             it.
+        pool: `pooled_loads.Pool`; without boxes where every cell is summed by itself.
     """
 
     k: Any
     spin: Any
+    pool: Any
 
 
 def make_isotropic(k, arm, spin):
@@ -52,7 +58,7 @@ def make_isotropic(k, arm, spin):
     kappa2 = arm**2 if coupled else 0.0
     spin_load = k.sum() * arm if separate else 0.0
     spin_arm = arm if separate else 0.0
-    return Isotropic(k=k, spin=np.array([kappa2, spin_load, spin_arm]))
+    return Isotropic(k=k, spin=np.array([kappa2, spin_load, spin_arm]), pool=NO_POOL)
 
 
 @kernel(allocates=False, fast_sums=True, inlined=True)
@@ -171,14 +177,13 @@ def add_symmetric(H, scale, xx, xy, xw, yy, yw, ww):
 
 
 @kernel(allocates=False)
-def calc_isotropic_dissipation(law, cells, eps, xi):
-    """Calculates Psi."""
+def calc_isotropic_dissipation(k, spin, cells, eps, xi):
+    """Calculates Psi; `k` and `spin` as in `Isotropic`."""
     ux = xi[0]
     uy = xi[1]
     w = xi[2]
-    k = law.k
-    kappa2 = law.spin[0]
-    spin_load = law.spin[1]
+    kappa2 = spin[0]
+    spin_load = spin[1]
     total = spin_load * sqrt(w * w + eps * eps)
     for i in range(k.shape[0]):
         vx = ux - w * cells[1, i]
@@ -198,14 +203,35 @@ def renew_spin_load(law):
 
 
 @kernel(allocates=False, inlined=True)
+def _begin_push(law):
+    """Lets no push be summed over points that were gathered for another one."""
+    forget_points(law.pool)
+
+
+@kernel(allocates=False, inlined=True)
 def _begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_acceleration, known):
     """Isotropic friction does not ask how the body moved."""
+
+
+@kernel(allocates=False)
+def _calc_dissipation(law, cells, eps, xi):
+    """Calculates Psi, of all cells by themselves."""
+    return calc_isotropic_dissipation(law.k, law.spin, cells, eps, xi)
 
 
 @kernel(allocates=False, inlined=True)
 def _add_derivatives(law, cells, eps, xi, majorize, g, H):
     """Adds gradient and Hessian, see `add_isotropic`."""
-    add_isotropic(cells[0], cells[1], law.k, law.spin[0], law.spin[1], eps, xi, majorize, g, H)
+    px = cells[0]
+    py = cells[1]
+    k = law.k
+    pool = law.pool
+    if pool.boxes.shape[0] > 0:
+        count = gather_points(pool, xi)
+        px = pool.points[0, :count]
+        py = pool.points[1, :count]
+        k = pool.points[2, :count]
+    add_isotropic(px, py, k, law.spin[0], law.spin[1], eps, xi, majorize, g, H)
 
 
 @kernel(allocates=False, inlined=True)
@@ -226,9 +252,10 @@ ISOTROPIC = FrictionLaw(
     make=make_isotropic,
     renew=renew_spin_load,
     begin_step=_begin_step,
-    calc_dissipation=calc_isotropic_dissipation,
+    calc_dissipation=_calc_dissipation,
     add_derivatives=_add_derivatives,
     can_majorize=_can_majorize,
     fill_load_derivatives=_fill_load_derivatives,
     gradients=(False, True, "paper"),
+    begin_push=_begin_push,
 )

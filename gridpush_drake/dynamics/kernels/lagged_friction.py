@@ -27,7 +27,6 @@ import numpy as np
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.friction_law import FrictionLaw
 from gridpush_drake.dynamics.kernels.isotropic_friction import (
-    Isotropic,
     add_isotropic,
     add_symmetric,
     calc_isotropic_dissipation,
@@ -205,7 +204,7 @@ def _begin_step(law, cells, com_x, com_y, cell_size, expected_velocity, force_ac
 def _calc_dissipation(law, cells, eps, xi):
     """Calculates Psi, which is isotropic where no direction is known."""
     if law.sense[0] == 0.0:
-        return calc_isotropic_dissipation(Isotropic(law.k, law.spin), cells, eps, xi)
+        return calc_isotropic_dissipation(law.k, law.spin, cells, eps, xi)
     z = law.sense[1] * xi[2]
     total = law.spin[1] * (z + sqrt(z * z + eps * eps)) / 2.0
     for i in range(law.k.shape[0]):

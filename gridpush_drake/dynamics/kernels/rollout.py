@@ -43,7 +43,12 @@ from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     start_columns,
     step_columns,
 )
-from gridpush_drake.dynamics.kernels.friction import begin_step, fill_load_derivatives, renew
+from gridpush_drake.dynamics.kernels.friction import (
+    begin_push,
+    begin_step,
+    fill_load_derivatives,
+    renew,
+)
 from gridpush_drake.dynamics.kernels.inputs import Load, make_steps, take_first_steps
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
 from gridpush_drake.dynamics.kernels.step import CONVERGED, make_step_work, solve_step
@@ -139,6 +144,7 @@ def rollout(
     if differentiate:
         start_columns(columns.Q, cell_columns, state)
         record_columns(J, row_of_step[0], columns.Q, state.c, state.s)
+    begin_push(law)
     moving_steps = recall(memory, xi, last_twist, modes, loads.tilt, loads.friction)
 
     for t in range(steps):
@@ -214,7 +220,9 @@ def rollout(
                 force_acceleration,
                 known,
             )
-            status, iterations = solve_step(law, body.cells, touch, scales, eps, unknowns, work)
+            status, iterations = solve_step(
+                law, body.cells, touch, scales, eps, scheme.early_end, unknowns, work
+            )
             if support.active:
                 _find_friction(touch, unknowns, work, loads)
             if differentiate:

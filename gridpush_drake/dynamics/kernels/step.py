@@ -13,6 +13,14 @@ In the inertial regime gap/dt is at least -RECOVERY_SPEED (`rollout`): a body ke
 which an overlap is undone. Newton's method on grad Psi leaves a complementarity problem with the
 3x3 Hessian H; its modes {separate, stick, slide +, slide -} are enumerated, the last step's first.
 Where Newton stalls, the majorizing Hessian takes over, then continuation in the stiction tolerance.
+
+A Newton step leaves a residual in proportion to the square of the one before it. The forces that it
+finds tell what that was: with g the gradient where the step begins,
+
+    residual before = |g - sum_c J^T lam|
+
+so that a short step from a small residual (`Scheme.early_end`) need not be checked by one more sum
+over the cells. Pushes that are only compared with one another are simulated so.
 """
 
 from math import sqrt
@@ -46,6 +54,10 @@ FINAL_RESIDUAL = 1e-8
 
 MAX_RESIDUAL = 1e-6
 """Greatest residual of a step that counts as solved, as a share of the load."""
+
+MAX_EARLY_CHANGE = 0.02
+"""Greatest change of the twist in a Newton step that is not checked, as a share of the speed. Where
+H is nearly singular, a small residual alone does not say that the step is small."""
 
 SHARPEN = 0.1
 """Factor by which each step of the continuation lowers the stiction tolerance."""
@@ -124,7 +136,7 @@ def _calc_residual(g, touch, scales, lam):
 
 
 @kernel(allocates=False, inlined=True)
-def _iterate(law, cells, touch, scales, eps, unknowns, work, limit):
+def _iterate(law, cells, touch, scales, eps, early_end, unknowns, work, limit):
     """Solves a step at one stiction tolerance by Newton's method.
 
     Args:
@@ -170,11 +182,19 @@ def _iterate(law, cells, touch, scales, eps, unknowns, work, limit):
                 add_derivatives(law, cells, eps, xi, True, scratch, H)
 
         # The linearized step, with the contact modes that fit it.
+        ux = xi[0]
+        uy = xi[1]
+        w = xi[2]
         for i in range(3):
             rhs[i] = apply_row(H, i, xi[0], xi[1], xi[2]) - g[i]
         worst = solve_modes(H, rhs, touch, scales, compliance, K, X, unknowns)
         if not (worst < np.inf):
             return NOT_CONVERGED, iteration + 1
+        if early_end > 0.0 and not (last or majorize):
+            change = abs(xi[0] - ux) + abs(xi[1] - uy) + scales.arm * abs(xi[2] - w)
+            last = change < MAX_EARLY_CHANGE * scales.speed and (
+                _calc_residual(g, touch, scales, unknowns.lam) < early_end
+            )
         if last:
             status = CONVERGED if worst < MAX_RESIDUAL else NOT_CONVERGED
             return status, iteration + 1
@@ -182,7 +202,7 @@ def _iterate(law, cells, touch, scales, eps, unknowns, work, limit):
 
 
 @kernel(allocates=False, inlined=True)
-def solve_step(law, cells, touch, scales, eps, unknowns, work):
+def solve_step(law, cells, touch, scales, eps, early_end, unknowns, work):
     """Solves one step from the guess in `unknowns`.
 
     Args:
@@ -191,13 +211,16 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
         touch: `Touch`, what the pusher asks for.
         scales: `Scales`.
         eps: stiction tolerance, m/s.
+        early_end: as in `Scheme`.
         unknowns: `Unknowns`, guess in, solution out.
         work: `StepWork`; its H is the Hessian at the solution.
 
     Returns:
         (status, iterations).
     """
-    status, iterations = _iterate(law, cells, touch, scales, eps, unknowns, work, NEWTON_LIMIT)
+    status, iterations = _iterate(
+        law, cells, touch, scales, eps, early_end, unknowns, work, NEWTON_LIMIT
+    )
     if status == CONVERGED:
         return status, iterations
     # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by
@@ -215,7 +238,7 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
     xi[:] = 0.0
     while True:
         status, used = _iterate(
-            law, cells, touch, scales, tolerance, unknowns, work, ITERATION_LIMIT
+            law, cells, touch, scales, tolerance, 0.0, unknowns, work, ITERATION_LIMIT
         )
         iterations += used
         if status == CONVERGED:

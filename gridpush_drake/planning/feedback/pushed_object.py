@@ -84,7 +84,7 @@ def make_model(
     used = used.with_regime("quasi_static")
     if not float(params.friction @ params.mass) * used.gravity > 0:
         raise PlanningError("model: expected some friction with the support")
-    law, body, support, edges, scheme = prepare_rollout(obj, params, used, None)
+    law, body, support, edges, scheme = prepare_rollout(obj, params, used, None, approximate=True)
     corners = shapely.get_coordinates(obj.outline)
     return PushedModel(
         law=law,
