@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from os import cpu_count
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,6 +51,31 @@ GRADIENTS = (False, True, "mass", "push", "paper")
 
 EXACT = (True, "mass", "push")
 """Those of them that ask for columns of the exact Jacobian."""
+
+
+class PushSteps(NamedTuple):
+    """The T steps of a push.
+
+    Attributes:
+        times: (T+1,) the steps' times, s from the push's beginning.
+        dts: (T,) steps, as `push.measure_steps` has them.
+        rows: (R,) the poses among the T+1 whose Jacobian is wanted.
+        row_of_step: (T+1,) their places in `rows`, -1 for none.
+    """
+
+    times: Array
+    dts: Array
+    rows: IntArray
+    row_of_step: IntArray
+
+    @classmethod
+    def of_record(
+        cls, push: Push | ForcePush, times: Array, rows: IntArray, regime: str
+    ) -> "PushSteps":
+        """Measures the steps of a push between times (T+1,), s."""
+        row_of_step = np.full(len(times), -1)
+        row_of_step[rows] = np.arange(len(rows))
+        return cls(times, measure_steps(push, times, regime), rows, row_of_step)
 
 
 def simulate(
@@ -120,14 +145,52 @@ def simulate(
     times = (
         make_times(push, dt, used.regime) if times is None else check_times(times, used.inertial)
     )
-    dts = measure_steps(push, times, used.regime)
-    steps = len(dts)
-    rows = np.arange(steps + 1) if record is None else check_record(record, steps)
-    row_of_step = np.full(steps + 1, -1)
-    row_of_step[rows] = np.arange(len(rows))
+    count = len(times) - 1
+    rows = np.arange(count + 1) if record is None else check_record(record, count)
 
+    return simulate_steps(
+        obj,
+        params,
+        push,
+        used,
+        pose=q,
+        velocity=nu,
+        steps=PushSteps.of_record(push, times, rows, used.regime),
+        gradients=gradients,
+        edges=find_edges_near(obj, push, q, table, used.inertial),
+    )
+
+
+def simulate_steps(
+    obj: GridObject,
+    params: CellParameters,
+    push: Push | ForcePush,
+    used: Physics,
+    *,
+    pose: Array,
+    velocity: Array,
+    steps: PushSteps,
+    gradients: bool | Literal["mass", "push", "paper"] = False,
+    edges: Array | None = None,
+) -> Motion:
+    """Simulates a push whose steps are known; `simulate` says more, and checks what it is given.
+
+    Args:
+        obj: the object.
+        params: its cells' masses and frictions.
+        push: the pusher's motion, or a force.
+        used: physics, with a regime other than "auto".
+        pose: (3,) q at the beginning, m and rad.
+        velocity: (3,) of B's origin, m/s and rad/s.
+        steps: the steps.
+        gradients: as of `simulate`.
+        edges: (K, 4) edges of the table, m; None where it is endless, or far.
+
+    Raises:
+        SimulationError: the paper's gradient is asked for where loads shift.
+    """
+    times, dts, rows, row_of_step = steps
     # Room for the derivatives, whose columns depend on whether loads shift.
-    edges = find_edges_near(obj, push, q, table, used.inertial)
     shifted = shifts_loads(params, edges)
     if shifted and gradients == "paper":
         raise SimulationError(
@@ -144,8 +207,8 @@ def simulate(
         obj,
         params,
         used,
-        pose=q,
-        velocity=nu,
+        pose=pose,
+        velocity=velocity,
         dts=dts,
         load=load,
         row_of_step=row_of_step,
@@ -384,16 +447,21 @@ def _check_combination(
             )
         if nu.any():
             raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
-        if params.friction @ params.mass * physics.gravity <= 0:
-            raise SimulationError(
-                "friction: the quasi-static regime needs some friction with the support"
-            )
+        check_friction(physics, params)
     known = physics.law.gradients
     if (True if gradients in EXACT else gradients) not in known:
         words = ", ".join(map(repr, known))
         raise SimulationError(
             f"gradients is {gradients!r}; "
             f"with friction_law={physics.friction_law!r} expected one of {words}"
+        )
+
+
+def check_friction(physics: Physics, params: CellParameters) -> None:
+    """Raises SimulationError where nothing has inertia and nothing rubs on the table."""
+    if not physics.inertial and params.friction @ params.mass * physics.gravity <= 0:
+        raise SimulationError(
+            "friction: the quasi-static regime needs some friction with the support"
         )
 
 

@@ -5,6 +5,7 @@ serve planning, where a body is safe as long as its center stays inside one.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -176,7 +177,7 @@ class OutlineEdges(Frozen):
             exterior_count=len(starts[0]),
         )
 
-    @property
+    @cached_property
     def perimeter(self) -> float:
         """Length of the exterior ring, m."""
         last = self.exterior_count - 1

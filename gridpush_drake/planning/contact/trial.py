@@ -23,19 +23,25 @@ Jacobian counts as one simulation. The theory is in `docs/theory/planning.md`, s
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridpush_drake.dynamics.kernel_call import get_cells
 from gridpush_drake.dynamics.motion import Motion, MotionStatus
 from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
-from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.dynamics.simulation import PushSteps, check_friction, simulate_steps
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.contact_kernels import (
+    fill_cost_derivatives,
+    fill_goal_errors,
+)
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
 from gridpush_drake.planning.push_constraints import PushChecker
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
@@ -83,15 +89,14 @@ def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
         (...,) m.
     """
     q = np.asarray(pose, dtype=np.float64)
-    aim = np.asarray(goal, dtype=np.float64)
-    # p_i(q) - p_i(goal) = (dx, dy) + (R(theta) - R(theta_goal)) p_i, for all poses and cells
-    c = (np.cos(q[..., 2]) - np.cos(aim[2]))[..., None]
-    s = (np.sin(q[..., 2]) - np.sin(aim[2]))[..., None]
-    px = obj.p_BC[:, 0]
-    py = obj.p_BC[:, 1]
-    dx = (q[..., 0] - aim[0])[..., None] + c * px - s * py
-    dy = (q[..., 1] - aim[1])[..., None] + s * px + c * py
-    return np.asarray(np.hypot(dx, dy).mean(axis=-1))
+    errors = np.empty(q.shape[:-1])
+    fill_goal_errors(
+        cells=get_cells(obj),
+        poses=np.array(q.reshape(-1, 3)),
+        goal=np.array(goal, dtype=np.float64),
+        errors=errors.reshape(-1),
+    )
+    return errors
 
 
 RECORD_EVERY = 4
@@ -100,6 +105,9 @@ RECORD_EVERY = 4
 MIN_RESIDUAL = 1e-4
 """A cell that is nearer than this to where it should be weighs no more in H than at this distance,
 m."""
+
+STILL = np.zeros(3)
+"""Velocity of an object before it is pushed, m/s and rad/s."""
 
 DISTANCE_TOUCH = 1e-9
 """By how much a push may be shorter than the least distance, m, for round-off."""
@@ -204,6 +212,10 @@ class TrialRunner:
         options: what pushes may be chosen from.
         distance_range: least and greatest distance that are tried, m.
         simulations: number of simulations so far.
+
+    Raises:
+        SimulationError: nothing rubs on the table, and no push is so fast that it could be
+            simulated.
     """
 
     obj: GridObject
@@ -215,6 +227,10 @@ class TrialRunner:
     options: ContactOptions
     distance_range: tuple[float, float]
     simulations: int = 0
+    _steps: PushSteps | None = None
+
+    def __post_init__(self) -> None:
+        check_friction(self._physics, self.params)
 
     def make_push(self, arc_length: float, angle: float, distance: float) -> Push:
         """Makes the push at an arc length, m, with an angle, rad, and of a distance, m."""
@@ -254,18 +270,17 @@ class TrialRunner:
         if not self.checker.allows_finger(push.start[None])[0]:
             return failed
         # Simulate it, with the Jacobian at some of its steps.
-        physics = self.options.resolve_physics(self.obj, self.params)
-        times = make_path_times(push, physics.regime)
-        record = np.unique(np.append(np.arange(0, len(times), RECORD_EVERY), len(times) - 1))
-        motion = simulate(
+        steps = self._find_steps(push)
+        times = steps.times
+        motion = simulate_steps(
             self.obj,
             self.params,
             push,
-            self.pose,
-            physics=physics,
-            times=times,
+            self._physics,
+            pose=self.pose,
+            velocity=STILL,
+            steps=steps,
             gradients="push" if gradient else False,
-            record=record if gradient else None,
         )
         self.simulations += 1
         if motion.status in (MotionStatus.STARTED_OVERLAPPING, MotionStatus.NOT_CONVERGED):
@@ -287,12 +302,27 @@ class TrialRunner:
         )
         if not gradient:
             return trial
-        dq_dx = _calc_pose_derivatives(motion, traveled, record, best)
+        dq_dx = _calc_pose_derivatives(motion, traveled, steps.rows, best)
         slope, H = calc_cost_derivatives(self.obj, trial.pose, self.goal, dq_dx)
         # A distance that cannot change, for the range or a rule ends here, is no unknown.
         if best in (first, usable - 1):
             slope, H = _exclude(slope, H, 2)
         return replace(trial, slope=slope, curvature=H)
+
+    @cached_property
+    def _physics(self) -> Physics:
+        """The physics of the simulations."""
+        return self.options.resolve_physics(self.obj, self.params)
+
+    def _find_steps(self, longest: Push) -> PushSteps:
+        """Finds the steps of the longest pushes, which are as long as each other."""
+        if self._steps is None:
+            regime = self._physics.regime
+            times = make_path_times(longest, regime)
+            last = len(times) - 1
+            rows = np.append(np.arange(0, last, RECORD_EVERY), last)
+            self._steps = PushSteps.of_record(longest, times, rows, regime)
+        return self._steps
 
     def _find_nearest(self, poses: Array, first: int, end: int) -> tuple[int, float]:
         """Finds the pose nearest to the goal, at first coarsely, then among its neighbors.
@@ -364,19 +394,17 @@ def calc_cost_derivatives(
     Returns:
         dC/dx (k,) and H (k, k).
     """
-    r = obj.cells_at(pose) - obj.cells_at(goal)
-    length = np.maximum(np.linalg.norm(r, axis=1), MIN_RESIDUAL)
-    # dp_i/dq: the cell moves with the body's origin, and turns about it.
-    arm = obj.cells_at(pose) - pose[:2]
-    dp_dq = np.zeros((obj.n, 2, 3))
-    dp_dq[:, 0, 0] = 1.0
-    dp_dq[:, 1, 1] = 1.0
-    dp_dq[:, 0, 2] = -arm[:, 1]
-    dp_dq[:, 1, 2] = arm[:, 0]
-    dp_dx = dp_dq @ dq_dx
-    slope = np.einsum("ij,ijk->k", r / length[:, None], dp_dx) / obj.n
-    H = np.einsum("ijk,ijl,i->kl", dp_dx, dp_dx, 1.0 / length) / obj.n
-    return slope, H
+    by_pose = np.empty(3)
+    H = np.empty((3, 3))
+    fill_cost_derivatives(
+        cells=get_cells(obj),
+        pose=np.array(pose, dtype=np.float64),
+        goal=np.array(goal, dtype=np.float64),
+        least=MIN_RESIDUAL,
+        slope=by_pose,
+        H=H,
+    )
+    return by_pose @ dq_dx, dq_dx.T @ H @ dq_dx
 
 
 def _exclude(slope: Array, H: Array, index: int) -> tuple[Array, Array]:

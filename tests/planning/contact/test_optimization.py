@@ -9,6 +9,7 @@ from shapely import Polygon, box
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import predict_roughly, screen
@@ -26,6 +27,7 @@ from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.random_objects import make_random_parameters
+from tests.helpers.rough_pushes import predict_roughly as follow_in_numpy
 from tests.helpers.shapes import make_shape
 
 POSE, GOAL = (0.1, -0.05, 0.4), (0.25, 0.1, 1.1)
@@ -304,6 +306,35 @@ def test_the_limit_surface_ranks_pushes(hammer):
     off = np.array([calc_goal_error(hammer, a, b) for a, b in zip(rough, exact, strict=True)])
     moved = calc_goal_error(hammer, exact, np.zeros(3))
     assert np.median(off) < 0.15 * np.median(moved)
+
+
+def test_rough_pushes_are_those_in_numpy(hammer):
+    params = make_params(hammer)
+    reach = find_reachable_outline(hammer, 0.008)
+    s, piece = reach.spread(0.02)
+    normal = reach.normal[piece]
+    start = reach.point(s, piece) + 0.01 * normal
+    direction = rotate(np.linspace(-1.0, 1.0, len(s)), -normal)
+    found = predict_roughly(hammer, params, start, direction, 0.15, 0.008)
+    expected = follow_in_numpy(hammer, params, start, direction, 0.15, 0.008)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert np.ptp(found[-1], axis=0).min() > 0.05
+
+
+def test_the_cost_s_matrix_is_the_sum_over_the_cells(hammer):
+    pose, goal = np.array(POSE), np.array(GOAL)
+    dq_dx = np.random.default_rng(0).normal(size=(3, 3))
+    r = hammer.cells_at(pose) - hammer.cells_at(goal)
+    arm = hammer.cells_at(pose) - pose[:2]
+    dp_dq = np.zeros((hammer.n, 2, 3))
+    dp_dq[:, 0, 0] = dp_dq[:, 1, 1] = 1.0
+    dp_dq[:, :, 2] = np.column_stack([-arm[:, 1], arm[:, 0]])
+    dp_dx = dp_dq @ dq_dx
+    length = np.linalg.norm(r, axis=1)
+    _, H = calc_cost_derivatives(hammer, pose, goal, dq_dx)
+    expected = np.einsum("ijk,ijl,i->kl", dp_dx, dp_dx, 1.0 / length) / hammer.n
+    np.testing.assert_allclose(H, expected, rtol=1e-12)
+    assert calc_goal_error(hammer, pose, goal) == pytest.approx(length.mean(), rel=1e-12)
 
 
 def test_screening_keeps_its_starts_apart(hammer):
