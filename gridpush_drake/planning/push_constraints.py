@@ -34,6 +34,10 @@ CHECK_EVERY = 0.003
 SLACK = 1e-6
 """By how much a rule may be broken, m, for round-off."""
 
+CIRCLE_ROOM = 1.01
+"""The circle about a body is this many times as large as it need be: what is grown or shrunk by a
+circle is a polygon, which may be off by an eighth of a percent of the radius."""
+
 
 @dataclass(frozen=True, eq=False)
 class PushConstraints:
@@ -149,6 +153,14 @@ class PushChecker:
         self.constraints = constraints
         self.body = make_body(obj)
         self._vertices = np.array(self.body.exterior.coords)[:-1]
+        # Where a circle about the body is allowed, the body need not be looked at. (The circle is
+        # a little larger than the body, for the polygons that buffers make of circles.)
+        circle = shapely.minimum_bounding_circle(self.body)
+        self._middle = np.array(circle.centroid.coords[0])
+        reach = float(np.linalg.norm(self._vertices - self._middle, axis=1).max())
+        self._reach = CIRCLE_ROOM * reach
+        self._room_on_table: BaseGeometry | None = None
+        self._room_about_obstacles: BaseGeometry | None = None
         # On a convex table it is enough that the corners of the body's convex hull are.
         self._points_on_table = self._vertices
         self._table: BaseGeometry | None = None
@@ -173,6 +185,8 @@ class PushChecker:
         over = 0.0 if table.is_empty else float(shapely.distance(points, table).max())
         self._table = table.buffer(over + SLACK) if over > 0 else table.buffer(SLACK)
         self._finger_table = surface.polygon.buffer(-self.constraints.finger_inset)
+        self._room_on_table = self._table.buffer(-self._reach)
+        shapely.prepare(self._room_on_table)
         shapely.prepare(self._table)
         shapely.prepare(self._finger_table)
 
@@ -184,6 +198,8 @@ class PushChecker:
         room = float(shapely.distance(union, self.place(pose[None])[0]))
         self._blocked = union.buffer(max(min(margin, room) - SLACK, -SLACK))
         self._finger_blocked = union.buffer(margin + radius)
+        self._room_about_obstacles = self._blocked.buffer(self._reach)
+        shapely.prepare(self._room_about_obstacles)
         shapely.prepare(self._blocked)
         shapely.prepare(self._finger_blocked)
 
@@ -250,19 +266,25 @@ class PushChecker:
 
     def allows_geometry(self, poses: Array) -> NDArray[np.bool_]:
         """Whether edge and obstacles let the object be at poses (K, 3)."""
-        allowed = np.ones(len(poses), dtype=bool)
+        allowed = self.clears_obstacles(poses)
         if self._table is not None:
-            points = transform(poses, self._points_on_table)
-            allowed &= shapely.contains_xy(self._table, points[..., 0], points[..., 1]).all(axis=1)
+            middles = transform(poses, self._middle[None])[:, 0]
+            near = np.flatnonzero(~shapely.contains_xy(self._room_on_table, middles))
+            points = transform(poses[near], self._points_on_table)
+            on_table = shapely.contains_xy(self._table, points[..., 0], points[..., 1]).all(axis=1)
             if not self.table_is_convex:
-                allowed &= shapely.covers(self._table, self.place(poses))
-        return allowed & self.clears_obstacles(poses)
+                on_table &= shapely.covers(self._table, self.place(poses[near]))
+            allowed[near] &= on_table
+        return allowed
 
     def clears_obstacles(self, poses: Array) -> NDArray[np.bool_]:
         """Whether the object at poses (K, 3) is far enough from every obstacle."""
-        if self._blocked is None:
-            return np.ones(len(poses), dtype=bool)
-        return np.asarray(~shapely.intersects(self._blocked, self.place(poses)))
+        clear = np.ones(len(poses), dtype=bool)
+        if self._blocked is not None:
+            middles = transform(poses, self._middle[None])[:, 0]
+            near = np.flatnonzero(shapely.contains_xy(self._room_about_obstacles, middles))
+            clear[near] = ~shapely.intersects(self._blocked, self.place(poses[near]))
+        return clear
 
     def count_allowed(self, tip: Array, poses: Array) -> int:
         """Counts how many steps of a push are allowed, from the first on.
@@ -271,17 +293,30 @@ class PushChecker:
             tip: (T+1, 2) places of the disc's center, m.
             poses: (T+1, 3) poses of the object, X_WB, m and rad.
         """
+        return int(self.count_allowed_by_models(tip, poses[None])[0])
+
+    def count_allowed_by_models(self, tip: Array, poses: Array) -> NDArray[np.int64]:
+        """Counts how many steps of a push are allowed, from the first on, by each of M models.
+
+        Args:
+            tip: (T+1, 2) places of the disc's center, m.
+            poses: (M, T+1, 3) poses of the object by each model, X_WB, m and rad.
+
+        Returns:
+            (M,).
+        """
         if self.constraints.is_free:
-            return len(tip)
+            return np.full(len(poses), len(tip))
         # Only steps about CHECK_EVERY apart are checked, and the last one.
         step = max(float(np.linalg.norm(np.diff(tip, axis=0), axis=1).mean()), SLACK)
         stride = max(1, int(CHECK_EVERY / step))
         rows = np.unique(np.append(np.arange(0, len(tip), stride), len(tip) - 1))
-        allowed = self.allows_finger(tip[rows]) & self.allows_poses(poses[rows])
-        if allowed.all():
-            return len(tip)
-        first = int(np.argmin(allowed))
-        return int(rows[first - 1]) + 1 if first else 0
+        checked = poses[:, rows]
+        allowed = self.allows_poses(checked.reshape(-1, 3)).reshape(checked.shape[:2])
+        allowed &= self.allows_finger(tip[rows])
+        first = np.argmin(allowed, axis=1)
+        cut = np.where(first > 0, rows[first - 1] + 1, 0)
+        return np.where(allowed.all(axis=1), len(tip), cut)
 
 
 def make_body(obj: GridObject) -> Polygon:

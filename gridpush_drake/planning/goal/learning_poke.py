@@ -70,9 +70,13 @@ def choose_poke_within(
         if not np.isfinite(choice.expected_stds[index]):
             break
         planned = _plan(found, pokes[index], pose, goal)
-        safe = planned if robustness is None else robustness.cut(pose, planned)
-        if safe is not None and rules.constraints.allows_push(safe.push):
-            return safe
+        if robustness is not None:
+            safe = robustness.cut(pose, planned)
+            if safe is None:
+                continue
+            planned = safe.planned
+        if rules.constraints.allows_push(planned.push):
+            return planned
     return None
 
 

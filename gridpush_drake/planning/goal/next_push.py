@@ -9,9 +9,10 @@ turned first where it lies. The decision is, in this order,
     the first of two, if they come nearer;
     where neither gains anything, the best of all places with all directions.
 
-A push is made only as far as it keeps the rules, with some leeway, by the model and by every
-sample: other models that may be the true one. By each of them its own center of friction must also
-stay over the table. Samples are drawn from the posterior. Before anything was learned they are
+A push is made only as far as it keeps the rules, with some leeway, by the model and by nearly all
+samples: other models that may be the true one. By each of them its own center of friction must also
+stay over the table. Samples are 100 draws from the posterior, and of the best few pushes that one
+is made that leaves least to go on their average. Before anything was learned the samples are
 objects that are heavier towards one side,
 
     k_i ~ exp(a u·(p_i - c) / r)
@@ -26,11 +27,18 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
+import shapely
 
 from gridpush_drake.dynamics.push import Push, make_path_times
-from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError, require_positive
-from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform, wrap_angle
+from gridpush_drake.geometry.se2 import (
+    Array,
+    IntArray,
+    make_direction,
+    rotate,
+    transform,
+    wrap_angle,
+)
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -41,7 +49,12 @@ from gridpush_drake.planning.contact.optimization import (
 )
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
-from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.model_rollouts import (
+    WEIGHED_DRAWS,
+    count_agreed,
+    follow_pushes,
+)
+from gridpush_drake.planning.push_constraints import CIRCLE_ROOM, PushConstraints
 
 DEFAULT_TOLERANCE = 0.02
 """Mean cell error at which a goal counts as reached, m: the paper's."""
@@ -68,10 +81,13 @@ round-off."""
 
 @dataclass(frozen=True)
 class RobustnessOptions:
-    """How many other models may be the true one, and what must hold by all of them.
+    """How many other models may be the true one, and what must hold by them.
 
     Attributes:
         samples: number of samples from the posterior that a push is tried with.
+        confidence: share of the samples that must allow a push; all of them where they are few.
+        weighed: number of pushes, the best ones by the model, of which samples from the posterior
+            choose.
         tilts: a above: how uneven an object may be of which nothing is known.
         sides: number of directions u for each tilt.
         leeway: by how much more cells may hang over by a sample than by the model, m.
@@ -79,12 +95,25 @@ class RobustnessOptions:
         seed: of the samples.
     """
 
-    samples: int = 6
+    samples: int = WEIGHED_DRAWS
+    confidence: float = 0.95
+    weighed: int = 3
     tilts: tuple[float, ...] = (1.0, 2.0)
     sides: int = 4
     leeway: float = 0.03
     center_margin: float = 0.03
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.confidence <= 1:
+            raise PlanningError(
+                f"confidence is {self.confidence!r}; expected more than 0, and at most 1"
+            )
+        for name, least in (("samples", 0), ("sides", 0), ("weighed", 1)):
+            if getattr(self, name) < least:
+                raise PlanningError(
+                    f"{name} is {getattr(self, name)!r}; expected a whole number, {least} or more"
+                )
 
 
 def draw_model_samples(
@@ -117,9 +146,22 @@ def draw_model_samples(
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class SafePush:
+    """The part of a push that is safe by the models.
+
+    Attributes:
+        planned: the part, or the whole push.
+        ends: (M, 3) where it leaves the object by each model, X_WB, m and rad.
+    """
+
+    planned: PlannedPush
+    ends: Array
+
+
 @dataclass(eq=False)
 class Robustness:
-    """Cuts pushes to the part that is safe by all models; counts the simulations that this takes.
+    """Cuts pushes to the part that is safe by the models; counts the simulations that this takes.
 
     Attributes:
         obj: the object.
@@ -127,6 +169,8 @@ class Robustness:
         constraints: the rules.
         contact: how pushes are made and simulated.
         options: what must hold.
+        learned: whether the samples are draws from a posterior, so that their average tells what a
+            push is worth.
         simulations: number of simulations so far.
     """
 
@@ -135,10 +179,11 @@ class Robustness:
     constraints: PushConstraints
     contact: ContactOptions
     options: RobustnessOptions
+    learned: bool = False
     simulations: int = 0
 
-    def cut(self, pose: Array, planned: PlannedPush) -> PlannedPush | None:
-        """Cuts a push to the part that is safe by all models.
+    def cut(self, pose: Array, planned: PlannedPush) -> SafePush | None:
+        """Cuts a push to the part that is safe by the model and nearly all samples.
 
         Args:
             pose: (3,) where the object lies, X_WB, m and rad.
@@ -147,31 +192,23 @@ class Robustness:
         Returns:
             The part; None if it is too short to be a push.
         """
-        if self.constraints.surface is None and not self.constraints.obstacles:
-            return planned
+        bounded = self.constraints.surface is not None or bool(self.constraints.obstacles)
+        if not bounded and not self.learned:
+            return SafePush(planned=planned, ends=planned.pose[None])
         physics = self.contact.resolve_physics(self.obj, self.models[0])
+        (poses,) = follow_pushes(self.obj, self.models, [planned.push], pose, physics)
+        self.simulations += len(self.models)
+        # The number of steps that the model and nearly all samples allow.
         times = make_path_times(planned.push, physics.regime)
-        rules = replace(
-            self.constraints,
-            edge_margin=self.constraints.edge_margin - self.options.leeway,
-            pose_rule=None,
-        )
-        checker = rules.start_at(self.obj, pose, self.contact.radius)
-        # The number of steps that every model allows.
         usable = len(times)
-        model_poses = None
-        for params in self.models:
-            motion = simulate(self.obj, params, planned.push, pose, times=times, physics=physics)
-            self.simulations += 1
-            if model_poses is None:
-                model_poses = motion.poses  # of the model itself, which is the first
-            allowed = checker.count_allowed(motion.tip, motion.poses)
-            usable = min(usable, allowed, self._count_supported(params, motion.poses))
+        if bounded:
+            usable = self._count_usable(pose, planned.push.tip_at(times), poses)
         distance = self.contact.speed * times[usable - 1] if usable else 0.0
-        if model_poses is None or distance < self.contact.distance_range[0]:
+        if distance < self.contact.distance_range[0]:
             return None
+        ends = poses[:, usable - 1]
         if usable == len(times):
-            return planned
+            return SafePush(planned=planned, ends=ends)
         whole = planned.push
         push = Push(
             start=whole.start,
@@ -180,27 +217,52 @@ class Robustness:
             radius=whole.radius,
             start_tangent=whole.start_tangent,
         )
-        return replace(
-            planned,
-            distance=float(distance),
-            push=push,
-            pose=model_poses[usable - 1].copy(),
-        )
+        part = replace(planned, distance=float(distance), push=push, pose=ends[0].copy())
+        return SafePush(planned=part, ends=ends)
 
-    def _count_supported(self, params: CellParameters, poses: Array) -> int:
-        """Counts the poses (K, 3), from the first on, with the center of friction on the table.
+    def _count_usable(self, pose: Array, tip: Array, poses: Array) -> int:
+        """Counts the steps of a push that the model and nearly all samples allow.
 
-        It must be `center_margin` inside the edge. If it is nearer to the edge already in the first
-        pose, it must not come nearer still.
+        Args:
+            pose: (3,) where the object lies.
+            tip: (T+1, 2) places of the finger's center, m.
+            poses: (M, T+1, 3) poses of the object by each model.
         """
+        rules = replace(
+            self.constraints,
+            edge_margin=self.constraints.edge_margin - self.options.leeway,
+            pose_rule=None,
+        )
+        checker = rules.start_at(self.obj, pose, self.contact.radius)
+        counts = np.minimum(
+            checker.count_allowed_by_models(tip, poses), self._count_supported(poses)
+        )
+        return count_agreed(counts, self.options.confidence)
+
+    def _count_supported(self, poses: Array) -> IntArray:
+        """Counts the poses (M, K, 3), from the first on, with the center of friction on the table.
+
+        By each model it must be `center_margin` inside the edge. If it is nearer to the edge
+        already in the first pose, it must not come nearer still.
+
+        Returns:
+            (M,).
+        """
+        count = poses.shape[1]
         surface = self.constraints.surface
         if surface is None:
-            return len(poses)
-        center = (params.relative_friction() @ self.obj.p_BC)[None]
-        inside = surface.signed_distances(transform(poses, center)[:, 0])
-        least = min(self.options.center_margin, float(inside[0])) - ROUND_OFF
-        held = inside >= least
-        return len(poses) if held.all() else int(np.argmin(held))
+            return np.full(len(poses), count)
+        centers = np.array([params.relative_friction() @ self.obj.p_BC for params in self.models])
+        places = poses[..., :2] + rotate(poses[..., 2], centers[:, None])
+        margin = self.options.center_margin
+        least = np.minimum(margin, surface.signed_distances(places[:, 0])) - ROUND_OFF
+        # Distances are calculated only of places that are not well inside the edge.
+        well_inside = surface.polygon.buffer(-CIRCLE_ROOM * margin)
+        shapely.prepare(well_inside)
+        held = np.asarray(shapely.contains_xy(well_inside, places))
+        m, k = np.nonzero(~held)
+        held[m, k] = surface.signed_distances(places[m, k]) >= least[m]
+        return np.where(held.all(axis=1), count, np.argmin(held, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,11 +364,17 @@ class _Option:
         cost: what is left to go after it, m.
         final_cost: what is left after the best second push, m; the same as `cost` where none was
             searched for.
+        expected: what is left to go on the average of the draws, m; None where none were asked.
     """
 
     push: PlannedPush
     cost: float
     final_cost: float
+    expected: float | None = None
+
+    def rank(self) -> tuple[float, float]:
+        """What options are compared by: the average of the draws, then the model."""
+        return self.cost if self.expected is None else self.expected, self.cost
 
 
 @dataclass(eq=False)
@@ -341,7 +409,7 @@ class _PushSearch:
         for subgoal in self.subgoals:
             plan = self._search(self.pose, subgoal, self.rules.contact, method)
             found += self._take(plan.candidates, BEAM if self.rules.horizon > 1 else 1)
-        return sorted(found, key=lambda option: option.cost)
+        return sorted(found, key=_Option.rank)
 
     def find_second(self, first: list[_Option]) -> list[_Option]:
         """Finds what is left to go after a second push.
@@ -376,20 +444,37 @@ class _PushSearch:
         if self.robustness is None:
             allowed = (push for push in candidates if self.rules.constraints.allows_push(push.push))
             return [self._make_option(push) for push in islice(allowed, count)]
-        before = self.robustness.simulations
+        robustness = self.robustness
+        before = robustness.simulations
         options = [self._make_option(push) for push in candidates]
         options.sort(key=lambda option: option.cost)
+        wanted = max(count, robustness.options.weighed) if robustness.learned else count
         taken: list[_Option] = []
         for option in options:
             # Cut short, a push leaves more to go: once enough are better, the others need no cut.
-            if len(taken) >= count and option.cost >= taken[count - 1].cost:
+            if len(taken) >= wanted and option.cost >= taken[wanted - 1].cost:
                 break
-            safe = self.robustness.cut(self.pose, option.push)
-            if safe is not None and self.rules.constraints.allows_push(safe.push):
-                taken.append(self._make_option(safe))
+            safe = robustness.cut(self.pose, option.push)
+            if safe is not None and self.rules.constraints.allows_push(safe.planned.push):
+                expected = None
+                if robustness.learned:
+                    expected = self._calc_expected_cost(safe.ends)
+                taken.append(replace(self._make_option(safe.planned), expected=expected))
                 taken.sort(key=lambda option: option.cost)
-        self.simulations += self.robustness.simulations - before
+        self.simulations += robustness.simulations - before
+        taken = taken[:wanted]
+        # Of the best by the model, those that leave least to go on the average of the draws.
+        if robustness.learned:
+            taken.sort(key=_Option.rank)
         return taken[:count]
+
+    def _calc_expected_cost(self, ends: Array) -> float:
+        """What is left to go on the average of poses (M, 3), m.
+
+        A pose from which no path is known counts as one at which nothing was gained.
+        """
+        costs = self.cost_to_go.estimate_costs(ends)
+        return float(np.where(np.isfinite(costs), costs, self.cost_now).mean())
 
     def decide(self, first: list[_Option], second: list[_Option]) -> NextPush:
         """Decides for the better of the horizons, where it gains enough.

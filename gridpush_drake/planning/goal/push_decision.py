@@ -95,6 +95,7 @@ def decide_push(
             constraints=rules.constraints,
             contact=rules.contact,
             options=rules.robustness,
+            learned=identification is not None,
         )
     chosen = choose_push(obj, params, pose, cost_to_go, rules, robustness)
     status = PushPlanStatus.STUCK if chosen.push is None else None

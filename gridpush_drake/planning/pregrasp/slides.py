@@ -1,10 +1,12 @@
 """The next push of a slide to the table's edge: towards one of several goals, safe all the way.
 
 `plan_slide` chooses it. Contact-point optimization proposes pushes towards each goal, forbidden to
-pass poses whose stability margin is too thin. Each proposal is then simulated with several samples
-of the model, with the loads that an overhanging object has (`dynamics.kernels.support_loads`), and
-cut short before the first pose in which the margin is too thin by any sample. The proposal is taken
-that, so cut, ends nearest to its goal on the average of the samples.
+pass poses whose stability margin is too thin. Each proposal is then simulated with a few samples of
+the model, with the loads that an overhanging object has (`dynamics.kernels.support_loads`), and
+cut short before the first pose in which the margin is too thin by any of them. Those that so look
+better than the best one known are weighed with all samples: cut before the first pose in which the
+margin is too thin by more than a small share of them, or in which the object falls by any. The
+proposal is taken that, so cut, ends nearest to its goal on the average of the samples.
 
 `PushMonitor` watches a push under way: whether the object stays as safe as was planned, and clear
 of other things on the table.
@@ -38,6 +40,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, calc_goal_error
+from gridpush_drake.planning.model_rollouts import count_agreed, count_exceptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
 from gridpush_drake.planning.pregrasp.stability import (
     SUPPORT_INSET,
@@ -136,6 +139,8 @@ class SlideOptions:
         inset: how far inside the edge a cell's center must be to hold, m.
         goals: number of goals, the best ones, that pushes are sought towards.
         proposals: number of proposed pushes that are tried on the samples, over all goals.
+        few: number of samples with which a proposal is tried before it is weighed with all.
+        confidence: share of the samples that must keep the margin; all of them where they are few.
         min_gain: by how much a push must bring the object nearer to its goal to be worth making,
             mean of the cells, m.
         finger_overhang: how far beyond the edge the finger's center may be, m.
@@ -146,6 +151,8 @@ class SlideOptions:
     inset: float = SUPPORT_INSET
     goals: int = 3
     proposals: int = 10
+    few: int = 4
+    confidence: float = 0.95
     min_gain: float = 0.0005
     finger_overhang: float = 0.03
     contact: ContactOptions = field(
@@ -160,7 +167,7 @@ class Slide:
     Attributes:
         planned: the push, and where it is expected to end.
         goal: the goal that it goes to.
-        margin: least stability margin on the way, by any sample, m.
+        margin: least stability margin on the way, by the share of the samples that must keep it, m.
         spread: root mean square distance of the cells at the samples' ends from their mean, m.
     """
 
@@ -230,7 +237,7 @@ def plan_slide(
     Args:
         masses: that the object may have; stability is judged by the worst of them.
         params: the model, by which pushes are searched for.
-        draws: further models that the pushes are tried on.
+        draws: further models that the pushes are weighed with.
         pose: (3,) where the object lies, X_WB, m and rad.
         goals: best first.
         surface: the table.
@@ -280,19 +287,23 @@ def plan_slide(
         # By the samples, and cut short, a push would hardly end nearer than by the model alone.
         if best is not None and planned.cost >= best.planned.cost:
             break
-        slide = _cut_short(
-            planned=planned,
-            goal=goal,
-            masses=masses,
-            models=(params, *draws),
-            pose=q,
-            surface=surface,
-            rule=allows,
-            options=options,
-        )
-        if slide is None or (best is not None and slide.planned.cost >= best.planned.cost):
-            continue
-        if constraints.allows_push(slide.planned.push):
+        # First with a few samples, then with all of them.
+        slide: Slide | None = None
+        for models in ((params, *draws[: options.few]), (params, *draws)):
+            slide = _cut_short(
+                planned=planned,
+                goal=goal,
+                masses=masses,
+                models=models,
+                pose=q,
+                surface=surface,
+                rule=allows,
+                options=options,
+            )
+            if slide is None or (best is not None and slide.planned.cost >= best.planned.cost):
+                slide = None
+                break
+        if slide is not None and constraints.allows_push(slide.planned.push):
             best = slide
     return best
 
@@ -307,7 +318,7 @@ def _cut_short(
     rule: PoseRule,
     options: SlideOptions,
 ) -> Slide | None:
-    """Cuts a push to what is safe with every model, and of that to what ends nearest.
+    """Cuts a push to what is safe by the models, and of that to what ends nearest.
 
     Args:
         planned: the push.
@@ -324,24 +335,29 @@ def _cut_short(
     """
     obj = masses.obj
     shortest = options.contact.distance_range[0]
-    # Distances, every few millimeters, at which the push may be cut. Each model leaves fewer.
+    # Distances, every few millimeters, at which the push may be cut.
     cuts = np.unique(np.append(np.arange(0.0, planned.distance, CHECK_EVERY), planned.distance))
-    paths = []
-    for model in models:
+    paths = np.empty((len(models), len(cuts), 3))
+    for m, model in enumerate(models):
         motion = simulate_near_edge(
             obj, model, planned.push, pose, surface, options.contact.physics
         )
-        path = np.column_stack(
-            [np.interp(cuts, motion.traveled, motion.poses[:, i]) for i in range(3)]
-        )
-        allowed = rule(path) & (~np.bool_(motion.fell) | (cuts < motion.traveled[-1]))
-        if not allowed.all():
-            cuts = cuts[: int(np.argmin(allowed))]
-        paths.append(path)
+        for i in range(3):
+            paths[m, :, i] = np.interp(cuts, motion.traveled, motion.poses[:, i])
+        # By no model may the object fall.
+        if motion.fell:
+            cuts = cuts[cuts < motion.traveled[-1]]
+            paths = paths[:, : len(cuts)]
         if not (cuts >= shortest).any():
             return None
+    # The estimate, and nearly all of the other models, keep the rule up to the cut.
+    held = rule(paths.reshape(-1, 3)).reshape(paths.shape[:2])
+    kept = np.where(held.all(axis=1), len(cuts), np.argmin(held, axis=1))
+    cuts = cuts[: count_agreed(kept, options.confidence)]
+    if not (cuts >= shortest).any():
+        return None
     # Of the cuts that are left, the one that ends nearest to the goal on the models' average.
-    ends = np.array([path[: len(cuts)] for path in paths])
+    ends = paths[:, : len(cuts)]
     mean_costs = calc_goal_error(obj, ends, goal.pose).mean(axis=0)
     costs = np.where(cuts >= shortest, mean_costs, np.inf)
     best = int(np.argmin(costs))
@@ -363,10 +379,12 @@ def _cut_short(
     spread = float(np.sqrt(((cells - cells.mean(axis=0)) ** 2).sum(axis=2).mean()))
     on_the_way = ends[:, : best + 1].reshape(-1, 3)
     margins = calc_stability_margins(masses, on_the_way, surface, options.inset)
+    by_models = np.sort(margins.reshape(len(models), -1).min(axis=1))
+    exceptions = count_exceptions(len(models) - 1, options.confidence)
     cut = replace(
         planned, distance=distance, push=push, pose=ends[0, best], cost=float(costs[best])
     )
-    return Slide(planned=cut, goal=goal, margin=float(margins.min()), spread=spread)
+    return Slide(planned=cut, goal=goal, margin=float(by_models[exceptions]), spread=spread)
 
 
 @dataclass(frozen=True, eq=False)

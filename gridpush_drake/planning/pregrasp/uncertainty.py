@@ -44,6 +44,7 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.weighed_model import believe_before
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.model_rollouts import WEIGHED_DRAWS
 from gridpush_drake.planning.weighing.region import cut_to_ellipse
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -67,9 +68,6 @@ of that, along x and along y."""
 WEIGHED_SIGMAS = 3.5
 """If the object was weighed, mass and center of mass are taken to be within this many standard
 deviations of what weighings say, the center in every direction."""
-
-SLIDE_SAMPLES = 4
-"""Number of models, besides the estimate, that a slide's pushes are tried on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +256,7 @@ class UncertainModel:
         found: Identification,
         *,
         friction_range: tuple[float, float] | None = None,
-        sample_count: int = SLIDE_SAMPLES,
+        sample_count: int = WEIGHED_DRAWS,
         seed: int = 0,
         log: PushLog | None = None,
     ) -> "UncertainModel":
@@ -268,7 +266,7 @@ class UncertainModel:
             found: what was learned.
             friction_range: least and greatest friction coefficient of any cell; the object's own
                 bounds where None.
-            sample_count: number of further models that slides are tried on.
+            sample_count: number of further models that slides are weighed with.
             seed: of all draws.
             log: the pushes learned from, if they are at hand. They judge the draws, and pokes keep
                 away from where they began.

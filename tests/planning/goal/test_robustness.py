@@ -1,12 +1,22 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions
-from gridpush_drake.planning.goal.next_push import Robustness, RobustnessOptions, draw_model_samples
+from gridpush_drake.planning.goal.cost_to_go import CostToGo
+from gridpush_drake.planning.goal.next_push import (
+    GoalRules,
+    Robustness,
+    RobustnessOptions,
+    choose_push,
+    draw_model_samples,
+)
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
@@ -66,7 +76,8 @@ def test_learning_narrows_the_samples(bar):
 def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
     robustness = make_robustness(bar, even)
     plan = optimize_contact(bar, even, POSE, GOAL, constraints=RULES)
-    cuts = [robustness.cut(np.array(POSE), push) for push in plan.candidates]
+    found = [robustness.cut(np.array(POSE), push) for push in plan.candidates]
+    cuts = [None if safe is None else safe.planned for safe in found]
     assert robustness.simulations == len(cuts) * (1 + OPTIONS.sides * len(OPTIONS.tilts))
     shorter = [
         (whole, cut)
@@ -95,10 +106,63 @@ def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
 def test_without_edges_nothing_is_cut(bar, even):
     robustness = make_robustness(bar, even, rules=PushConstraints())
     plan = optimize_contact(bar, even, POSE, GOAL)
-    assert robustness.cut(np.array(POSE), plan.push) is plan.push
+    assert robustness.cut(np.array(POSE), plan.push).planned is plan.push
     assert robustness.simulations == 0
 
 
 def test_without_samples_a_push_that_keeps_the_rules_stays_whole(bar, even):
     plan = optimize_contact(bar, even, POSE, GOAL, constraints=RULES)
-    assert make_robustness(bar, even, samples=[]).cut(np.array(POSE), plan.push) is plan.push
+    safe = make_robustness(bar, even, samples=[]).cut(np.array(POSE), plan.push)
+    assert safe.planned is plan.push
+    np.testing.assert_allclose(safe.ends, [plan.push.pose], atol=1e-6)
+
+
+def test_a_share_of_the_draws_may_contradict(bar, even):
+    plan = optimize_contact(bar, even, POSE, GOAL, constraints=RULES)
+    pose = np.array(POSE)
+
+    def measure(samples):
+        robustness = make_robustness(bar, even, samples)
+        cuts = [robustness.cut(pose, push) for push in plan.candidates]
+        return sum(0.0 if one is None else one.planned.distance for one in cuts)
+
+    # the sample that shortens pushes most, among 100 draws
+    sample = min(draw_model_samples(bar, even, None, OPTIONS), key=lambda one: measure([one]))
+    lengths = [measure([sample] * count + [even] * (100 - count)) for count in (0, 5, 6)]
+    assert lengths[0] == lengths[1]
+    assert lengths[2] == measure([sample]) < lengths[1] - 0.01
+
+
+def test_draws_choose_the_push_that_leaves_least_on_their_average(bar, even):
+    draws = [
+        replace(even, mass=even.mass * np.exp(tilt * bar.p_BC[:, 0] / 0.1))
+        for tilt in np.linspace(0.0, 1.5, 100)
+    ]
+    rules = GoalRules()
+    gains = []
+    for heading in np.linspace(-1.5, 1.5, 8):
+        goal = np.array([0.08, 0.1, heading])
+        checker = rules.constraints.start_at(bar, np.zeros(3), rules.contact.radius)
+        cost_to_go = CostToGo(bar, np.zeros(3), goal, checker)
+        costs = []
+        for learned in (False, True):
+            robustness = Robustness(
+                bar, [even, *draws], rules.constraints, rules.contact, OPTIONS, learned=learned
+            )
+            chosen = choose_push(bar, even, np.zeros(3), cost_to_go, rules, robustness)
+            assert (robustness.simulations >= 101) == learned
+            ends = [
+                simulate(bar, draw, chosen.push.push, regime="quasi_static").final_pose
+                for draw in draws[::10]
+            ]
+            costs.append(float(np.mean([cost_to_go.calc_cost(end) for end in ends])))
+        gains.append(costs[0] - costs[1])
+    assert min(gains) > -0.001  # a tenth of the draws is not all of them
+    assert max(gains) > 0.002
+
+
+@pytest.mark.parametrize("change", [{"confidence": 0.0}, {"weighed": 0}, {"samples": -1}])
+def test_options_out_of_range_are_refused(change):
+    (name,) = change
+    with pytest.raises(PlanningError, match=f"{name} is"):
+        RobustnessOptions(**change)
