@@ -28,13 +28,19 @@ from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
 from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.geometry.se2 import calc_yaw
+from gridpush_drake.geometry.se2 import Array, calc_yaw
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.problem import PushProblem, TimedPush
+from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
+from gridpush_drake.planning.goal.next_push import GoalRules
+from gridpush_drake.planning.goal.push_decision import decide_push
+from gridpush_drake.planning.model_rollouts import WEIGHED_DRAWS
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 
@@ -179,6 +185,12 @@ DRAWN_PUSHES = 100
 DRAWN_LENGTH = 0.1
 """Length of these pushes, m."""
 
+BATCH_CELLS = 4900
+"""Number of cells of the square whose pushes are timed in a batch."""
+
+TABLE_RADIUS = 0.5
+"""Radius of the table on which decisions are timed, m."""
+
 GOALS = 20
 """Number of goals for each of which one push is decided on."""
 
@@ -218,12 +230,13 @@ def measure_all(options: Options, report: Report | None) -> list[Table]:
         report: called with what begins, as of jobs.
     """
     obj = load_hammer(options.data)
-    steps = len(_make_simulations(obj)) + len(options.sizes) + len(options.logs) + 3
+    steps = len(_make_simulations(obj)) + len(options.sizes) + len(options.logs) + 6
     announce = count_steps(report, steps + int(options.mujoco))
     with one_core() as pinned:
         tables = [
             _measure_push(obj, options.repetitions, options.mujoco, pinned, announce),
             _measure_sizes(options.sizes, options.repetitions, announce),
+            _measure_batches(obj, options.repetitions, announce),
             _measure_identification(options.logs, announce),
             _measure_decisions(obj, options.draws, announce),
         ]
@@ -432,26 +445,84 @@ def _measure_decisions(obj: GridObject, draws: int, announce: Announce) -> Table
     low, median, high = np.quantile(times, [0.25, 0.5, 0.75])
     decision = Timing(float(median), float(low), float(high))
 
-    announce(f"{draws} models, {DRAWN_PUSHES} pushes")
+    # With draws of a posterior.
     cells, count = DRAWN_LOG
     learned, log = make_bench_log(cells, count)
-    models = identify(learned, log).samples(draws)
-    batch = PushBatch(learned, _draw_pushes(learned, rng), QUASI_STATIC)
+    found = identify(learned, log)
+    announce(f"decisions with {WEIGHED_DRAWS} draws")
+    free = _time_weighed_decisions(found, GoalRules(), goals)
+    table = SupportSurface.round((0.0, 0.0), TABLE_RADIUS)
+    bounded = _time_weighed_decisions(found, GoalRules(PushConstraints(table)), goals)
+    announce(f"{draws} models, {DRAWN_PUSHES} pushes")
+    models = found.samples(draws)
+    batch = PushBatch(learned, _draw_pushes(learned, rng), QUASI_STATIC, approximate=True)
     batch.simulate(models[0])
     whole = measure(lambda: [batch.simulate(model) for model in models], 1, 0, process_time).median
     each = whole / (draws * DRAWN_PUSHES)
     rows: list[list[Value]] = [
-        ["where and how to push next, by gradient", *(MS * seconds for seconds in decision)],
+        ["where and how to push next, by gradient", *_to_ms(decision)],
+        [f"the same, weighed with {WEIGHED_DRAWS} draws", *_to_ms(free)],
+        [f"the same on a table, weighed with {WEIGHED_DRAWS} draws", *_to_ms(bounded)],
         [f"{DRAWN_PUSHES} pushes by each of {draws} drawn models", MS * whole, None, None],
         ["one of these pushes", MS * each, None, None],
     ]
     notes = [
-        f"Processor time. The decision is on one push of the {obj.name}, {obj.n} cells; median and "
-        f"quartiles over {GOALS} goals.",
+        f"Processor time. The first decision is on one push of the {obj.name}, {obj.n} cells; "
+        f"median and quartiles over {GOALS} goals.",
         f"The drawn models are of a bar of {learned.n} cells, from the posterior after {count} "
-        f"pushes. Each push is {DRAWN_LENGTH * 100:g} cm long, in steps of 1 mm.",
+        f"pushes; so are the next two decisions, which also take the draws. Each push by the drawn "
+        f"models is {DRAWN_LENGTH * 100:g} cm long, in steps of 1 mm, and approximate.",
     ]
     return Table("Decisions", ("what", "median, ms", "25 %, ms", "75 %, ms"), rows, notes)
+
+
+def _time_weighed_decisions(found: Identification, rules: GoalRules, goals: Array) -> Timing:
+    """Times decisions for a push to each of some goals (G, 3), with draws of a posterior."""
+    times = []
+    for goal in goals:
+        decide = partial(
+            decide_push,
+            obj=found.obj,
+            pose=np.zeros(3),
+            goal=goal,
+            made=0,
+            params=found.params,
+            identification=found,
+            rules=rules,
+        )
+        times.append(measure(decide, 1, 0, process_time).median)
+    low, median, high = np.quantile(times, [0.25, 0.5, 0.75])
+    return Timing(float(median), float(low), float(high))
+
+
+def _to_ms(timing: Timing) -> list[Value]:
+    """Median and quartiles in ms."""
+    return [MS * seconds for seconds in timing]
+
+
+def _measure_batches(obj: GridObject, repetitions: int, announce: Announce) -> Table:
+    """Times pushes of a few and of many cells in a batch, exact and approximate."""
+    square = GridObject.from_outline(
+        np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]), max_cells=BATCH_CELLS, name="square"
+    )
+    rows: list[list[Value]] = []
+    for each in (obj, square):
+        announce(f"batches, {each.n} cells")
+        params = CellParameters.random(each, seed=0)
+        pushes = _draw_pushes(each, np.random.default_rng(0))
+        times = []
+        for approximate in (False, True):
+            batch = PushBatch(each, pushes, QUASI_STATIC, approximate=approximate)
+            work = partial(batch.simulate, params)
+            fewer = max(3, repetitions // 10)
+            times.append(measure(work, fewer, 1, process_time).median / len(pushes))
+        rows.append([each.name, each.n, *(MS * seconds for seconds in times), times[0] / times[1]])
+    columns = ("object", "cells", "exact, ms a push", "approximate, ms a push", "ratio")
+    note = (
+        f"Processor time; {DRAWN_PUSHES} pushes of {DRAWN_LENGTH * 100:g} cm in steps of 1 mm, "
+        "quasi-static, in one call of `PushBatch`."
+    )
+    return Table("Pushes in a batch", columns, rows, [note])
 
 
 def _draw_pushes(obj: GridObject, rng: np.random.Generator) -> list[BatchPush]:

@@ -43,5 +43,5 @@ def test_the_command(capsys, tmp_path):
         capsys, "bench", "speed", "--repetitions", "3", "--no-mujoco", "--out", out, "--json"
     )
     assert outcome.code == 0, outcome.err
-    assert len(json.loads(outcome.out)["tables"]) == 5
+    assert len(json.loads(outcome.out)["tables"]) == 6
     assert out.read_text().startswith("### One push")
