@@ -52,12 +52,12 @@ class _Box(NamedTuple):
 
     middle: Array
     half: float
-    level: int
-    quadrant: int
-    above: int
-    first: int
-    last: int
-    next: int
+    level: int = 0
+    quadrant: int = 0
+    above: int = -1
+    first: int = 0
+    last: int = 0
+    next: int = 0
 
 
 class _Transfer(NamedTuple):
@@ -226,24 +226,15 @@ def _cut_into_boxes(p: Array, cell_size: float) -> tuple[list[_Box], IntArray]:
                 add(part, some)
         boxes[index] = box._replace(first=first, last=len(order), next=len(boxes))
 
-    whole = _Box(
-        middle=(low + high) / 2,
-        half=float((high - low).max() + cell_size) / 2,
-        level=0,
-        quadrant=0,
-        above=-1,
-        first=0,
-        last=0,
-        next=0,
-    )
-    add(whole, np.arange(len(p)))
+    half = float((high - low).max() + cell_size) / 2
+    add(_Box(middle=(low + high) / 2, half=half), np.arange(len(p)))
     return boxes, np.array(order)
 
 
 def _make_transfers(boxes: list[_Box]) -> list[_Transfer]:
     """Says how loads are brought from boxes to those above them, the lowest level first."""
     found = []
-    unit = _Box(np.zeros(2), 1.0, 0, 0, -1, 0, 0, 0)
+    unit = _Box(middle=np.zeros(2), half=1.0)
     for level in range(max(box.level for box in boxes), 0, -1):
         for quadrant, side in enumerate(SIDES):
             parts = [
