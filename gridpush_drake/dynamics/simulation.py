@@ -77,6 +77,17 @@ class PushSteps(NamedTuple):
         row_of_step[rows] = np.arange(len(rows))
         return cls(times, measure_steps(push, times, regime), rows, row_of_step)
 
+    def take_first(self, count: int) -> "PushSteps":
+        """The first steps, with the Jacobian of the last of their poses."""
+        row_of_step = np.full(count + 1, -1)
+        row_of_step[count] = 0
+        return PushSteps(
+            times=self.times[: count + 1],
+            dts=self.dts[:count],
+            rows=np.array([count]),
+            row_of_step=row_of_step,
+        )
+
 
 def simulate(
     obj: GridObject,

@@ -199,11 +199,19 @@ class OutlineEdges(Frozen):
         starts = self.arc_length[: self.exterior_count]
         edge = int(np.searchsorted(starts, s, side="right")) - 1
         past_start = s - starts[edge]
-        start = self.start[edge]
-        along = self.end[edge] - start
-        tangent = along / np.linalg.norm(along)
-        point = start + past_start * tangent
-        return point, tangent, turn_right(tangent)
+        tangent = self.tangents[edge]
+        return self.start[edge] + past_start * tangent, tangent, self.normals[edge]
+
+    @cached_property
+    def tangents(self) -> Array:
+        """(E, 2) unit tangents of the edges."""
+        along = self.end - self.start
+        return along / np.linalg.norm(along, axis=1)[:, None]
+
+    @cached_property
+    def normals(self) -> Array:
+        """(E, 2) outward unit normals of the edges."""
+        return turn_right(self.tangents)
 
 
 def _join(parts: list[NDArray[Any]]) -> NDArray[Any]:

@@ -8,6 +8,7 @@ from math import cos, sin, sqrt
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.small_matrix import solve_dense
 
 LAST_CELL = 1.001
 """Points beyond a table are brought this many nodes inside its last one, so that the node after the
@@ -97,6 +98,49 @@ def fill_cost_derivatives(cells, pose, goal, least, slope, H):
     H[0, 2] = H[2, 0] = along_x / n
     H[1, 2] = H[2, 1] = along_y / n
     H[2, 2] = turning / n
+
+
+@kernel()
+def solve_damped_step(H, slope, damping, least, free, limit, dx):
+    """Solves (H + lambda diag H) dx = -dC/dx, and shortens dx to the limits.
+
+    Args:
+        H: (3, 3) second derivatives of the cost, about.
+        slope: (3,) dC/dx.
+        damping: lambda.
+        least: smallest element of the diagonal that lambda multiplies, and of |dx| that a limit is
+            divided by.
+        free: (3,) whether each unknown may change.
+        limit: (3,) greatest change of each.
+        dx: (3,) filled; zero where there is no solution.
+
+    Returns:
+        By how much the cost is predicted to fall.
+    """
+    K = np.zeros((3, 3))
+    X = np.zeros((3, 1))
+    for i in range(3):
+        if free[i]:
+            for j in range(3):
+                if free[j]:
+                    K[i, j] = H[i, j]
+            K[i, i] += damping * max(H[i, i], least)
+            X[i, 0] = -slope[i]
+        else:
+            K[i, i] = 1.0
+    solved = solve_dense(K, X, 3, 1)
+    share = 1.0
+    for i in range(3):
+        dx[i] = X[i, 0] if solved else 0.0
+        share = min(share, limit[i] / max(abs(dx[i]), least))
+    gain = 0.0
+    for i in range(3):
+        dx[i] *= share
+    for i in range(3):
+        gain -= slope[i] * dx[i]
+        for j in range(3):
+            gain -= 0.5 * dx[i] * H[i, j] * dx[j]
+    return gain
 
 
 @kernel(allocates=False)

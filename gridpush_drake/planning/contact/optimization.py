@@ -34,6 +34,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.contact_kernels import solve_damped_step
 from gridpush_drake.planning.contact.limit_surface import screen
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
 from gridpush_drake.planning.contact.trial import (
@@ -311,13 +312,17 @@ def _plan_step(walk: _Walk, runner: TrialRunner) -> None:
     if (angle <= low and slope[1] > 0) or (angle >= high and slope[1] < 0):
         free[1] = False
     # (H + lambda diag H) dx = -dC/dx, shortened to what the model may be trusted for.
-    damped = H + walk.damping * np.diag(np.maximum(np.diag(H), TINY))
-    dx = np.zeros(3)
-    dx[free] = np.linalg.solve(damped[np.ix_(free, free)], -slope[free])
-    limit = np.array([MAX_STEP * runner.reach.perimeter, MAX_TURN, np.inf])
-    dx *= min(1.0, float(np.min(limit / np.maximum(np.abs(dx), TINY))))
+    dx = np.empty(3)
+    walk.gain = solve_damped_step(
+        H=H,
+        slope=slope,
+        damping=walk.damping,
+        least=TINY,
+        free=free,
+        limit=np.array([MAX_STEP * runner.reach.perimeter, MAX_TURN, np.inf]),
+        dx=dx,
+    )
     walk.step = dx
-    walk.gain = float(-(slope @ dx + dx @ H @ dx / 2))
     if walk.gain * GAIN_FACTOR < runner.options.min_improvement:
         walk.end()
 
@@ -329,7 +334,7 @@ def _advance(walk: _Walk, runner: TrialRunner) -> None:
     trial = walk.trial
     moved = abs(s - trial.arc_length) >= SAME_CONTACT or abs(angle - trial.angle) >= SAME_CONTACT
     if moved:
-        trial = runner.run(s, piece, angle, gradient=True)
+        trial = runner.run(s, piece, angle, gradient=True, better_than=walk.trial.cost)
     if trial.cost < walk.trial.cost:
         walk.trial = trial
         walk.damping = max(MIN_DAMPING, walk.damping * LOOSEN)

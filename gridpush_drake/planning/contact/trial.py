@@ -10,14 +10,14 @@ of the best allowed pose of the motion,
 
     f(s, phi) = min_d C(q(s, phi, d))
 
-With the exact Jacobian dq/dx by x = (s, phi, d), from the same simulation, the gradient of C and
-the Gauss-Newton matrix H are
+With the exact Jacobian dq/dx by x = (s, phi, d), from the same push up to the best distance, the
+gradient of C and the Gauss-Newton matrix H are
 
     dC/dx = 1/n sum_i r_i^T / |r_i| dp_i/dx
     H     = 1/n sum_i (dp_i/dx)^T (dp_i/dx) / |r_i|,     dp_i/dx = dp_i/dq dq/dx
 
-In H each norm is replaced by the parabola that touches it from above. A simulation with its
-Jacobian counts as one simulation. The theory is in `docs/theory/planning.md`, section 1.
+In H each norm is replaced by the parabola that touches it from above. A simulation, with or without
+its Jacobian, counts as one. The theory is in `docs/theory/planning.md`, section 1.
 
 `Trial` is a push under trial, `TrialRunner` simulates it, `PlannedPush` is a push that was chosen.
 """
@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.kernel_call import get_cells
 from gridpush_drake.dynamics.motion import Motion, MotionStatus
@@ -100,7 +100,7 @@ def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
 
 
 RECORD_EVERY = 4
-"""Number of steps of a motion from one recorded Jacobian to the next."""
+"""Number of steps of a motion from one whose Jacobian is taken to the next."""
 
 MIN_RESIDUAL = 1e-4
 """A cell that is nearer than this to where it should be weighs no more in H than at this distance,
@@ -245,7 +245,14 @@ class TrialRunner:
             clearance=self.options.clearance,
         )
 
-    def run(self, arc_length: float, piece: int, angle: float, gradient: bool = False) -> Trial:
+    def run(
+        self,
+        arc_length: float,
+        piece: int,
+        angle: float,
+        gradient: bool = False,
+        better_than: float = np.inf,
+    ) -> Trial:
         """Simulates the longest push at a place and angle, and takes its best allowed part.
 
         Args:
@@ -253,6 +260,7 @@ class TrialRunner:
             piece: of the reachable outline that s is on.
             angle: from the inward normal, rad.
             gradient: whether slope and curvature are wanted, too.
+            better_than: cost, m, below which the trial must be for that.
 
         Returns:
             The trial; of infinite cost where the push misses, or no part of it is allowed.
@@ -269,7 +277,6 @@ class TrialRunner:
         )
         if not self.checker.allows_finger(push.start[None])[0]:
             return failed
-        # Simulate it, with the Jacobian at some of its steps.
         steps = self._find_steps(push)
         times = steps.times
         motion = simulate_steps(
@@ -280,7 +287,6 @@ class TrialRunner:
             pose=self.pose,
             velocity=STILL,
             steps=steps,
-            gradients="push" if gradient else False,
         )
         self.simulations += 1
         if motion.status in (MotionStatus.STARTED_OVERLAPPING, MotionStatus.NOT_CONVERGED):
@@ -300,14 +306,53 @@ class TrialRunner:
             pose=motion.poses[best].copy(),
             cost=cost,
         )
-        if not gradient:
+        if not (gradient and cost < better_than):
             return trial
-        dq_dx = _calc_pose_derivatives(motion, traveled, steps.rows, best)
+        dq_dx = self._calc_pose_derivatives(push, motion, traveled, best)
         slope, H = calc_cost_derivatives(self.obj, trial.pose, self.goal, dq_dx)
         # A distance that cannot change, for the range or a rule ends here, is no unknown.
         if best in (first, usable - 1):
             slope, H = _exclude(slope, H, 2)
         return replace(trial, slope=slope, curvature=H)
+
+    def _calc_pose_derivatives(
+        self, push: Push, motion: Motion, traveled: Array, step: int
+    ) -> Array:
+        """Calculates dq/dx of a push about a step: at the nearest one of every few.
+
+        The push is simulated once more, with its Jacobian, but only as far as there.
+
+        Args:
+            push: the longest push.
+            motion: of the object under it, T steps.
+            traveled: (T+1,) length of the pusher's path up to each step, m.
+            step: the given one.
+
+        Returns:
+            (3, 3) derivatives of the pose by x = (s, phi, d).
+        """
+        last = len(traveled) - 1
+        rows = np.append(np.arange(0, last, RECORD_EVERY), last)
+        k = int(rows[np.argmin(np.abs(rows - step))])
+        # dq/dd by the poses before and after.
+        after = min(k + 1, last)
+        before = max(k - 1, 0)
+        dq_dd = (motion.poses[after] - motion.poses[before]) / (traveled[after] - traveled[before])
+        if k == 0:
+            return np.column_stack([np.zeros((3, 2)), dq_dd])
+        assert self._steps is not None
+        J = simulate_steps(
+            self.obj,
+            self.params,
+            push,
+            self._physics,
+            pose=self.pose,
+            velocity=STILL,
+            steps=self._steps.take_first(k),
+            gradients="push",
+        ).jacobian
+        assert J.contact_location is not None
+        return np.column_stack([J.contact_location[0], J.direction[0], dq_dd])
 
     @cached_property
     def _physics(self) -> Physics:
@@ -319,9 +364,7 @@ class TrialRunner:
         if self._steps is None:
             regime = self._physics.regime
             times = make_path_times(longest, regime)
-            last = len(times) - 1
-            rows = np.append(np.arange(0, last, RECORD_EVERY), last)
-            self._steps = PushSteps.of_record(longest, times, rows, regime)
+            self._steps = PushSteps.of_record(longest, times, np.empty(0, np.int64), regime)
         return self._steps
 
     def _find_nearest(self, poses: Array, first: int, end: int) -> tuple[int, float]:
@@ -353,31 +396,6 @@ class TrialRunner:
             cost=trial.cost,
             simulations=simulations,
         )
-
-
-def _calc_pose_derivatives(
-    motion: Motion, traveled: Array, record: NDArray[np.int64], step: int
-) -> Array:
-    """Calculates dq/dx of a motion about a step: at the nearest one with a recorded Jacobian.
-
-    Args:
-        motion: of T steps.
-        traveled: (T+1,) length of the pusher's path up to each step, m.
-        record: (R,) steps whose Jacobian was recorded.
-        step: the given one.
-
-    Returns:
-        (3, 3) derivatives of the pose by x = (s, phi, d).
-    """
-    row = int(np.argmin(np.abs(record - step)))
-    k = int(record[row])
-    J = motion.jacobian
-    assert J.contact_location is not None
-    # dq/dd by the poses before and after.
-    after = min(k + 1, len(traveled) - 1)
-    before = max(k - 1, 0)
-    dq_dd = (motion.poses[after] - motion.poses[before]) / (traveled[after] - traveled[before])
-    return np.column_stack([J.contact_location[row], J.direction[row], dq_dd])
 
 
 def calc_cost_derivatives(

@@ -12,6 +12,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.contact_kernels import solve_damped_step
 from gridpush_drake.planning.contact.limit_surface import predict_roughly, screen
 from gridpush_drake.planning.contact.optimization import (
     make_runner,
@@ -335,6 +336,39 @@ def test_the_cost_s_matrix_is_the_sum_over_the_cells(hammer):
     expected = np.einsum("ijk,ijl,i->kl", dp_dx, dp_dx, 1.0 / length) / hammer.n
     np.testing.assert_allclose(H, expected, rtol=1e-12)
     assert calc_goal_error(hammer, pose, goal) == pytest.approx(length.mean(), rel=1e-12)
+
+
+def test_a_damped_step_solves_its_equations():
+    rng = np.random.default_rng(0)
+    for free in ([True, True, True], [True, False, True], [False, True, True]):
+        root = rng.normal(size=(3, 3))
+        H = root @ root.T
+        slope = rng.normal(size=3)
+        free = np.array(free)
+        dx = np.empty(3)
+        limit = np.full(3, np.inf)
+        gain = solve_damped_step(H, slope, 0.3, 1e-12, free, limit, dx)
+        damped = H + 0.3 * np.diag(np.diag(H))
+        expected = np.zeros(3)
+        expected[free] = np.linalg.solve(damped[np.ix_(free, free)], -slope[free])
+        np.testing.assert_allclose(dx, expected, atol=1e-12)
+        assert gain == pytest.approx(-(slope @ dx + dx @ H @ dx / 2))
+        # shortened as a whole to the limit that is passed by most
+        limit = np.abs(expected) + 1.0
+        longest = int(np.argmax(np.abs(expected)))
+        limit[longest] = abs(expected[longest]) / 4
+        solve_damped_step(H, slope, 0.3, 1e-12, free, limit, dx)
+        np.testing.assert_allclose(dx, expected / 4, atol=1e-12)
+
+
+def test_a_trial_that_is_no_better_has_no_derivatives(hammer):
+    runner = run_fixed(hammer, make_params(hammer), 0.06)
+    s, piece = runner.reach.find_nearest(0.3)
+    trial = runner.run(float(s), int(piece), 0.1, gradient=True)
+    same = runner.run(float(s), int(piece), 0.1, gradient=True, better_than=trial.cost)
+    assert (same.cost, same.distance) == (trial.cost, trial.distance)
+    assert trial.slope is not None
+    assert same.slope is None
 
 
 def test_screening_keeps_its_starts_apart(hammer):
