@@ -223,6 +223,10 @@ def dump_yaml(data: Any, **options: Any) -> str:
     return text
 
 
+NO_MAPPING = "does not consist of `key: value` lines"
+"""What is wrong with a YAML file that holds a list, a number or plain text, for messages."""
+
+
 def read_mapping(path: Path, what: str, error: type[GridPushError] = ObjectError) -> dict[str, Any]:
     """Reads a YAML file whose top level is `key: value` lines.
 
@@ -242,10 +246,7 @@ def read_mapping(path: Path, what: str, error: type[GridPushError] = ObjectError
     if data is None:
         raise error(f"{path}: is empty; expected {what}")
     if not isinstance(data, dict):
-        raise error(
-            f"{path}: is a {type(data).__name__} at its top level; expected {what}: `key: value` "
-            "lines"
-        )
+        raise error(f"{path}: {NO_MAPPING}; expected {what}")
     return data
 
 

@@ -1,5 +1,6 @@
 """`gridpush demo`: a simulated robot learns an object by poking it, and pushes or lifts it."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -167,11 +168,17 @@ def demo(
         watchers = [each.note for each in (recorder, view) if each is not None]
         page = LivePage(port)
         options.compile_kernels()
-        print_notice(f"Watch it at {page.url}")
-        if open_browser:
-            typer.launch(page.url)
+
+        def show_page() -> None:
+            print_notice(f"Watch it at {page.url}")
+            if open_browser:
+                typer.launch(page.url)
+
         with count_progress("the robot", chosen.count_steps(scenario)) as report_step:
-            record = chosen.run(resolved, page, realtime_rate, report_step, watchers)
+            # Making the station may still refuse the scenario, so that the page is shown only when
+            # the robot has begun.
+            report = call_first(show_page, report_step)
+            record = chosen.run(resolved, page, realtime_rate, report, watchers)
         if view is not None:
             view.finish()
         folder = _find_place(out, chosen, force)
@@ -187,13 +194,32 @@ def demo(
         print_summary(chosen, summary, written)
         if record_file is not None:
             print_line(f"The run is recorded in {record_file}.")
-    report = folder / chosen.files[0]
-    if open_browser and report in written:
-        typer.launch(str(report.resolve()))
+    report_file = folder / chosen.files[0]
+    if open_browser and report_file in written:
+        typer.launch(str(report_file.resolve()))
     if summary["status"] == "interrupted":
         raise typer.Exit(EXIT_INTERRUPTED)
     if not summary.get("done", True):
         raise typer.Exit(EXIT_NOT_DONE)
+
+
+def call_first(begin: Callable[[], None], report: Callable[..., None]) -> Callable[..., None]:
+    """Makes a report of some work that does something else before its first call.
+
+    Args:
+        begin: is called once, before `report` is called for the first time.
+        report: the report, see `count_progress`.
+    """
+    begun = False
+
+    def call(*args: Any, **named: Any) -> None:
+        nonlocal begun
+        if not begun:
+            begun = True
+            begin()
+        report(*args, **named)
+
+    return call
 
 
 def _find_place(out: Path, task: TaskKind, force: bool) -> Path:

@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_found
+from gridpush_drake.cli.lazy_group import refuse_unknown
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import exists, make_folder
 from gridpush_drake.objects.grid_object import GridObject
@@ -55,6 +56,11 @@ class ImporterGroup(TyperGroup):
         if cmd_name not in self.commands and cmd_name in self.list_commands(ctx):
             self.commands[cmd_name] = _make_command(cmd_name, find_importer(cmd_name))
         return super().get_command(ctx, cmd_name)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Finds the importer that the words name; refuses one that is not there."""
+        refuse_unknown(ctx.command_path, args[:1], self.list_commands(ctx))
+        return super().resolve_command(ctx, args)
 
 
 app = typer.Typer(

@@ -9,11 +9,14 @@ its imports at its top, however long they take.
 import inspect
 from collections.abc import Mapping
 from copy import copy
+from difflib import get_close_matches
 from importlib import import_module
 from typing import Any, ClassVar, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+
+from gridpush_drake.errors import GridPushError
 
 
 class LazyCommand(NamedTuple):
@@ -62,6 +65,15 @@ class LazyGroup(TyperGroup):
             self.commands[cmd_name] = command
         return command
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Finds the command that the words name.
+
+        Raises:
+            GridPushError: there is no such command; the message names those that there are.
+        """
+        refuse_unknown(ctx.command_path, args[:1], self.list_commands(ctx))
+        return super().resolve_command(ctx, args)
+
     def load(self, name: str, target: str) -> Any:
         """Imports the command of a name; a subclass may make it of other things than functions."""
         return load_command(name, target)
@@ -83,6 +95,26 @@ class LazyGroup(TyperGroup):
         return TyperGroup(
             **{**self._settings, "commands": dict(self.commands), "params": self.params}
         )
+
+
+def refuse_unknown(path: str, first: list[str], known: list[str]) -> None:
+    """Refuses the name of a command that is not there.
+
+    Args:
+        path: the words before it, such as "gridpush bench".
+        first: the word that should name a command, in a list; options are left to Typer.
+        known: names of the commands.
+
+    Raises:
+        GridPushError: there is no such command.
+    """
+    for name in first:
+        if name not in known and not name.startswith("-"):
+            near = get_close_matches(name, known, n=1)
+            guess = f"; did you mean {near[0]}?" if near else ";"
+            raise GridPushError(
+                f"{path} {name}: there is no such command{guess} expected one of {', '.join(known)}"
+            )
 
 
 def load_command(name: str, target: str) -> Any:

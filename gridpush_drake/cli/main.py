@@ -5,6 +5,7 @@ commands themselves are in the other modules of this package, one in each. Signa
 `interrupts`, and a standard output that cannot be written to in `output`.
 """
 
+import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -29,6 +30,16 @@ EXIT_BAD_INPUT = 2
 
 DOUBTS = (ObjectWarning, PushLogWarning)
 """Warnings about the user's own files. They are printed in one line; all others are left alone."""
+
+PLAIN_WORDS = {
+    r"Value error, ": "",
+    r"Input should be a valid integer\b.*": "expected a whole number",
+    r"Input should be a valid number\b.*": "expected a number",
+    r"Input should be greater than or equal to (\S+)": r"expected at least \1",
+    r"Input should be less than or equal to (\S+)": r"expected at most \1",
+}
+"""Patterns of Pydantic's messages about options, by which Typer checks their values, and what is
+said instead."""
 
 LINKED = {"twin", "tracker", "robot"}
 """Commands that take arguments of ROS."""
@@ -217,11 +228,18 @@ def _run(args: list[str] | None) -> int | None:
         code = _fail(str(error))
     except typer.TyperException as error:
         # An error without a message has printed what it had to say, as a bare `gridpush` does
-        message = error.format_message()
+        message = _say_plainly(error.format_message())
         code = _fail(message) if message.strip() else error.exit_code
     except MemoryError:
         code = _fail("out of memory; expected a smaller object, push log or image")
     return code
+
+
+def _say_plainly(message: str) -> str:
+    """Says in this project's words what Pydantic says of the value of an option."""
+    for pattern, words in PLAIN_WORDS.items():
+        message = re.sub(pattern, words, message)
+    return message
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from gridpush_drake.errors import CameraError, ImageError
 from gridpush_drake.files import read_text, write_whole
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.yaml_file import TAG, dump_yaml, parse_yaml, shorten
+from gridpush_drake.yaml_file import NO_MAPPING, TAG, dump_yaml, parse_yaml, shorten
 
 DISTORTION_COUNTS = (0, 4, 5, 8, 12, 14)
 """Numbers of coefficients that OpenCV knows: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x
@@ -345,8 +345,10 @@ class Camera(Frozen):
             CameraError: as from `read`.
         """
         data = parse_yaml(path, OPENCV_HEAD.sub("", text), WHAT, CameraError, tagged=True)
+        if data is None:
+            raise CameraError(f"{path}: is empty; expected {WHAT}")
         if not isinstance(data, dict):
-            raise CameraError(f"{path}: expected {WHAT}: `key: value` lines")
+            raise CameraError(f"{path}: {NO_MAPPING}; expected {WHAT}")
         try:
             fields = _read_drake(data) if _is_drake(data) else _read_ros(data)
             return cls(**fields)

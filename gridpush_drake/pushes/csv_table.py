@@ -20,6 +20,9 @@ from gridpush_drake.files import read_text
 NO_NUMBER = "nan"
 """Text of an empty cell where pandas or NumPy wrote the file."""
 
+SEPARATORS = {";": "semicolons", "\t": "tabs"}
+"""What separates the columns of other programs' tables, and its name."""
+
 SUGGESTION_CUTOFF = 0.5
 """Similarity (0 to 1) from which a known column is suggested for an unknown one."""
 
@@ -66,6 +69,7 @@ def read_table(
                 continue
             if not header:
                 header = [cell.strip() for cell in cells]
+                _refuse_other_separators(path, reader.line_num, header)
                 check_header(path, reader.line_num, header)
             elif len(cells) != len(header):
                 number = f"has {len(cells)} fields; the header has {len(header)}"
@@ -76,6 +80,17 @@ def read_table(
         raise PushLogError(f"{path}, line {reader.line_num}: is not CSV: {error}") from error
     if not header:
         raise PushLogError(f"{path}: is empty; expected the header {','.join(required)}")
+
+
+def _refuse_other_separators(path: Path, line: int, header: list[str]) -> None:
+    """Refuses a header whose columns are separated by something else than commas."""
+    if len(header) > 1:
+        return
+    for separator, name in SEPARATORS.items():
+        if separator in header[0]:
+            raise PushLogError(
+                f"{path}, line {line}: its columns are separated by {name}; expected commas"
+            )
 
 
 def refuse_misspelled(

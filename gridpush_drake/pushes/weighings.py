@@ -278,7 +278,8 @@ def _freeze(record: EdgePress | Lift, what: str, **sizes: int) -> None:
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
     """Refuses a header without a column that is needed, or with one twice or misspelled."""
-    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {','.join(COLUMNS[9:])}"
+    known = ",".join((*TORQUE, *STDS))
+    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {known}"
     refuse_misspelled(path, line, header, COLUMNS, form)
     for name in REQUIRED:
         if name not in header:

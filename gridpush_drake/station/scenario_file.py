@@ -17,7 +17,14 @@ from gridpush_drake.files import is_file, read_text, shorten_path, write_whole
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import CURRENT_VERSION, OtherConfig, PushScenario
-from gridpush_drake.yaml_file import MAX_YAML_SIZE, TAG, add_core_forms, parse_yaml, shorten
+from gridpush_drake.yaml_file import (
+    MAX_YAML_SIZE,
+    NO_MAPPING,
+    TAG,
+    add_core_forms,
+    parse_yaml,
+    shorten,
+)
 
 ROBOT = "robot"
 """Key of a scenario file that names a robot. It stands in place of `directives`, and means the
@@ -185,9 +192,7 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
     if data is None:
         raise ScenarioError(f"{path}: is empty; expected {WHAT}")
     if not isinstance(data, dict):
-        raise ScenarioError(
-            f"{path}: is {shorten(data)} at its top level; expected {WHAT}: `key: value` lines"
-        )
+        raise ScenarioError(f"{path}: {NO_MAPPING}; expected {WHAT}")
     for key in data:
         if not isinstance(key, str):
             raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")

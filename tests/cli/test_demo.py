@@ -378,6 +378,20 @@ def test_takes_the_height_that_the_object_s_file_says(refuses, tmp_path):
     refuses("demo", "--task", "identify", "--object", post, "--out", tmp_path / "demo", says=says)
 
 
+def test_says_where_to_watch_only_what_can_begin(refuses, tmp_path):
+    # Whether goals overlap is known only when the whole station is made.
+    refuses(
+        "demo",
+        "--task",
+        "rearrange",
+        "--object",
+        "pliers",
+        "--out",
+        tmp_path / "demo",
+        says=["goals: that of pliers and that of combination_wrench overlap"],
+    )
+
+
 def test_refuses_a_port_in_use(gridpush, tmp_path):
     server = StartMeshcatServer(0)
     with socket.socket() as probe:

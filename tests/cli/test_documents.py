@@ -243,8 +243,10 @@ def test_every_block_is_tried_somewhere():
     )
 
 
-def test_there_are_seven_notebooks():
-    assert len(NOTEBOOKS) >= 7
+def test_there_are_as_many_notebooks_as_the_pages_say():
+    assert len(NOTEBOOKS) == 7
+    for name in ("README.md", "docs/index.md", "docs/tutorials/index.md"):
+        assert "seven notebooks" in TEXTS[name].lower()
 
 
 def test_the_object_and_the_pushes_can_be_read(tmp_path):
@@ -267,11 +269,13 @@ def test_the_object_and_the_pushes_can_be_read(tmp_path):
     assert SceneLog.read_csv(tmp_path / "scene.csv").names == ("hammer", "box")
 
 
-def test_every_column_and_object_is_named():
+def test_every_column_object_and_scenario_is_named():
     for column in COLUMNS:
         assert f"`{column}`" in TEXTS["docs/howto/own_pushes.md"]
     for shipped in list_shipped_objects():
         assert f"`{shipped}`" in TEXTS["docs/first_steps.md"]
+    for path in sorted((ROOT / "models/scenarios").glob("*.yaml")):
+        assert f"`{path.stem}`" in TEXTS["docs/reference/files.md"]
 
 
 @pytest.mark.parametrize(

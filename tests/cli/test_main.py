@@ -56,6 +56,36 @@ def test_shows_its_help_where_nothing_is_asked(gridpush, command):
     assert "Commands" in gridpush(*command).out
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["demoo"], ["gridpush demoo: there is no such command; did you mean demo?", "identify"]),
+        (["bench", "fast"], ["gridpush bench fast: there is no such command", "speed", "pusht"]),
+        (
+            ["import", "mitt"],
+            ["gridpush import mitt: there is no such", "did you mean mit?", "bag"],
+        ),
+    ],
+    ids=" ".join,
+)
+def test_names_the_commands_that_there_are(refuses, words, says):
+    refuses(*words, says=says)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--task", "juggle"], "'--task': 'juggle' is not one of 'identify', 'push',"),
+        (["--seed", "many"], "'--seed': expected a whole number\n"),
+        (["--seed", "-1"], "'--seed': expected at least 0\n"),
+        (["--realtime-rate", "slow"], "'--realtime-rate': expected a number\n"),
+    ],
+    ids=" ".join,
+)
+def test_says_plainly_what_an_option_takes(refuses, words, says):
+    refuses("demo", *words, says=[says])
+
+
 def test_prints_its_version(gridpush):
     assert gridpush("--version").out == f"gridpush {gridpush_drake.__version__}\n"
 

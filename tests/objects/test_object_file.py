@@ -89,8 +89,8 @@ def test_pieces_of_one_part_may_be_listed_apart(tmp_path):
     "text, message",
     [
         ("", "is empty"),
-        ("- 1\n", "top level"),
-        ("words", "top level"),
+        ("- 1\n", "does not consist of `key: value` lines; expected an object file"),
+        ("words", "does not consist of `key: value` lines"),
         ("name: [1\n", "line 2, column 1: is not valid YAML"),
         ("name: a\nname: b\n" + BASE, "line 2, column 1.*'name' occurs twice"),
         (BASE + "pusher: {radius: 1, radius: 2}\n", "'radius' occurs twice"),

@@ -198,6 +198,8 @@ def replaced(old, new):
         ("", ["is empty", HEADER]),
         ("\n\n", ["is empty"]),
         (HEADER + "\n", ["holds no push"]),
+        (GOOD.replace(",", ";"), ["line 1", "separated by semicolons; expected commas"]),
+        (GOOD.replace(",", "\t"), ["line 1", "separated by tabs; expected commas"]),
         (b"\x89PNG\r\n\x00\x01", ["not UTF-8 text"]),
         (b"\xff\xfe\xfa", ["not UTF-8 text"]),
         (
@@ -207,7 +209,6 @@ def replaced(old, new):
         (replaced(",tip_y", ""), ["line 1", "column tip_y", "missing"]),
         (replaced("object_theta", "theta"), ["column object_theta", "rename 'theta'"]),
         (replaced("push,", "Push,"), ["column push", "rename 'Push'"]),
-        (GOOD.replace(",", ";"), ["line 1", "missing", "comma-separated"]),
         (replaced("tip_y", "tip_x"), ["column tip_x", "twice"]),
         (
             FORCED.replace("force_y", "forcey"),

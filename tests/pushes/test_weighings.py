@@ -52,6 +52,7 @@ def test_columns_that_are_not_there_have_defaults(write):
         (f"{HEADER}\n", "holds no weighing; expected at least one row"),
         (HEADER.replace("force", "forces") + f"\n{PRESS}", "did you mean 'force'"),
         (HEADER.replace("kind,", "") + "\n" + PRESS[6:], "column kind: is missing"),
+        (HEADER.replace("kind,", "") + "\n" + PRESS[6:], "edge_angle and, if known, torque_x,"),
         (f"{HEADER},{HEADER}\n{PRESS},{PRESS}", "is there twice"),
         (f"{HEADER}\n{PRESS.replace('press', 'pull')}", "kind: is 'pull'; expected 'press' or"),
         (f"{HEADER}\n{PRESS.replace('4.2', 'much')}", "force: is 'much'; expected a finite number"),

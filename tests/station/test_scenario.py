@@ -219,7 +219,7 @@ def test_an_object_file_is_looked_up_beside_the_scenario(tmp_path, monkeypatch):
         ("camera: {\n  rate: 1,\n  rate: 2}", "line 3, column 3: .*key 'rate' occurs twice"),
         ("seed: [", r"line \d+, column \d+: is not valid YAML"),
         ("", "is empty; expected a scenario"),
-        ("- 1", r"is \[1\] at its top level; expected a scenario"),
+        ("- 1", "does not consist of `key: value` lines; expected a scenario"),
     ],
 )
 def test_what_will_not_do_is_refused_by_file_field_and_form(tmp_path, text, message):

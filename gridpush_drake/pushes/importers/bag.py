@@ -48,6 +48,9 @@ MAX_SAMPLES = 500_000
 MAX_SHIFT = 1e9
 """Largest delay that may be told, s."""
 
+METADATA = "metadata.yaml"
+"""File in the folder of a ROS 2 bag that says what the bag holds."""
+
 TF = "TFMessage"
 """Type of messages that hold the transforms of many frames."""
 
@@ -365,6 +368,11 @@ class _Bag:
         if not (path.is_file() or path.is_dir()):
             raise PushLogError(
                 f"{path}: cannot be read: is a pipe or a device, not a file; expected a ROS bag"
+            )
+        if path.is_dir() and not (path / METADATA).exists():
+            raise PushLogError(
+                f"{path}: is a folder without {METADATA}; expected the folder of a ROS 2 bag, or a "
+                "file .bag, .mcap or .db3"
             )
 
     def __enter__(self) -> "_Bag":

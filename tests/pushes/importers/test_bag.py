@@ -246,7 +246,7 @@ def test_a_bag_that_is_none_is_refused(obj, tmp_path):
         with pytest.raises(PushLogError, match=name):
             read(path, obj)
     (tmp_path / "folder").mkdir()
-    with pytest.raises(PushLogError, match="folder"):
+    with pytest.raises(PushLogError, match=r"folder: is a folder without metadata\.yaml"):
         read(tmp_path / "folder", obj)
 
 
