@@ -454,8 +454,10 @@ def plan_push(
         reach: says why the arm cannot follow a path; None if it always can.
 
     Returns:
-        The segments, and None; or no segments, and why the arm cannot follow.
+        The segments, and None; or no segments, and why the arm cannot follow, or could not go on
+        from where the push ends.
     """
+    segments: tuple[TrajectorySegment, ...] = ()
     reason = None
     for speed_scale in SPEED_SCALES:
         segments = make_push_trajectory(command, rest, style, speed_scale)
@@ -463,8 +465,14 @@ def plan_push(
             return segments, None
         reason = _ask(reach, segments)
         if reason is None:
-            return segments, None
-    return (), reason
+            break
+    if reason is not None:
+        return (), reason
+    # The next plan begins where this push ends, and leads the arm there from its nominal posture.
+    # If that fails at a joint's limit, which the arm has just kept on another way, no plan would
+    # ever lead it away.
+    reason = reach(np.array([segments[-1].end]), np.empty(0)) if reach is not None else None
+    return (segments, None) if reason is None else ((), reason)
 
 
 def plan_lookout(

@@ -41,6 +41,7 @@ from gridpush_drake.planning.scene.scene_loop import (
 from gridpush_drake.planning.scene.search import SceneRules, SceneSearchOptions
 from gridpush_drake.planning.scene.separation import SeparatePlanner, calc_clearances
 from gridpush_drake.pushes.scene_log import ObservedScenePush
+from gridpush_drake.station.posts import leave_out, place_posts
 from gridpush_drake.station.pregrasp_task import (
     CLEARANCE,
     LIFTED_SHARE,
@@ -211,10 +212,6 @@ class SceneTask(StationTask[SceneTaskRecord]):
             raise ScenarioError(
                 "others: empty; expected other objects on the table: this task is for several"
             )
-        if scenario.posts:
-            raise ScenarioError(
-                "posts: given; expected none: a task with several objects plans around no posts"
-            )
         if scenario.base != "free":
             raise ScenarioError(f"base is {scenario.base}; expected free, as the other objects are")
 
@@ -239,12 +236,15 @@ class SceneTask(StationTask[SceneTaskRecord]):
         return None
 
     def make_rules(self) -> SceneRules:
-        """Makes the rules of pushes: the table's edge, and what the arm reaches."""
+        """Makes the rules of pushes: the table's edge, posts, and what the arm reaches."""
         station = self.station
+        posts = place_posts(station.scenario.posts)
+        reached = MakeFingerRegion(station, around_others=False)
         return SceneRules(
             surface=self.surface,
             edge_margin=EDGE_MARGIN,
-            finger_region=MakeFingerRegion(station, around_others=False),
+            finger_region=leave_out(reached, posts, station.robot.finger.tip_radius),
+            posts=posts,
             push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
         )
 

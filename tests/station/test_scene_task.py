@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import shapely
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake import MakePushStation, PushScenario, read_scenario
@@ -116,15 +117,28 @@ def test_what_a_task_with_several_objects_refuses(tmp_path):
     with pytest.raises(ScenarioError, match="others: empty; expected other objects"):
         SeparateTask(PushScenario())
     scenario = read_scenario("separate")
-    scenario.posts = [PostConfig(position=[0.85, 0.45], radius=0.01)]
-    with pytest.raises(ScenarioError, match="posts: given; expected none"):
-        SeparateTask(scenario)
-    scenario = read_scenario("separate")
     scenario.base = "planar"
     with pytest.raises(ScenarioError, match="base is planar; expected free"):
         SeparateTask(scenario)
     with pytest.raises(ScenarioError, match="no model gripper"):
         FetchTask(read_scenario("separate"))
+
+
+def make_scenario_with_a_post(name="separate"):
+    scenario = read_scenario(name)
+    scenario.posts = [PostConfig(position=[0.62, -0.26], radius=0.015)]
+    return scenario
+
+
+def test_pushes_of_several_objects_are_planned_around_posts():
+    task = SeparateTask(make_scenario_with_a_post())
+    post = shapely.Point(0.62, -0.26).buffer(0.015)
+    rules = task.planner.rules
+    assert len(rules.posts) == 1 and rules.posts[0].covers(post.buffer(-1e-9))
+    radius = task.station.robot.finger.tip_radius
+    assert rules.finger_region.distance(post) > 0.99 * radius
+    # but not around the other objects, which are there to be pushed
+    assert rules.finger_region.covers(shapely.Point(task.station.others[0].pose[:2]))
 
 
 def test_goals_in_each_other_are_both_named():
@@ -277,6 +291,13 @@ def test_every_task_is_done_by_what_a_color_and_depth_camera_shows(name):
     lines = [line for line in kind.describe(kind.summarize(record)) if "camera" in line]
     assert len(lines) == 1 and "pictures" in lines[0]
     assert "poses off by (RMS)" in kind.make_report(record)
+
+
+@pytest.mark.slow
+def test_objects_are_separated_beside_a_post_by_the_robot():
+    record = SeparateTask(make_scenario_with_a_post()).run()
+    assert record.status == TaskStatus.REACHED, record.message
+    assert record.limit_report.ok, record.limit_report  # nothing touched the post
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision, PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, find_pregrasp_goals
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.slides import OBSTACLE_MARGIN
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import (
@@ -59,6 +60,10 @@ SHORE = 0.12
 
 SHORE_SHARE = 0.3
 """How much a meter nearer to the edge than that costs, against a meter of lacking room."""
+
+BLOCKED = 10.0
+"""What a way to the edge costs on which something is fixed, m of way: the object has to be slid
+around it."""
 
 SMALL = 1e-3
 """Room that may be lacking without anything being cleared away, m."""
@@ -112,7 +117,8 @@ class FetchPlanner:
         wanted: number of the wanted one.
         surface: the table.
         options: how it is fetched.
-        rules: what pushes that clear the way may not do.
+        rules: what pushes that clear the way may not do. Its posts are in the way of the wanted
+            object, too.
     """
 
     def __init__(
@@ -202,6 +208,7 @@ class FetchPlanner:
             surface=self.surface,
             options=self.options.pregrasp.goal,
             limits=self._limits,
+            obstacles=self.rules.posts,
         )
         safe = [goal for goal in goals if goal.margin >= self.options.pregrasp.goal.margin]
         if not safe:
@@ -212,6 +219,9 @@ class FetchPlanner:
             way = shapely.union(here, there).convex_hull
             lacking = self._calc_lacking(poses[None], way, self.options.room)[0]
             cost = goal.travel + float(lacking.sum())
+            # What is fixed on a way cannot be cleared from it.
+            blocked = any(way.distance(post) < OBSTACLE_MARGIN for post in self.rules.posts)
+            cost += BLOCKED if blocked else 0.0
             ways.append((cost, way))
         return min(ways, key=lambda each: each[0])[1]
 
@@ -294,6 +304,7 @@ class FetchPlanner:
     ) -> PreGraspDecision:
         """Decides as if the other objects were fixed obstacles."""
         others = [outlines[b] for b in range(len(poses)) if b != self.wanted]
+        others += self.rules.posts
         pokes = sum(step.decision.kind == POKE for step in steps if not step.refused)
         slides = sum(step.decision.kind == SLIDE for step in steps if not step.refused)
         planner = PreGraspPlanner(

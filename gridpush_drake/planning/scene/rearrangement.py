@@ -51,6 +51,7 @@ from gridpush_drake.planning.scene.loop import (
 )
 from gridpush_drake.planning.scene.search import (
     ANYWHERE,
+    POST_MARGIN,
     SceneRules,
     SceneSearch,
     SceneSearchOptions,
@@ -372,7 +373,7 @@ class RearrangePlanner:
             if j != body:
                 goal = transform_shape(self.goals[j], self.objects[j].outline)
                 others.append(shapely.union(outlines[j], goal).convex_hull)
-        taken = shapely.union_all(others)
+        taken = shapely.union_all([*others, *self.rules.posts])
         shapely.prepare(taken)
         table = self.rules.surface
         room = None if table is None else table.polygon.buffer(-self.rules.edge_margin)
@@ -414,10 +415,10 @@ REACH_ON = 0.02
 
 
 def check_goals(objects: Sequence[GridObject], goals: Array, rules: SceneRules = ANYWHERE) -> None:
-    """Checks that goals (N, 3) are beside each other and on the table; NaN is no goal.
+    """Checks that goals (N, 3) are beside each other and posts, on the table; NaN is no goal.
 
     Raises:
-        PlanningError: names both objects, or the object and the table.
+        PlanningError: names both objects, or the object and the table or the post.
     """
     given = np.flatnonzero(np.isfinite(goals).all(axis=1)).tolist()
     placed = {i: transform_shape(goals[i], objects[i].outline) for i in given}
@@ -429,6 +430,13 @@ def check_goals(objects: Sequence[GridObject], goals: Array, rules: SceneRules =
                 f"{describe_object(objects, j)} overlap by {area * 1e4:.3g} cm²; expected goals "
                 "beside each other"
             )
+    for i in given:
+        for number, post in enumerate(rules.posts):
+            if placed[i].distance(post) < POST_MARGIN:
+                raise PlanningError(
+                    f"goals: that of {describe_object(objects, i)} is nearer to post {number} than "
+                    f"{POST_MARGIN * MM:g} mm; expected a pose beside it"
+                )
     if rules.surface is None:
         return
     room = rules.surface.polygon.buffer(-rules.edge_margin)

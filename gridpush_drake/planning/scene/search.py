@@ -10,8 +10,8 @@ and of the best after that it is asked what a second push would bring. At last t
 simulated with further models, and the one is made that costs least on the average. Contact with
 other objects is not forbidden: it is weighed by where all of them end.
 
-What no push may do is in `SceneRules`: push an object near the table's edge, or begin where the
-finger does not fit. The theory is in `docs/theory/planning.md`, section 6.
+What no push may do is in `SceneRules`: push an object near the table's edge or against a post, or
+begin where the finger does not fit. The theory is in `docs/theory/planning.md`, section 6.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.dynamics.push import Push
@@ -47,6 +48,12 @@ could hardly be turned otherwise."""
 
 LEAST_MARGIN = 0.012
 """Distance from the table's edge below which no push brings an object nearer to it, m."""
+
+POST_MARGIN = 0.01
+"""Least distance of every object from an obstacle that is fixed on the table, m."""
+
+POST_LEEWAY = 0.006
+"""By how much nearer to such an obstacle an object may come by a further model, m."""
 
 DRAWS_A_PLACE = 3
 """Pushes that are drawn for each one that is simulated: the pusher does not fit everywhere."""
@@ -121,6 +128,8 @@ class SceneRules:
         leeway: by how much nearer to the edge an object may come by a further model, m.
         finger_overhang: how far beyond the edge the finger's center may be, m.
         finger_region: where the finger's center may be, W; None for anywhere.
+        posts: what is fixed on the table, polygons in W, m: every object stays `POST_MARGIN` away
+            from it, or no nearer than it is. The finger keeps clear of it by `finger_region`.
         push_rule: asked last, of a push that is about to be chosen: whether a robot can carry it
             out; None allows all.
     """
@@ -130,6 +139,7 @@ class SceneRules:
     leeway: float = 0.01
     finger_overhang: float = 0.03
     finger_region: BaseGeometry | None = None
+    posts: tuple[Polygon, ...] = ()
     push_rule: PushRule | None = None
 
     def allows_push(self, push: Push) -> bool:
@@ -139,6 +149,19 @@ class SceneRules:
 
 ANYWHERE = SceneRules()
 """The rules of a table without end and a finger that comes everywhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoomLimits:
+    """What the objects must keep in a push.
+
+    Attributes:
+        edge: (N,) least distances inside the table's edge, m.
+        posts: (N,) least distances from what is fixed on the table, m.
+    """
+
+    edge: Array
+    posts: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,9 +209,9 @@ class SceneSearch:
         workers = self.options.workers
         self._best = SceneRollouts(belief.scene, workers=workers)
         self._others = [SceneRollouts(scene, workers=workers) for scene in belief.draws]
-        self._hulls = [
-            hull_of(np.array(make_body(obj).exterior.coords)[:-1]) for obj in belief.objects
-        ]
+        self._corners = [np.array(make_body(obj).exterior.coords)[:-1] for obj in belief.objects]
+        self._hulls = [hull_of(corners) for corners in self._corners]
+        self._posts = shapely.union_all(list(self.rules.posts)) if self.rules.posts else None
 
     @property
     def simulations(self) -> int:
@@ -274,6 +297,19 @@ class SceneSearch:
             else:
                 distances.append(surface.signed_distances(corners).min(axis=1))
         return np.stack(distances, axis=1)
+
+    def calc_post_distances(self, poses: Array) -> Array:
+        """Calculates how far each object is from what is fixed on the table, (K, N) m; inf without.
+
+        Args:
+            poses: (K, N, 3), m and rad.
+        """
+        distances = np.full(poses.shape[:2], np.inf)
+        if self._posts is not None:
+            for b, corners in enumerate(self._corners):
+                placed = shapely.polygons(transform(poses[:, b], corners))
+                distances[:, b] = shapely.distance(placed, self._posts)
+        return distances
 
     def _draw(
         self,
@@ -363,12 +399,12 @@ class SceneSearch:
         rolled: Sequence[Rollout],
     ) -> list[ScenePush]:
         """Cuts pushes, as the best model has them, each to its best length; some are left out."""
-        allowed_distances = self._calc_allowed(poses, 0.0)
+        limits = self._make_limits(poses)
         found = []
         for (body, place, angle, push), rollout in zip(drawn, rolled, strict=True):
             if not (rollout.touched and rollout.solved):
                 continue
-            stop = self._find_stop(push, rollout, cost, allowed_distances)
+            stop = self._find_stop(push, rollout, cost, limits)
             if stop is None:
                 continue
             found.append(
@@ -385,12 +421,12 @@ class SceneSearch:
         return found
 
     def _find_stop(
-        self, push: Push, rollout: Rollout, cost: CostToGo, allowed: Array
+        self, push: Push, rollout: Rollout, cost: CostToGo, limits: RoomLimits
     ) -> "_Stop | None":
         """Finds where to stop in a rollout; None where it may not even begin."""
         last = len(rollout.traveled)
         # up to where a rule is broken
-        inside = (self.calc_edge_distances(rollout.poses) >= allowed).all(axis=1)
+        inside = self._keeps_room(rollout.poses, limits)
         ends = self._allows_finger(push.tip_at(rollout.traveled / self.options.speed))
         allowed_rows = inside & ends
         if not allowed_rows.all():
@@ -423,11 +459,31 @@ class SceneSearch:
             allowed &= self.rules.surface.contains(tips, -self.rules.finger_overhang)
         return allowed
 
-    def _calc_allowed(self, poses: Array, leeway: float) -> Array:
-        """Calculates how far inside the edge each object must stay in a push from poses, (N,) m."""
-        now = self.calc_edge_distances(poses[None])[0]
-        near = np.maximum(now - NEARER, np.minimum(now, LEAST_MARGIN))
-        return np.minimum(near, self.rules.edge_margin) - leeway - SLACK
+    def _make_limits(self, poses: Array, further: bool = False) -> RoomLimits:
+        """Makes what the objects must keep in a push from poses (N, 3).
+
+        Args:
+            poses: where they lie, m and rad.
+            further: whether the push is simulated by a further model, by which they may come a
+                little nearer.
+        """
+        # The table's edge: whoever is near it already may come a little nearer.
+        inside = self.calc_edge_distances(poses[None])[0]
+        near = np.maximum(inside - NEARER, np.minimum(inside, LEAST_MARGIN))
+        edge = np.minimum(near, self.rules.edge_margin) - SLACK
+        # Posts: whoever is near one already may come no nearer.
+        posts = np.minimum(self.calc_post_distances(poses[None])[0], POST_MARGIN) - SLACK
+        if further:
+            edge -= self.rules.leeway
+            posts -= POST_LEEWAY
+        return RoomLimits(edge=edge, posts=posts)
+
+    def _keeps_room(self, poses: Array, limits: RoomLimits) -> NDArray[np.bool_]:
+        """Says which states (K, N, 3) keep the objects off the table's edge and the posts, (K,)."""
+        kept = (self.calc_edge_distances(poses) >= limits.edge).all(axis=1)
+        if self._posts is not None:
+            kept &= (self.calc_post_distances(poses) >= limits.posts).all(axis=1)
+        return np.asarray(kept)
 
     def _compare(
         self, poses: Array, cost: CostToGo, scored: Sequence[tuple[float, ScenePush]]
@@ -439,7 +495,7 @@ class SceneSearch:
             cost: what a state costs.
             scored: pushes with what they cost by the best model, the best first.
         """
-        allowed = self._calc_allowed(poses, self.rules.leeway)
+        limits = self._make_limits(poses, further=True)
         compared: list[tuple[float, ScenePush]] = []
         seen: set[int] = set()
         for score, each in scored:
@@ -448,7 +504,7 @@ class SceneSearch:
             seen.add(id(each))
             if not self._others:
                 return each
-            mean = self._average(poses, cost, each, allowed)
+            mean = self._average(poses, cost, each, limits)
             if mean is None:
                 continue
             compared.append((score - each.left + mean, each))
@@ -459,13 +515,13 @@ class SceneSearch:
         return min(compared, key=lambda pair: pair[0])[1]
 
     def _average(
-        self, poses: Array, cost: CostToGo, each: ScenePush, allowed: Array
+        self, poses: Array, cost: CostToGo, each: ScenePush, limits: RoomLimits
     ) -> float | None:
         """Averages what is left after a push over all models, s; None where one breaks a rule."""
         left = [each.left]
         for rollouts in self._others:
             rollout = rollouts.roll(each.push, poses)
-            if not (self.calc_edge_distances(rollout.poses) >= allowed).all():
+            if not self._keeps_room(rollout.poses, limits).all():
                 return None
             left.append(float(cost(rollout.poses[-1:])[0]))
         return float(np.mean(left))
