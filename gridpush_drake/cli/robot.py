@@ -129,7 +129,7 @@ def robot(
     # In simulation the robot waits until an answer is calculated; a real arm does not stand still
     scenario.simulation.answer_delay = None
     resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
-    if scenario.camera.kind == "rgbd" and object_file is None:
+    if scenario.camera.kind == "rgbd" and object_file is None and not scenario.others:
         raise ScenarioError(
             "--object: missing; if the scenario has camera.kind rgbd, expected the object file "
             "that gridpush tracker wrote"

@@ -1,4 +1,4 @@
-"""`gridpush tracker`: finds an object in a camera's pictures, and tells where it is."""
+"""`gridpush tracker`: finds objects in a camera's pictures, and tells where they are."""
 
 from pathlib import Path
 from time import monotonic
@@ -20,7 +20,7 @@ from gridpush_drake.cli.twin import Scenario, read_robot_scenario
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.objects.object_file import dump_object
 from gridpush_drake.station.lcm.picture_tracker import PictureTracker
-from gridpush_drake.station.lcm.robot_messages import OBJECT_STATUS
+from gridpush_drake.station.lcm.robot_messages import name_object_channels
 from gridpush_drake.station.links.link_bus import LinkBus
 from gridpush_drake.station.links.ros2 import Ros2Role
 from gridpush_drake.station.resolve import resolve
@@ -58,6 +58,9 @@ def tracker(
 ) -> None:
     """Find an object in a camera's pictures, and tell `gridpush robot` where it is.
 
+    If the scenario has other objects, all of them are found and followed, by the outlines that
+    their files have.
+
     The pictures come from the camera's driver or from `gridpush twin`, over LCM or ROS 2. The
     command runs until Ctrl-C ends it.
 
@@ -65,9 +68,11 @@ def tracker(
     """
     scenario, obj = read_robot_scenario(scenario_file, object_file, None)
     resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
-    if object_file is None:
+    # Several objects are told apart by their outlines, which the scenario names.
+    is_given = object_file is not None or bool(resolved.others)
+    if not is_given:
         check_writable(out, force)
-    given = None if object_file is None else resolved.obj
+    given = resolved.obj if is_given else None
     network = open_link(Ros2Role.TRACKER, resolved, ros2, lcm)
     follower = PictureTracker(resolved, network.bus, given)
     if isinstance(network.bus, LinkBus):
@@ -76,7 +81,8 @@ def tracker(
     try:
         _find(follower, network, out if given is None else None, force)
         kind = "LCM channel" if network.ros is None else "topic"
-        print_notice(f"Its pose is sent on the {kind} {network.rename(OBJECT_STATUS)}.")
+        for channel in name_object_channels(len(resolved.others)):
+            print_notice(f"Its pose is sent on the {kind} {network.rename(channel)}.")
         _follow(follower, network)
     except KeyboardInterrupt:
         print_notice(f"{network.rename(follower.report.describe())}.")
@@ -116,20 +122,24 @@ def _find(follower: PictureTracker, network: OpenedLink, out: Path | None, force
     begin = monotonic()
     said = ""
     while True:
-        tracked = follower.step(WAIT)
-        if tracked is not None and tracked.seen:
+        poses = follower.step_all(WAIT)
+        if poses and all(tracked.seen for tracked in poses):
             break
         why = follower.find_obstacle()
         if why and why != said and monotonic() - begin > PATIENCE:
             print_notice(f"Not yet: {network.rename(why)}.")
             said = why
     obj = follower.obj
-    x, y, theta = tracked.pose
     assert obj is not None  # it is seen
-    where = f"at ({x:.3f}, {y:.3f}) m, turned by {theta:.2f} rad"
+    places = []
+    for tracked in poses:
+        x, y, theta = tracked.pose
+        places.append(f"at ({x:.3f}, {y:.3f}) m, turned by {theta:.2f} rad")
     if out is None:
-        print_line(f"{obj.name} is seen {where}.")
+        for name, where in zip(follower.names, places, strict=True):
+            print_line(f"{name} is seen {where}.")
         return
+    where = places[0]
     write_whole(out, dump_object(obj.name, obj.grid, obj.prior, obj.height), force)
     height = MM * (obj.height or 0.0)
     print_line(f"An object of {obj.n} cells, {height:.0f} mm high, is seen {where}. Wrote {out}.")

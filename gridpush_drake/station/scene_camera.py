@@ -6,7 +6,8 @@ outlines tell apart. `SceneTracker` follows them from then on, and a model of th
 push takes those that the arm hides. Nobody but the simulated world knows their masses.
 
 An object that is the only one of its outline is searched for in the whole picture. Which of several
-equal ones is which no picture tells: these are looked for where the scenario has them.
+equal ones is which no picture tells, nor which end of a plate is which: these are looked for where
+the scenario has them.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,9 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.foresight import ScenePushModel
+from gridpush_drake.perception.look_alikes import SAME, find_look_alikes
 from gridpush_drake.perception.scene_tracking import KnownObject, SceneTracker
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.station.camera import LIVE, LOST_BELOW, ConnectPictures, RgbdCamera
@@ -54,33 +57,70 @@ def AddObjectsPoseEstimator(
         tip_radius: radius of the finger's tip, m, for where its pushes take what it hides.
     """
     config = scenario.camera
-    objects = (obj, *(other.obj for other in others))
-    heights = (scenario.object_height, *(other.height for other in others))
-    poses = np.array([scenario.object_pose, *(other.pose for other in others)])
-    known = [
-        KnownObject(each.outline, height, each.name)
-        for each, height in zip(objects, heights, strict=True)
-    ]
-    belief = SceneBelief.of_prior(objects, poses, draws=0)
+    tracked = TrackedScene(scenario, obj, others)
+    belief = SceneBelief.of_prior(tracked.objects, tracked.poses, draws=0)
     estimator = builder.AddNamedSystem(
         "camera",
         ObjectsPoseEstimator(
-            SceneTracker(known, camera.camera, options=LIVE, table_top=table_top),
+            tracked.make_tracker(camera.camera, table_top),
             config.rgbd.width,
             config.rgbd.height,
             period=1 / config.rate,
             latency=config.rgbd.output_delay,
-            guesses=guess_equal_ones(objects, poses),
+            guesses=tracked.guess(),
             hidden_by=camera.hidden_by,
-            model=ScenePushModel(belief.scene, top=max(heights), radius=tip_radius),
+            model=ScenePushModel(belief.scene, top=max(tracked.heights), radius=tip_radius),
         ),
     )
     ConnectPictures(builder, camera, estimator)
     return estimator
 
 
-def guess_equal_ones(objects: Sequence[GridObject], poses: Array) -> list[ArrayLike | None]:
-    """Says where objects are looked for: where the scenario has them, if others are equal to them.
+class TrackedScene:
+    """The objects of a scenario as a camera follows them.
+
+    Attributes:
+        objects: the N objects, the scenario's `object` first.
+        heights: their heights, m.
+        poses: (N, 3) where the scenario has them, m and rad.
+    """
+
+    def __init__(
+        self, scenario: PushScenario, obj: GridObject, others: Sequence[OtherObject]
+    ) -> None:
+        """Lists the objects.
+
+        Args:
+            scenario: the scenario.
+            obj: its `object`.
+            others: its other objects.
+        """
+        self.objects = (obj, *(other.obj for other in others))
+        self.heights = (scenario.object_height, *(other.height for other in others))
+        self.poses = np.array([scenario.object_pose, *(other.pose for other in others)])
+
+    def make_tracker(self, camera: Camera, table_top: BaseGeometry) -> SceneTracker:
+        """Makes what follows the objects by their outlines.
+
+        Args:
+            camera: the camera, with X_WC.
+            table_top: the table's top, a polygon in W, m.
+        """
+        known = [
+            KnownObject(obj.outline, height, obj.name)
+            for obj, height in zip(self.objects, self.heights, strict=True)
+        ]
+        return SceneTracker(known, camera, options=LIVE, table_top=table_top)
+
+    def guess(self) -> list[ArrayLike | None]:
+        """Says where the objects are looked for in the first picture; see `guess_ambiguous`."""
+        return guess_ambiguous(self.objects, self.poses)
+
+
+def guess_ambiguous(objects: Sequence[GridObject], poses: Array) -> list[ArrayLike | None]:
+    """Says where objects are looked for: where the scenario has them, if a picture is ambiguous.
+
+    It is if another object has the same outline, or if the object looks the same when it is turned.
 
     Args:
         objects: the N objects.
@@ -90,10 +130,12 @@ def guess_equal_ones(objects: Sequence[GridObject], poses: Array) -> list[ArrayL
         For each object its pose, or None to search for it everywhere.
     """
     outlines = [obj.outline for obj in objects]
-    return [
-        pose if sum(each.equals(outline) for each in outlines) > 1 else None
-        for outline, pose in zip(outlines, poses, strict=True)
-    ]
+    guesses: list[ArrayLike | None] = []
+    for outline, pose in zip(outlines, poses, strict=True):
+        has_equal = sum(each.equals(outline) for each in outlines) > 1
+        turned = any(way.overlap >= SAME for way in find_look_alikes(outline))
+        guesses.append(pose if has_equal or turned else None)
+    return guesses
 
 
 def AddAllSeen(builder: DiagramBuilder, poses: OutputPort) -> OutputPort:

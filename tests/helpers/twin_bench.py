@@ -165,6 +165,9 @@ class CameraBench(TwinBench):
         self._camera, self.tracker = TwinCamera(scenario), None
         super().__init__(scenario, lambda scenario, make_station: None)
         self.tracker = PictureTracker(scenario, self.lcm, clock=self.read_clock)
+        if scenario.others:  # whose outlines the task is told
+            self.task = task(scenario, make_station=partial(MakeHardwareStation, lcm=self.link.bus))
+            return
         while self.tracker.obj is None:
             self.move()
         obj = self.tracker.obj

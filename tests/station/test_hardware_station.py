@@ -4,7 +4,7 @@ from drake import lcmt_iiwa_status, lcmt_planar_manipuland_status
 from pydrake.lcm import DrakeLcm
 from pydrake.multibody.parsing import AddDirectives, ModelDirective
 
-from gridpush_drake.errors import ScenarioError, StationError
+from gridpush_drake.errors import StationError
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.scene.separation import MARGIN
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
@@ -17,9 +17,8 @@ from gridpush_drake.station.lcm.robot_messages import (
     OBJECT_STATUS,
     name_object_channel,
 )
-from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.robot import find_robot, make_robot_directives
-from gridpush_drake.station.scenario import OtherConfig, PartTruth
+from gridpush_drake.station.scenario import PartTruth
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene_task import SeparateTask
 from gridpush_drake.systems.guard_status import (
@@ -482,15 +481,6 @@ def test_no_path_is_planned_on_which_the_guard_would_stop_the_arm():
         said.append(station.FindGraspObstacle(grasp))
     assert said[0] is None
     assert said[1].startswith("the finger's tip is at (") and "y -0.47 to 0.37 m" in said[1]
-
-
-def test_what_the_tracker_cannot_follow_is_refused():
-    scenario = make_scenario()
-    scenario.others = [OtherConfig(object="pliers", pose=[0.5, 0.35, 0.0])]
-    scenario.camera.use("rgbd")
-    for make in (MakeTwin, lambda scenario, lcm: MakeHardwareStation(scenario, lcm=lcm)):
-        with pytest.raises(ScenarioError, match="others: gridpush tracker follows one object"):
-            make(scenario, DrakeLcm("memq://"))
 
 
 def make_two():

@@ -4,12 +4,11 @@ import shapely
 from drake import lcmt_iiwa_status
 from pydrake.lcm import DrakeLcm
 
-from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
 from gridpush_drake.station.lcm.picture_tracker import PictureTracker
 from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, PICTURES
-from gridpush_drake.station.scenario import OtherConfig
+from gridpush_drake.station.scene_task import SeparateTask
 from tests.helpers.renderer import require_renderer
 from tests.helpers.twin_bench import CameraBench
 
@@ -116,8 +115,50 @@ def test_what_is_missing_or_amiss_is_said(bench):
     assert f"{arm.status} is from the future, by its sender's own clock" in tracker.report.left_out
 
 
-def test_several_objects_are_refused():
-    scenario = make_scenario()
-    scenario.others = [OtherConfig(object="pliers", pose=[0.5, 0.3, 0.0])]
-    with pytest.raises(ScenarioError, match="others: gridpush tracker follows one object"):
-        PictureTracker(scenario, DrakeLcm("memq://"))
+def make_scene():
+    """Two objects 21 mm apart, one push away from done."""
+    objects = [
+        {"object": "pliers", "pose": [0.56, -0.1, 0.0]},
+        {"object": "open_book", "pose": [0.56, 0.068, 0.0]},
+    ]
+    scenario = PushScenario(objects=objects, seed=4)
+    scenario.pokes.speed = 0.08
+    scenario.camera.use("rgbd")
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def scene_bench(tmp_path_factory):
+    require_renderer()
+    return CameraBench(make_scene(), SeparateTask, tmp_path_factory.mktemp("scene"))
+
+
+def read_true_poses(bench):
+    world = bench.twin.world
+    context = world.plant.GetMyContextFromRoot(bench.simulator.get_context())
+    parts = [world.object_in_plant, world.setting.others[0].part]
+    poses = [world.plant.EvalBodyPoseInWorld(context, part.body) for part in parts]
+    return np.array(
+        [[*X.translation()[:2], X.rotation().ToRollPitchYaw().yaw_angle()] for X in poses]
+    )
+
+
+def test_several_objects_are_found_by_their_outlines_and_each_pose_is_said(scene_bench):
+    bench = scene_bench
+    bench.begin()
+    push = bench.task.preview(bench.link, within=2.0)
+    assert bench.tracker.names == ("pliers", "open_book")
+    assert bench.tracker.report.seen == bench.tracker.report.pictures > 0
+    for port, true in zip(("object.pose", "other_0.pose"), read_true_poses(bench), strict=True):
+        np.testing.assert_allclose(bench.task.read(port), true, atol=0.002)
+    assert push is not None
+
+
+@pytest.mark.slow
+def test_objects_are_separated_over_lcm_by_the_pictures_alone(scene_bench):
+    bench = scene_bench
+    bench.begin()
+    record = bench.task.run(drive=bench.link)
+    assert record.status == TaskStatus.REACHED, record.message
+    assert record.pushes >= 1
+    np.testing.assert_allclose(record.poses, read_true_poses(bench), atol=0.003)

@@ -21,7 +21,8 @@ from gridpush_drake.station.others import draw_other_truth
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PostConfig
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, write_scenario
-from gridpush_drake.station.scene_camera import guess_equal_ones
+from gridpush_drake.station.scene import load_object, load_others
+from gridpush_drake.station.scene_camera import guess_ambiguous
 from gridpush_drake.station.scene_kinds import list_rest_poses
 from gridpush_drake.station.scene_task import (
     FetchTask,
@@ -252,17 +253,19 @@ def test_objects_that_touch_are_found_in_the_first_picture_and_told_apart():
     assert station.GetOutputPort("executor.status").Eval(context).command_id == 0
 
 
-def test_equal_objects_are_looked_for_where_the_scenario_has_them():
-    scenario = parse_scenario(
-        Path("three.yaml"),
-        "objects:\n- {object: pliers, pose: [0.6, 0.2, 0]}\n- {object: claw_hammer, pose: [0.6, 0, 0]}"
-        "\n- {object: pliers, pose: [0.6, -0.2, 0]}\n",
-    )
-    resolved = resolve(scenario)
-    poses = np.array([[0.6, 0.2, 0.0], [0.6, 0.0, 0.0], [0.6, -0.2, 0.0]])
-    first, hammer, second = guess_equal_ones((resolved.obj, *resolved.others), poses)
+def test_what_no_picture_tells_is_looked_for_where_the_scenario_has_it():
+    """Which of two equal pliers is which, and which end of a book is which; but not the hammer."""
+    names = ["pliers", "claw_hammer", "pliers", "open_book"]
+    ys = [0.2, 0.0, -0.2, 0.4]
+    listed = [
+        f"- {{object: {name}, pose: [0.6, {y}, 0]}}" for name, y in zip(names, ys, strict=True)
+    ]
+    scenario = parse_scenario(Path("four.yaml"), "\n".join(["objects:", *listed]))
+    objects = (load_object(scenario), *load_others(scenario))
+    poses = np.column_stack([np.full(4, 0.6), ys, np.zeros(4)])
+    first, hammer, second, book = guess_ambiguous(objects, poses)
     assert hammer is None
-    np.testing.assert_array_equal([first, second], poses[[0, 2]])
+    np.testing.assert_array_equal([first, second, book], poses[[0, 2, 3]])
 
 
 def test_what_the_camera_does_not_find_ends_the_task_with_its_message():

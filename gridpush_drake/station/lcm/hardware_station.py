@@ -33,7 +33,6 @@ from gridpush_drake.station.lcm.robot_messages import (
     IiwaMessages,
     find_arm_messages,
 )
-from gridpush_drake.station.lcm.twin import check_tracked
 from gridpush_drake.station.others import list_others
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -289,14 +288,12 @@ def MakeHardwareStation(
         The station. Call its `SetStart` on each new Context.
 
     Raises:
-        ScenarioError: the scenario makes no sense, or has several objects before a color and depth
-            camera.
+        ScenarioError: the scenario makes no sense.
         StationError: the messages of the robot's driver are not known.
     """
     resolved = resolve(scenario)
     scenario = resolved.scenario
     robot = resolved.robot
-    check_tracked(scenario)
     if scenario.camera.kind == "rgbd" and resolved.obj.height:
         # The height is the one that the tracker found, and wrote into the object's file.
         scenario = scenario.model_copy(update={"object_height": resolved.obj.height})

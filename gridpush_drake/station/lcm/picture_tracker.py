@@ -1,4 +1,7 @@
-"""`PictureTracker`: finds an object in a camera's pictures on LCM, and says on LCM where it is.
+"""`PictureTracker`: finds objects in a camera's pictures on LCM, and says on LCM where they are.
+
+One object is found by the detector, which knows nothing of it. Several, a scenario's `object` and
+its `others`, are told apart by their outlines, which their files have.
 
 It runs in a process of its own beside that of the controller, which is a `HardwareStation` and
 waits for no picture. To know what the arm hides, it renders the arm as the camera sees it, with the
@@ -25,6 +28,7 @@ from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.detection import DetectedObject
 from gridpush_drake.perception.frames import MILLIMETERS, Frame
+from gridpush_drake.perception.scene_tracking import SceneState, SceneTracker
 from gridpush_drake.perception.table_view import find_off_table
 from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.station.camera import LIVE, AddRgbdCamera
@@ -35,15 +39,16 @@ from gridpush_drake.station.lcm.picture_messages import decode_frame
 from gridpush_drake.station.lcm.robot_messages import (
     FROM_OPENING,
     GRIPPER_STATUS,
-    OBJECT_STATUS,
     PICTURES,
     find_arm_messages,
+    name_object_channel,
 )
-from gridpush_drake.station.lcm.twin import check_tracked
+from gridpush_drake.station.others import list_others
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.robot import GetRobotInPlant
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import AddScene
+from gridpush_drake.station.scene_camera import TrackedScene
 from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS, make_status
 
@@ -112,7 +117,7 @@ class TrackerReport:
 
     Attributes:
         pictures: number of pictures that were looked at.
-        seen: number of those in which the object was seen.
+        seen: number of those in which the object was seen, or all of several.
         skipped: number of pictures that were not looked at, since newer ones came meanwhile.
         left_out: number of messages that could not be used, by why.
     """
@@ -134,8 +139,11 @@ class TrackerReport:
 class PictureTracker:
     """Looks at pictures as they come, and says where the object is on `OBJECT_STATUS`.
 
+    Where the scenario has other objects, all of them are followed, and each has a channel of its
+    own, see `name_object_channel`.
+
     Attributes:
-        obj: the object that is followed; None until it is found.
+        obj: the object that is followed, the first of several; None until it is found.
         detected: what the detector found; None if the object was given, or is not found yet.
         message: why the object was not found in the last picture; empty if it was.
         report: what the tracker did.
@@ -151,22 +159,22 @@ class PictureTracker:
         """Listens from now on.
 
         Args:
-            scenario: robot, table and camera, resolved or not. Of its object only name and prior
-                are used, for the object that is found.
+            scenario: robot, table and camera, resolved or not. Of a single object only name and
+                prior are used, for the object that is found.
             lcm: LCM on which pictures and the arm's status come, and on which the pose is said.
-            obj: the object to follow; None to follow what the detector finds.
+            obj: the single object to follow; None to follow what the detector finds.
             clock: returns the time by which messages arrive, s.
 
         Raises:
-            ScenarioError: the camera makes no sense, or there are several objects.
+            ScenarioError: the camera makes no sense.
             StationError: nothing can be rendered on this computer, or the messages of the robot's
                 driver are not known.
         """
         resolved = resolve(scenario)
         scenario = resolved.scenario
         robot = resolved.robot
-        check_tracked(scenario)
-        self.obj = obj
+        others = list_others(scenario, resolved.others)
+        self.obj = resolved.obj if others else obj
         self.detected: DetectedObject | None = None
         self.message = ""
         self.report = TrackerReport()
@@ -185,6 +193,13 @@ class PictureTracker:
         self._picture: tuple[bytes, float] | None = None
         # Time of the last picture that was looked at, us.
         self._last = -1
+        # What follows several objects; None for a single one.
+        self._scene: SceneTracker | None = None
+        self._scene_state: SceneState | None = None
+        if others:
+            tracked = TrackedScene(scenario, resolved.obj, others)
+            self._scene = tracked.make_tracker(self._silhouette.camera, self._silhouette.table_top)
+            self._guesses = tracked.guess()
         # What follows the object once it is found.
         self._tracker: PoseTracker | None = None
         self._state: TrackerState | None = None
@@ -216,25 +231,52 @@ class PictureTracker:
             timeout: longest time to wait, s.
 
         Returns:
-            The pose that was found and said; None if there was no picture that could be used.
+            The pose that was found and said, of the first object; None if there was no picture that
+            could be used.
+        """
+        poses = self.step_all(timeout)
+        return poses[0] if poses else None
+
+    def step_all(self, timeout: float = 0.0) -> tuple[TrackedPose, ...]:
+        """Waits for messages, and looks at the newest picture.
+
+        Args:
+            timeout: longest time to wait, s.
+
+        Returns:
+            The poses that were found and said, of all objects in their order; empty if there was no
+            picture that could be used.
         """
         self._lcm.HandleSubscriptions(round(MILLISECONDS * timeout))
         picture = self._picture
         self._picture = None
         if picture is None or not self._statuses:
-            return None
+            return ()
         data, arrival = picture
         frame = self._read_frame(data, arrival)
         if frame is None:
-            return None
+            return ()
         utime = round(MICROSECONDS * frame.t)
         self._last = utime
         _, joints = self._find_nearest(utime)
-        tracked = self._look(frame, self._silhouette.find(joints, self._opening))
+        hidden = self._silhouette.find(joints, self._opening)
+        if self._scene is None:
+            poses: tuple[TrackedPose, ...] = (self._look(frame, hidden),)
+        else:
+            poses = self._look_at_scene(self._scene, frame, hidden)
         self.report.pictures += 1
-        self.report.seen += tracked.seen
-        self._lcm.Publish(OBJECT_STATUS, make_status(frame.t, tracked.pose).encode())
-        return tracked
+        self.report.seen += all(tracked.seen for tracked in poses)
+        for number, tracked in enumerate(poses):
+            channel = name_object_channel(number)
+            self._lcm.Publish(channel, make_status(frame.t, tracked.pose).encode())
+        return poses
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the objects that are followed; empty until they are known."""
+        if self._scene is not None:
+            return self._scene.names
+        return () if self.obj is None else (self.obj.name,)
 
     def find_obstacle(self) -> str:
         """Says why there is no pose yet; empty if the object was found in the last picture."""
@@ -270,6 +312,19 @@ class PictureTracker:
         self._state, tracked = self._tracker.track(state, frame, hidden)
         self.message = ""
         return tracked
+
+    def _look_at_scene(
+        self, tracker: SceneTracker, frame: Frame, hidden: NDArray[np.bool_]
+    ) -> tuple[TrackedPose, ...]:
+        """Finds all objects: at first by their outlines alone; then near their last poses."""
+        try:
+            state = self._scene_state or tracker.start(frame, self._guesses, hidden)
+        except PerceptionError as error:
+            self.message = str(error)
+            return (NOT_SEEN,) * len(tracker)
+        self._scene_state, poses = tracker.track(state, frame, hidden)
+        self.message = ""
+        return poses
 
     def _detect(self, frame: Frame, hidden: NDArray[np.bool_]) -> DetectedObject | None:
         """Looks for an object anywhere in a picture; the one that is found is then followed."""

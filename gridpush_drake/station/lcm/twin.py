@@ -9,7 +9,6 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPo
 from pydrake.systems.lcm import LcmInterfaceSystem
 from pydrake.systems.primitives import LinearSystem
 
-from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, AddArmDriver
@@ -35,19 +34,6 @@ TORQUE = "torque_external"
 ESTIMATION_TIME = 0.03
 """Time constant of an arm's estimate of the torques from outside, s. Without it a knock in the
 simulation, which lasts one time step, would seem far stronger than a real one."""
-
-
-def check_tracked(scenario: PushScenario) -> None:
-    """Checks that several objects need not be found in pictures: `gridpush tracker` follows one.
-
-    Raises:
-        ScenarioError: the scenario has other objects, and a color and depth camera.
-    """
-    if scenario.others and scenario.camera.kind == "rgbd":
-        raise ScenarioError(
-            "others: gridpush tracker follows one object; expected an empty list, or camera.kind "
-            "ideal, with a tracker of your own that says the pose of each object"
-        )
 
 
 def _AddCommandRamp(builder: DiagramBuilder, setting: Setting) -> CommandRamp:
@@ -157,15 +143,14 @@ def MakeTwin(
         The twin. Call its `SetStart` on each new Context.
 
     Raises:
-        ScenarioError: the scenario makes no sense, or has several objects before a color and depth
-            camera.
+        ScenarioError: the scenario makes no sense.
         StationError: the messages of the robot's driver are not known.
     """
     resolved = resolve(scenario)
     scenario = resolved.scenario
-    check_tracked(scenario)
     builder = DiagramBuilder()
-    world = AddWorld(builder, resolved)
+    # Of several objects the tracker is told the outlines: then no photograph is taken.
+    world = AddWorld(builder, resolved, told=bool(resolved.others))
     setting = world.setting
     plant = world.plant
     robot = setting.robot

@@ -21,6 +21,7 @@ from gridpush_drake.station.camera import AddRgbdCamera
 from gridpush_drake.station.lcm.bus import Bus
 from gridpush_drake.station.lcm.picture_messages import encode_frame
 from gridpush_drake.station.lcm.robot_messages import PICTURES
+from gridpush_drake.station.others import list_parts
 from gridpush_drake.station.push_station import AddWorld
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -48,13 +49,14 @@ class TwinCamera:
             StationError: nothing can be rendered on this computer.
         """
         builder = DiagramBuilder()
-        world = AddWorld(builder, resolve(scenario.model_copy(deep=True)))
+        resolved = resolve(scenario.model_copy(deep=True))
+        world = AddWorld(builder, resolved, told=bool(resolved.others))
         camera = AddRgbdCamera(
             builder,
             world.plant,
             world.scene_graph,
             scenario=world.setting.scenario,
-            parts=[world.object_in_plant],
+            parts=[world.object_in_plant, *list_parts(world.setting.others)],
         )
         self._plant = world.plant
         self._noise = camera.noise
