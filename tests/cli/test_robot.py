@@ -1,7 +1,10 @@
+import numpy as np
 import pytest
 from pydrake.lcm import DrakeLcm
 
+from gridpush_drake.cli.tracker import _find
 from gridpush_drake.cli.twin import read_robot_scenario
+from gridpush_drake.perception.tracking import NOT_SEEN, TrackedPose
 from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -36,6 +39,32 @@ def test_by_pictures_the_robot_must_be_told_which_object_the_tracker_follows(ref
         tmp_path / "seen.yaml",
         says=["--object: missing", "gridpush tracker"],
     )
+
+
+class Follower:
+    """Sees the second of two objects only in the second picture."""
+
+    def __init__(self):
+        self.names, self.obj = ("pliers", "open_book"), object()
+        first = TrackedPose(np.array([0.5, -0.1, 0.2]), np.eye(3), True, 0.1)
+        second = TrackedPose(np.array([0.6, 0.15, -1.0]), np.eye(3), True, 0.1)
+        self.pictures = [(first, NOT_SEEN), (), (first, second)]
+
+    def step_all(self, timeout):
+        return self.pictures.pop(0)
+
+    def find_obstacle(self):
+        return ""
+
+
+def test_the_tracker_waits_for_all_objects_and_says_where_each_is(capsys):
+    follower = Follower()
+    _find(follower, None, None, False)
+    assert follower.pictures == []
+    assert capsys.readouterr().out.splitlines() == [
+        "pliers is seen at (0.500, -0.100) m, turned by 0.20 rad.",
+        "open_book is seen at (0.600, 0.150) m, turned by -1.00 rad.",
+    ]
 
 
 @pytest.mark.parametrize(
