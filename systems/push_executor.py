@@ -260,7 +260,8 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         """Makes an executor.
 
         Args:
-            home: (3,) p_WP of the tip at the beginning, m.
+            home: (3,) p_WP of the tip at the beginning, m; and where it goes if the arm cannot go
+                straight to a push.
             outline: outline of the object in B, m; None to push without looking at an object.
             reach: says why the arm cannot follow a path; None if it always can.
             style: heights, speeds and times.
@@ -270,6 +271,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         self.style = style or PushTrajectoryOptions()
         x, y, z = np.asarray(home, float).tolist()
         super().__init__(ExecutorState((x, y, z)), self.style.period)
+        self._home: Point = (x, y, z)
         self._outline = outline
         self._reach = reach
         self._lookouts: list[Point] = [
@@ -409,7 +411,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             reason = self._find_overlap(command, self._pose_port.Eval(context))
         if reason is not None:
             return (), reason
-        segments, reason = plan_push(command, rest, self.style, self._reach)
+        segments, reason = plan_push(command, rest, self.style, self._reach, self._home)
         return segments, reason or ""
 
     def _find_fault(self, command: PushCommand) -> str | None:
@@ -442,36 +444,62 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         return None
 
 
+def make_detour(
+    command: PushCommand,
+    rest: Point,
+    home: Point,
+    style: PushTrajectoryOptions,
+    speed_scale: float,
+) -> tuple[TrajectorySegment, ...]:
+    """Makes the trajectory of a push to which the tip comes by its home; see `plan_push`."""
+    way_home = make_lookout_trajectory(rest, home, style, speed_scale)
+    approach = tuple(replace(segment, phase=PushPhase.APPROACHING) for segment in way_home)
+    return approach + make_push_trajectory(command, home, style, speed_scale)
+
+
 def plan_push(
-    command: PushCommand, rest: Point, style: PushTrajectoryOptions, reach: Reach | None
+    command: PushCommand,
+    rest: Point,
+    style: PushTrajectoryOptions,
+    reach: Reach | None,
+    home: Point | None = None,
 ) -> tuple[tuple[TrajectorySegment, ...], str | None]:
     """Plans the trajectory of a push, as fast as the arm can follow.
+
+    Where the arm cannot follow from where it rests, it goes home first. A push is judged possible
+    by planners if the arm can follow from its home; from elsewhere it may come to a place in
+    another posture, at a joint's limit.
 
     Args:
         command: the push.
         rest: p_WP of the tip, which is at rest, m.
         style: heights, speeds and times.
         reach: says why the arm cannot follow a path; None if it always can.
+        home: p_WP of the tip's home, by which it may go, m; None for straight to the push.
 
     Returns:
         The segments, and None; or no segments, and why the arm cannot follow, or could not go on
         from where the push ends.
     """
-    segments: tuple[TrajectorySegment, ...] = ()
-    reason = None
-    for speed_scale in SPEED_SCALES:
-        segments = make_push_trajectory(command, rest, style, speed_scale)
-        if reach is None:
-            return segments, None
+    if reach is None:
+        return make_push_trajectory(command, rest, style), None
+    # Straight to the push, ever slower; or else by the home, likewise.
+    ways = [make_push_trajectory(command, rest, style, scale) for scale in SPEED_SCALES]
+    if home is not None and home != rest:
+        ways += [make_detour(command, rest, home, style, scale) for scale in SPEED_SCALES]
+    reasons = []
+    for segments in ways:
         reason = _ask(reach, segments)
         if reason is None:
             break
-    if reason is not None:
-        return (), reason
+        reasons.append(reason)
+    else:
+        # Why it cannot be done straight, at the least speed.
+        return (), reasons[len(SPEED_SCALES) - 1]
     # The next plan begins where this push ends, and leads the arm there from its nominal posture.
     # If that fails at a joint's limit, which the arm has just kept on another way, no plan would
     # ever lead it away.
-    reason = reach(np.array([segments[-1].end]), np.empty(0)) if reach is not None else None
+    reason = reach(np.array([segments[-1].end]), np.empty(0))
     return (segments, None) if reason is None else ((), reason)
 
 

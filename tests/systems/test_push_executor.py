@@ -1,5 +1,7 @@
 """`PushExecutor` by itself: the way, the phases, the refusals, the Context."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -340,6 +342,33 @@ def test_a_push_after_which_the_arm_could_not_go_on_is_refused():
     run.advance(0.05)
     refused = PushStatus("idle", 1, refused=1, reason="joint 2 would come to its limit")
     assert run.status == refused
+
+
+def test_where_the_arm_cannot_go_straight_to_a_push_it_goes_home_first():
+    """From anywhere but its home the arm would come to the push in another posture."""
+    (x0, y0), high = PUSH.start, STYLE.travel_height
+
+    def reach(way, speeds):
+        at = [k for k, place in enumerate(way) if np.allclose(place, (x0, y0, high))]
+        if at and at[0] > 0 and not np.allclose(way[at[0] - 1], HOME):
+            return "joint 2 would come to its limit"
+        return None
+
+    run = Run(reach=reach).carry_out(PushCommand(1, 0.7, 0.1, -2.0, 0.06, 0.1))
+    assert run.status.executed == 1 and not np.allclose(run.p[-1], HOME)
+    begin = len(run.p)
+    run.carry_out(replace(PUSH, command_id=2))
+    assert run.status == PushStatus("idle", 2, executed=2)
+    way = np.array(run.p[begin:])
+    assert np.linalg.norm(way - HOME, axis=1).min() < 0.01
+    assert find_order(run.phases[begin:]) == [
+        "approaching",
+        "descending",
+        "pushing",
+        "settling",
+        "retracting",
+        "idle",
+    ]
 
 
 def test_what_the_arm_cannot_reach_is_refused():
