@@ -316,6 +316,7 @@ def calc_splits_mean(values: np.ndarray) -> Mean:
 
 
 def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequence[int]) -> Table:
+    """Tabulates the errors of the CMU's pushes, file by file, with two numbers of pushes."""
     rows: list[list[Value]] = []
     shown = [count for count in reversed(SHOWN_COUNTS) if count in counts] or list(counts[-1:])
     variants = [(UNIFORM, 0), *((model, count) for count in shown for model in (CENTER, POSES))]
@@ -339,6 +340,7 @@ def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequenc
 
 
 def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Sequence[int]) -> Table:
+    """Tabulates the errors of the CMU's pushes by the number of training pushes."""
     rows: list[list[Value]] = []
     uniform = {name: calc_split_means(scores, [name], UNIFORM, 0) for name in names}
     for count in counts:
@@ -361,6 +363,7 @@ def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Seque
 
 
 def _tabulate_mit(scores: Sequence[Score], paths: dict[str, Path]) -> Table:
+    """Tabulates the errors of the MIT's pushes, beside those that their files state."""
     rows: list[list[Value]] = []
     for name, path in paths.items():
         position, angle = read_model_errors(path)
@@ -378,6 +381,7 @@ def _tabulate_mit(scores: Sequence[Score], paths: dict[str, Path]) -> Table:
 
 
 def _tabulate_simulated(scores: Sequence[Score], names: Sequence[str]) -> Table:
+    """Tabulates the errors of simulated pushes, object by object."""
     rows = [
         _make_pose_row(scores, name, model, training)
         for name in names
@@ -429,6 +433,7 @@ def write_curve(
     """
 
     def draw(axis: Axes, name: str) -> None:
+        """Draws the mean error of one file, and its spread over the splits."""
         for model, color in ((POSES, "tab:blue"), (CENTER, "tab:orange")):
             means = [calc_split_means(scores, [name], model, count) for count in counts]
             middle = np.array([values.mean() for values in means])

@@ -198,6 +198,7 @@ class ModelSchema(StrictSchema):
 
     @model_validator(mode="after")
     def _check_lengths(self) -> "ModelSchema":
+        """Refuses lists that do not have one entry for each cell."""
         assert self.object.cells is not None
         n = len(self.object.cells.centers)
         for name, values in self.cells:

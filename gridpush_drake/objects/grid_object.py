@@ -118,6 +118,7 @@ class GridObject(Frozen):
         return make_page(repr(self), drawing)
 
     def _check_size(self, p_BC: Array) -> None:
+        """Refuses cells and coordinates that are too small or too large."""
         if not MIN_SIZE <= self.cell_size <= MAX_SIZE:
             raise ObjectError(
                 f"{self.name}: cell_size is {self.cell_size:g} m; expected {MIN_SIZE:g} to "

@@ -318,6 +318,7 @@ class ObjectSchema(StrictSchema):
 
     @model_validator(mode="after")
     def _check_whole(self) -> "ObjectSchema":
+        """Refuses keys that do not go together."""
         try:
             self.to_prior()
         except ParameterError as error:

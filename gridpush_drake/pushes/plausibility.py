@@ -86,13 +86,18 @@ PULLING_SHARE = 0.5
 
 
 class Finding(NamedTuple):
-    """One thing that cannot be true, or hardly."""
+    """One thing that cannot be true of a log, or hardly.
 
-    message: str  # push, column, what is wrong and the likely cause, in one line
-    certain: bool  # whether it cannot be true; otherwise it may be
+    Attributes:
+        message: push, column, what is wrong and the likely cause, in one line.
+        certain: whether it cannot be true; otherwise it may be.
+        about_first: whether what a prediction begins with is in doubt (the units, the pusher's
+            path, the first pose) rather than what was seen later, which only learning needs.
+    """
+
+    message: str
+    certain: bool
     about_first: bool
-    """Whether what a prediction begins with is in doubt (the units, the pusher's path, the first
-    pose) rather than what was seen later, which only learning needs."""
 
 
 def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
@@ -160,6 +165,7 @@ def explain_unused_forces(obj: GridObject, log: PushLog, inertial: bool) -> str 
 
 
 def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds pushers that are faster than any: times or lengths in another unit."""
     for seen in log:
         speed = seen.push.length / seen.push.duration
         if speed > MAX_SPEED:
@@ -171,6 +177,7 @@ def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 
 def _find_slow_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds pushers so slow, at the median, that times are hardly in seconds."""
     durations = np.array([seen.push.duration for seen in log])
     lengths = np.array([seen.push.length for seen in log])
     if not len(log):
@@ -190,6 +197,7 @@ def _find_slow_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 
 def _find_heavy_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds a mass that is too large for an object of this size: grams, perhaps."""
     mass = obj.prior.total_mass
     area = float(obj.outline.area)
     if mass is None:
@@ -204,6 +212,7 @@ def _find_heavy_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 
 def _find_large_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds forces beyond what the object's friction resists: a sensor's counts, perhaps."""
     mass = obj.prior.total_mass
     limit = MAX_FORCE
     if mass is not None:
@@ -242,12 +251,14 @@ def _calc_work(seen: ObservedPush) -> float:
 
 
 def _find_begun_off_table(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds pushes at whose beginning the object is not on the log's table."""
     for seen, rows in _find_off_table(obj, log):
         if 0 in rows:
             yield _describe_off_table(obj, seen, 0)
 
 
 def _find_gone_off_table(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds pushes during which the object leaves the log's table."""
     for seen, rows in _find_off_table(obj, log):
         yield _describe_off_table(obj, seen, int(rows[0])) + ": did it fall, or a lost track?"
 
@@ -276,6 +287,7 @@ def _find_off_table(
 
 
 def _describe_off_table(obj: GridObject, seen: ObservedPush, row: int) -> str:
+    """Says where a push has the object off the table; `row` 0 is its first pose."""
     t, pose = (seen.t_observed[row - 1], seen.poses_observed[row - 1]) if row else (0.0, seen.pose)
     at = ", ".join(f"{value:.3g}" for value in pose)
     return (
@@ -285,6 +297,7 @@ def _describe_off_table(obj: GridObject, seen: ObservedPush, row: int) -> str:
 
 
 def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds objects that move farther than their push can take them."""
     for seen in log:
         centroids = np.vstack(
             [obj.cells_at(seen.pose).mean(axis=0), obj.cells_at(seen.poses_observed).mean(axis=1)]
@@ -307,6 +320,7 @@ def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 
 def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds objects that turn farther than their push can turn them."""
     for seen in log:
         turned = np.abs(seen.poses_observed[:, 2] - seen.pose[2])
         allowed = _calc_reach(obj, seen) / obj.radius_of_gyration
@@ -321,6 +335,7 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 
 def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds an outline that is larger than any object that is pushed about."""
     if calc_diameter(obj) > MAX_DIAMETER:
         yield (
             f"{obj.name}: its outline spans {calc_diameter(obj):.3g} m; in millimeters? expected "
@@ -329,6 +344,7 @@ def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 
 def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds pushes whose first angle is many turns: degrees, perhaps."""
     for seen in log:
         if abs(seen.pose[2]) > MAX_FIRST_ANGLE:
             yield (
@@ -337,6 +353,7 @@ def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 
 def _find_large_tables(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds a table that is larger than any: millimeters, perhaps."""
     if log.table is not None and (size := float(np.ptp(log.table, axis=0).max())) > MAX_TABLE:
         yield (
             f"column table: in millimeters? expected m, at most {MAX_TABLE:g} a side; "

@@ -319,6 +319,7 @@ def interpolate(track: Track, t: Array) -> Array:
 
 
 def _make_track(path: Path, messages: "list[_Message]", name: str) -> Track:
+    """Makes a track of a topic's messages, in order of time; refuses what is none."""
     if len(messages) < MIN_MESSAGES:
         raise PushLogError(
             f"{path}: {name} has {len(messages)} messages; expected at least {MIN_MESSAGES}"
@@ -351,6 +352,14 @@ def _make_track(path: Path, messages: "list[_Message]", name: str) -> Track:
 
 
 class _Message(NamedTuple):
+    """What is used of one message.
+
+    Attributes:
+        t: time of its header, or of the bag where that has none, s from the bag's beginning.
+        frame: the frame that its header names.
+        values: position, m, and quaternion (x, y, z, w); of a wrench the force, N.
+    """
+
     t: float
     frame: str
     values: list[float]
@@ -443,6 +452,7 @@ class _Bag:
         return found
 
     def _messages(self, topic: str) -> Iterator[tuple[int, Any]]:
+        """Yields time, ns, and content of each message of a topic."""
         connections = [
             connection for connection in self._reader.connections if connection.topic == topic
         ]
@@ -450,6 +460,17 @@ class _Bag:
             yield t, self._reader.deserialize(data, connection.msgtype)
 
     def _convert(self, kind: str, t: int, message: Any, child: str) -> Iterator[_Message]:
+        """Takes what is used out of one message.
+
+        Args:
+            kind: kind of the message, one of POSES, TF or WRENCH.
+            t: time at which the bag has it, ns.
+            message: the message, as rosbags reads it.
+            child: the frame whose transforms are meant, in a message of many.
+
+        Yields:
+            One entry for each pose or wrench in it.
+        """
         if kind == TF:
             chosen = [
                 each
@@ -473,6 +494,7 @@ class _Bag:
             yield _Message(seconds, each.header.frame_id.strip("/"), values)
 
     def _list_frames(self, topic: str) -> str:
+        """Names the frames of a topic of transforms, for a message."""
         return ", ".join(
             sorted(
                 {
@@ -484,5 +506,6 @@ class _Bag:
         )
 
     def _unreadable(self, error: Exception) -> PushLogError:
+        """Makes the error that says why the bag cannot be read."""
         why = " ".join(str(error).split()) or type(error).__name__
         return PushLogError(f"{self._path}: cannot be read as a ROS bag: {why[:MAX_SHOWN]}")

@@ -213,6 +213,7 @@ def _observe(path: Path, record: Any, name: str, speed: float) -> ObservedPush:
 
 
 def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObject:
+    """Chooses the object by the file's name and content; warns where these contradict."""
     named = path.stem.rpartition("_")[2]
     said = {"name": named, "shape_id": str(data.get("shape_id", ""))}
     if shape is None:
