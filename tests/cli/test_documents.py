@@ -29,6 +29,8 @@ from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_csv import COLUMNS
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.scene_log import SceneLog
+from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario_file import find_scenario, parse_scenario
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.made_logs import make_pushed_block
@@ -215,6 +217,16 @@ def test_how_presses_are_set_is_a_scenario():
     assert scenario.safety.force == 30.0
 
 
+def test_a_robot_s_scenes_are_those_that_the_page_names():
+    (block,) = find_blocks("docs/reference/files.md", "yaml")
+    named = parse_scenario(Path("cell.yaml"), block).directives[0].add_directives.file
+    (meant,) = make_robot_directives("ur5e", grasping=False)
+    assert named == meant.add_directives.file
+    taken = parse_scenario(Path("cell.yaml"), "robot: ur5e")
+    top = resolve(taken).table_top
+    np.testing.assert_allclose(top.bounds, [0.2, -1.05, 1.0, 0.15])
+
+
 def test_every_block_is_tried_somewhere():
     """Python runs (`EXAMPLES`); of all else there is a test, here or where the page is named in the tests."""
     found = {
@@ -239,6 +251,7 @@ def test_every_block_is_tried_somewhere():
             ("docs/howto/own_object.md", "yaml"): 1,
             ("docs/howto/own_pushes.md", "csv"): 2,
             ("docs/howto/weigh_at_the_edge.md", "yaml"): 1,
+            ("docs/reference/files.md", "yaml"): 1,
         }
     )
 
