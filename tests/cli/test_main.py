@@ -119,13 +119,6 @@ def test_says_in_one_line_what_is_wrong_with_its_arguments(refuses, args, says):
     refuses(*args, says=says)
 
 
-def test_starts_fast():
-    for arguments in (["-c", "import gridpush_drake"], ["-m", "gridpush_drake.cli.main", "--help"]):
-        begin = time.perf_counter()
-        subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
-        print(f"{' '.join(arguments)}: {time.perf_counter() - begin:.2f} s")
-
-
 def test_completes_in_the_shell(tmp_path):
     def run(*args, **settings):
         from_bash = ["bash", "-c", '"$@"; exit $?', "bash"]

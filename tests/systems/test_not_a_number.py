@@ -158,7 +158,9 @@ def test_nothing_is_raised(name, seed):
 
 
 def test_the_picture_is_drawn_all_the_same():
-    simulate(EstimateVisualizer(OBJ, Meshcat(), height=0.03, body=1), 0)
+    meshcat = Meshcat()
+    simulate(EstimateVisualizer(OBJ, meshcat, height=0.03, body=1, path="seen"), 0)
+    assert meshcat.HasPath("seen")
 
 
 def command_executor(command):
