@@ -40,8 +40,9 @@ model = identify(obj, log.subset(range(7)))
 print(model.message)
 write_model("model.yaml", model, force=True)
 
-(foretold,) = predict(obj, model.params, log.subset([7]))
-miss = obj.cells_at(foretold.poses[-1]) - obj.cells_at(log[7].final_pose)
-print(f"The last push is foretold to {1e3 * np.linalg.norm(miss, axis=1).mean():.1f} mm.")
+(predicted,) = predict(obj, model.params, log.subset([7]))
+miss = obj.cells_at(predicted.poses[-1]) - obj.cells_at(log[7].final_pose)
+error = np.linalg.norm(miss, axis=1).mean()
+print(f"The last push is predicted with an error of {1e3 * error:.1f} mm.")
 center, true = model.params.relative_friction() @ obj.p_BC, truth.relative_friction() @ box.p_BC
 print(f"The center of friction is {1e3 * np.linalg.norm(center - true):.1f} mm off.")

@@ -317,7 +317,7 @@ def tabulate_scores(played: Sequence[Played], games: Sequence[str]) -> Table:
         "All play the same episodes: objects, hidden masses, starts, goals. Reward: mean of an "
         "episode's sum.",
         "Final score, median: mean cell error to the goal; how far a part to be grasped hangs over "
-        "the edge; error of foretold pushes.",
+        "the edge; error of predicted pushes.",
         "planner: this project's own, learning as it goes; learned: a linear rating of places and "
         f"directions by {CANDIDATES} candidates a generation of CMA-ES, trained on other episodes; "
         "random: any action.",

@@ -373,7 +373,7 @@ def _draw_real(options: Options, done: Done) -> Said:
     what = "real pushes" if is_real else "simulated stand-ins for real pushes"
     _finish_bars(ax, shown, "position error, mm")
     ax.set_title(
-        f"Foretold positions of {what}, 95 % intervals over {options.counts.splits} splits",
+        f"Predicted positions of {what}, 95 % intervals over {options.counts.splits} splits",
         fontsize="small",
     )
     _write(options, "real_pushes", figure)

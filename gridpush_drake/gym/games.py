@@ -37,7 +37,7 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 PER_METER = 10.0
 """Reward for a meter towards the goal, or over the edge."""
 
-PER_METER_FORETOLD = 100.0
+PER_METER_PREDICTED = 100.0
 """Reward for a meter less of held-out error."""
 
 MARGIN = 0.1
@@ -316,7 +316,7 @@ class SlideToEdge(PushGame):
 
 
 class Explore(PushGame):
-    """`gridpush/Explore-v0`: an object is pushed so that its motion can be foretold.
+    """`gridpush/Explore-v0`: an object is pushed so that its motion can be predicted.
 
     No edge is within reach.
 
@@ -367,11 +367,11 @@ class Explore(PushGame):
         return _calc_held_out_error(episode.model, episode.held_out)
 
     def judge(self, before: Episode, after: Episode) -> Turn:
-        """Rewards by how much better the learner foretells."""
+        """Rewards by how much better the learner predicts."""
         assert before.model is not None
         model = learn(before.model, after.pushes[-1])
         error = _calc_held_out_error(model, after.held_out)
-        reward = PER_METER_FORETOLD * (before.score - error) - after.fallen
+        reward = PER_METER_PREDICTED * (before.score - error) - after.fallen
         return Turn(replace(after, score=error, model=model), reward)
 
     def make_own_spaces(self) -> dict[str, Box]:

@@ -347,7 +347,7 @@ def make_report(
         summary=summary,
         sight=None if sight is None else describe_sight(sight),
         figures=figures,
-        foretold="" if progress is None else progress.describe(),
+        predicted="" if progress is None else progress.describe(),
         expected=bool(expectations),
         recording=recording,
         known_truth=truth is not None,

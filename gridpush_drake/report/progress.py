@@ -1,4 +1,4 @@
-"""How knowledge grew: what was known after each push, and how well each was foretold before it.
+"""How knowledge grew: what was known after each push, and how well each was predicted before it.
 
 A push is predicted here by the estimate that was made of the pushes before it alone. So every error
 is that of a prediction, and none of a fit; no push has to be held out for it.
@@ -62,8 +62,8 @@ class Progress:
             is known least, m.
         center_error: (K + 1,) distance of the estimated center of mass from the true one, m; empty
             where that is not known.
-        names: names of the pushes that were foretold.
-        foretold: mean cell error of each of these, as predicted from the pushes before it, m.
+        names: names of the pushes that were predicted.
+        predicted: mean cell error of each of these, as predicted from the pushes before it, m.
         even: mean cell error of each of these, as predicted of an even object, m.
     """
 
@@ -71,18 +71,18 @@ class Progress:
     center_std: Array
     center_error: Array
     names: tuple[str, ...]
-    foretold: Array
+    predicted: Array
     even: Array
 
     def describe(self) -> str:
-        """Says the errors in a sentence; empty where no push was foretold."""
-        if not len(self.foretold):
+        """Says the errors in a sentence; empty where no push was predicted."""
+        if not len(self.predicted):
             return ""
-        told = self.foretold.mean() * MM
+        error = self.predicted.mean() * MM
         even = self.even.mean() * MM
         return (
-            f"On average each push was foretold to {told:.1f} mm from the pushes before it; an "
-            f"even object would have given {even:.1f} mm."
+            f"On average these predictions were off by {error:.1f} mm; those of an even object "
+            f"would have been off by {even:.1f} mm."
         )
 
 
@@ -93,12 +93,12 @@ def calc_progress(
 
     Args:
         estimates: made while the pushes came in, in order; at least one.
-        log: all pushes, in order; those that the estimates do not use are foretold, too. Pushes in
+        log: all pushes, in order; those that the estimates do not use are predicted, too. Pushes in
             which a part hung over the table's edge are not.
         truth: what the object's cells really are, where that is known.
 
     Returns:
-        What was known after each estimate, and how well each push was foretold.
+        What was known after each estimate, and how well each push was predicted.
     """
     last = estimates[-1]
     obj = last.obj
@@ -109,7 +109,7 @@ def calc_progress(
         center = truth.center_of_mass(obj)
         errors = [np.linalg.norm(one.params.center_of_mass(obj) - center) for one in stages]
     names = []
-    foretold = []
+    predicted = []
     even = []
     supported = {seen.name for seen in log.supported}
     for i, seen in enumerate(log):
@@ -119,23 +119,23 @@ def calc_progress(
         # The latest estimate that knows nothing of this push, nor of later ones.
         found = [one for one in stages if before.issuperset(one.push_names)][-1]
         names.append(seen.name)
-        foretold.append(_calc_error(obj, found.params, log.subset([i]), last))
+        predicted.append(_calc_error(obj, found.params, log.subset([i]), last))
         even.append(_calc_error(obj, CellParameters.uniform(obj), log.subset([i]), last))
     return Progress(
         pushes=np.array([len(found.push_names) for found in stages]),
         center_std=np.array([calc_center_std(model) for model in known]),
         center_error=np.array(errors),
         names=tuple(names),
-        foretold=np.array(foretold),
+        predicted=np.array(predicted),
         even=np.array(even),
     )
 
 
 def draw_progress(progress: Progress, expectations: Sequence[Expectation] = ()) -> Figure:
-    """Draws how well the center of mass was known, and how well each push was foretold."""
+    """Draws how well the center of mass was known, and how well each push was predicted."""
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     _draw_center(axes[0, 0], progress, expectations)
-    _draw_foretold(axes[0, 1], progress)
+    _draw_predicted(axes[0, 1], progress)
     return figure
 
 
@@ -165,11 +165,11 @@ def _draw_center(ax: Axes, progress: Progress, expectations: Sequence[Expectatio
     add_legend_below(ax, handles, 2)
 
 
-def _draw_foretold(ax: Axes, progress: Progress) -> None:
-    """Draws the errors of the pushes that were foretold, and those of an even object."""
+def _draw_predicted(ax: Axes, progress: Progress) -> None:
+    """Draws the errors of the pushes that were predicted, and those of an even object."""
     at = np.arange(1, len(progress.names) + 1)
     ax.plot(at, progress.even * MM, "o--", color=BEFORE, markersize=5)
-    ax.plot(at, progress.foretold * MM, "o-", color=LEARNED, markersize=5)
+    ax.plot(at, progress.predicted * MM, "o-", color=LEARNED, markersize=5)
     handles = [
         Line2D([], [], color=BEFORE, marker="o", linestyle="dashed", label="even object"),
         Line2D([], [], color=LEARNED, marker="o", label="from the pushes before"),

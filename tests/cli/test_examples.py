@@ -31,8 +31,8 @@ def check_push(out, numbers):
 
 
 def check_learning(out, numbers):
-    foretold, off = numbers
-    assert foretold < 4.0 and off < 3.0
+    predicted, off = numbers
+    assert predicted < 4.0 and off < 3.0
 
 
 def check_plan(out, numbers):

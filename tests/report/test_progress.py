@@ -1,4 +1,4 @@
-"""What was known after each push, and how well each was foretold."""
+"""What was known after each push, and how well each was predicted."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def run():
     return obj, truth, log, estimates
 
 
-def test_each_push_is_foretold_by_what_was_learned_before_it(run):
+def test_each_push_is_predicted_by_what_was_learned_before_it(run):
     obj, truth, log, estimates = run
     progress = calc_progress(estimates, log, truth)
     assert progress.names == tuple(seen.name for seen in log)
@@ -37,7 +37,7 @@ def test_each_push_is_foretold_by_what_was_learned_before_it(run):
         calc_mean_cell_error(obj, params, log.subset([i]), physics)
         for i, params in enumerate((before, first, first, second))
     ]
-    np.testing.assert_allclose(progress.foretold, wanted)
+    np.testing.assert_allclose(progress.predicted, wanted)
     even = CellParameters.uniform(obj)
     assert progress.even[3] == calc_mean_cell_error(obj, even, log.subset([3]), physics)
     np.testing.assert_array_equal(progress.pushes, [0, 1, 3])
@@ -54,7 +54,7 @@ def test_what_is_known_of_the_center_is_followed(run):
     shown = [line.get_ydata() for line in left.lines]
     np.testing.assert_allclose(shown[0], progress.center_std * 1e3)
     np.testing.assert_allclose(shown[1], [20.0])
-    np.testing.assert_allclose(right.lines[1].get_ydata(), progress.foretold * 1e3)
+    np.testing.assert_allclose(right.lines[1].get_ydata(), progress.predicted * 1e3)
 
 
 def test_the_report_sets_predictions_and_fits_apart_and_links_the_recording(run):
