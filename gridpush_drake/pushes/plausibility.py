@@ -245,6 +245,7 @@ def _find_pulling_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
 def _calc_work(seen: ObservedPush) -> float:
     """Work of a push's measured force along the pusher's path, J."""
     assert seen.force_t is not None and seen.force is not None
+    # Each force is taken to last until the next one is measured.
     ends = np.append(seen.force_t[1:], seen.push.duration)
     path = seen.push.tip_at(ends) - seen.push.tip_at(seen.force_t)
     return float((seen.force * path).sum())
@@ -308,6 +309,7 @@ def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
         allowed = _calc_reach(obj, seen)
         if far[k] <= allowed:
             continue
+        # The column that moves most is named; what fits once it is divided by 1,000 is probably mm.
         column = ("object_x", "object_y")[int(np.argmax(np.abs(moved[k])))]
         cause = (
             "in millimeters, or a lost track?" if far[k] * MILLIMETER < allowed else "a lost track?"
@@ -322,6 +324,7 @@ def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
 def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
     """Finds objects that turn farther than their push can turn them."""
     for seen in log:
+        # A point at the radius of gyration goes no farther than the centroid may.
         turned = np.abs(seen.poses_observed[:, 2] - seen.pose[2])
         allowed = _calc_reach(obj, seen) / obj.radius_of_gyration
         if not len(turned) or turned.max() <= allowed:
