@@ -34,7 +34,7 @@ class EdgePresser(LeafSystem):
         - tip_command
         - press_status
 
-    * press_command: vector of 10, see `PressCommand`; a command is new when its id is.
+    * press_command: vector of 11, see `PressCommand`; a command is new when its id is.
     * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s.
     * force: vector of 3, force on the tip in W, N, with whatever offset it has.
     * tip_command: vector of 6, where the tip's center is to be, m, and its velocity, m/s. Before

@@ -95,7 +95,7 @@ class PushCommand(_Command):
         )
 
 
-PRESS_COMMAND_SIZE = 10
+PRESS_COMMAND_SIZE = 11
 """Length of a `PressCommand` as a vector."""
 
 
@@ -115,6 +115,7 @@ class PressCommand(_Command):
         object_x: x of the object's body frame as it was seen at rest, m.
         object_y: y of it, m.
         object_theta: heading of it, rad.
+        sure_force: force up to which the object surely lies still, N.
     """
 
     x: float = 0.0
@@ -126,6 +127,7 @@ class PressCommand(_Command):
     object_x: float = 0.0
     object_y: float = 0.0
     object_theta: float = 0.0
+    sure_force: float = 0.0
 
     @property
     def object_pose(self) -> NDArray[np.float64]:
@@ -140,6 +142,7 @@ class PressCommand(_Command):
             edge_angle=self.edge_angle,
             top=self.top,
             tip_radius=tip_radius,
+            sure_force=self.sure_force,
         )
 
     @classmethod
@@ -172,6 +175,7 @@ class PressCommand(_Command):
             object_x=object_x,
             object_y=object_y,
             object_theta=object_theta,
+            sure_force=target.sure_force,
         )
 
 

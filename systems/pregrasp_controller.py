@@ -63,7 +63,7 @@ class PreGraspController(ObjectController[PreGraspState]):
     * push_command: vector of 6, see `PushCommand`; its id is 0 before the first command, while a
       push is broken off, after a command was withdrawn, and while the object is grasped.
     * grasp_command: vector of 6, see `GraspCommand`; its id is 0 before the first command.
-    * press_command: vector of 10, see `PressCommand`; its id is 0 while nothing is weighed. It is
+    * press_command: vector of 11, see `PressCommand`; its id is 0 while nothing is weighed. It is
       there only if the controller weighs.
 
     Abstract state: one `PreGraspState`.

@@ -128,7 +128,7 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
       while these are idle.
     * push_status: abstract `PushStatus` of the executor of pushes.
     * grasp_status: abstract `GraspStatus` of the executor of grasps; it need not be connected.
-    * press_command: vector of 10, see `PressCommand`. It need not be connected.
+    * press_command: vector of 11, see `PressCommand`. It need not be connected.
     * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; NaN where it is not seen.
     * pusher_state: vector of 6, position p_WP of the tip's center, m, and its velocity v_WP, m/s.
     * force: vector of 3, force on the tip in W, N, with whatever offset it has.

@@ -212,6 +212,7 @@ def make_press(
         edge_angle=EDGE.angle,
         top=target.top,
         tip_radius=target.tip_radius,
+        sure_force=target.sure_force,
     )
     scale.put(compose(X_EW, pose) + shift)
     made = scale.press(moved)

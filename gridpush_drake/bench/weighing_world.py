@@ -268,6 +268,7 @@ class WeighingWorld:
             edge_angle=target.edge_angle,
             top=target.top,
             tip_radius=target.tip_radius,
+            sure_force=target.sure_force,
         )
         offset = self.noise.offset * self._rng.standard_normal(3)
         self._feeler.SetOffset(self._context, offset)
@@ -279,6 +280,7 @@ class WeighingWorld:
             edge_y=edge_y,
             edge_angle=target.edge_angle,
             top=target.top,
+            sure_force=target.sure_force,
         )
         port = self._diagram.GetInputPort("press_command")
         port.FixValue(self._context, command.to_vector())

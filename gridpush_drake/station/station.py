@@ -554,7 +554,7 @@ class Station(Diagram):
     - ``push_command``: vector of 6, a push, see `PushCommand`.
     - ``grasp_command``: vector of 6, a grasp, see `GraspCommand`; it need not be connected. The
       station has this port, the ports of ``grasp`` and ``gripper.state`` only with a gripper.
-    - ``press_command``: vector of 10, a press at the table's edge, see `PressCommand`; it need not
+    - ``press_command``: vector of 11, a press at the table's edge, see `PressCommand`; it need not
       be connected. The station has this port, ``press.status`` and ``weighing.log`` only if nothing
       is told of the object (`PushScenario.nothing_told`).
     - ``steer_command``: vector of 5, a finger that is steered, see `SteerCommand`. The station has

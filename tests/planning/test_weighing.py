@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import shapely
 
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.weighed_model import believe_before, weigh_model
@@ -38,6 +39,7 @@ from gridpush_drake.planning.weighing.sequence import (
     calc_headings,
     calc_left_open,
     plan_next_press,
+    with_sure_force,
 )
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
@@ -98,7 +100,11 @@ def test_a_region_is_cut_to_what_an_estimate_leaves():
 
 
 def press_on(
-    force: float, options: PressOptions | None = None, noise: float = 0.0, top: float = TOP
+    force: float,
+    options: PressOptions | None = None,
+    noise: float = 0.0,
+    top: float = TOP,
+    target: PressTarget = TARGET,
 ) -> PressState:
     """A press by a spring on a rigid object that tilts about the edge at a force straight down, N."""
     options = options or PressOptions()
@@ -115,7 +121,7 @@ def press_on(
         felt = min(max(stiffness * (touching - z), 0.0), force)
         tip = np.array([*TARGET.place, z + felt / stiffness])
         measured = np.array([0.0, 0.0, felt]) + offset + noise * rng.standard_normal(3)
-        state = advance_press(TARGET, options, state, PressSample(0.01 * step, tip, measured))
+        state = advance_press(target, options, state, PressSample(0.01 * step, tip, measured))
         if state.over:
             return state
     return state
@@ -131,6 +137,25 @@ def test_a_press_stops_at_the_first_sign_of_tilt_and_knows_the_force(force, nois
     assert abs(weighing.force - force) < (3 * weighing.force_std if noise else 1e-3)
     assert 0.03 < weighing.force_std < 0.08
     np.testing.assert_allclose(weighing.place, TARGET.place)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.2])
+def test_a_press_is_faster_up_to_where_the_object_surely_lies_still(noise):
+    slow = press_on(30.0, noise=noise)
+    fast = press_on(30.0, noise=noise, target=replace(TARGET, sure_force=20.0))
+    # Two thirds of the way up, 10 mm of the spring, take a third of the time.
+    assert slow.last - fast.last == pytest.approx(0.01 / (radians(5.0) * 0.05) * 2 / 3, rel=0.1)
+    for state in (slow, fast):
+        weighing = state.make_weighing(TARGET, PressOptions(), np.zeros(3))
+        assert abs(weighing.force - 30.0) < (3 * weighing.force_std if noise else 1e-3)
+    assert abs(fast.tilt - slow.tilt) < radians(0.05)
+
+
+@pytest.mark.parametrize("force", [1.0, 5.0, 15.0])
+def test_an_object_that_tilts_below_its_sure_force_is_caught_all_the_same(force):
+    state = press_on(force, noise=0.2, target=replace(TARGET, sure_force=30.0))
+    assert state.outcome == PressOutcome.TILTED
+    assert state.tilt < radians(1.1)
 
 
 def test_an_object_that_is_too_heavy_is_left_alone():
@@ -193,6 +218,42 @@ def test_what_is_expected_to_be_left_open_is_what_the_estimate_leaves():
     trace = after.covariance[0, 0] / options.mass_std**2
     trace += np.trace(after.center_covariance) / options.center_std**2
     assert left == pytest.approx(trace, rel=0.02)
+
+
+def test_the_sure_force_is_less_than_any_that_is_likely_and_grows_with_what_is_known():
+    found = describe_prior(BAR)
+    first = plan_next_press(found, CENTERS, EDGE, TOP)
+    mass = 0.6
+    center = np.array([0.01, -0.004])
+
+    def calc_force(planned):
+        b = -float(EDGE.calc_beyond(transform(planned.pose, center[None])[0]))
+        return mass * GRAVITY * b / planned.target.calc_arm(np.array(planned.target.place))
+
+    weighing = EdgePress(
+        first.pose,
+        np.array(first.target.place),
+        calc_force(first),
+        np.array(EDGE.point),
+        EDGE.angle,
+        force_std=0.05,
+    )
+    known = weigh_model(found, WeighingLog((weighing,)))
+    rules = PressRules()
+    before, after = (
+        with_sure_force(first, belief, rules).target.sure_force
+        for belief in (believe_before(found), known.absolute)
+    )
+    # Pressed once more at the same place, the object tilts at the same force, near enough.
+    assert before < 0.2 * weighing.force < 0.5 * weighing.force < after < 0.75 * weighing.force
+    # Wherever else it is pressed, it lies still up to that force.
+    count = 0
+    for heading in calc_headings(BAR, EDGE):
+        for planned in list_rests(BAR, CENTERS, float(heading), EDGE, TOP, rules):
+            sure = with_sure_force(planned, known.absolute, rules).target.sure_force
+            assert 0 < sure < calc_force(planned)
+            count += 1
+    assert count > 50
 
 
 def test_presses_end_when_enough_is_known():

@@ -40,6 +40,7 @@ from gridpush_drake.planning.weighing.sequence import (
     calc_headings,
     calc_left_open,
     calc_open,
+    with_sure_force,
 )
 
 MM = 1e3
@@ -158,7 +159,7 @@ class WeighingPlanner(PreGraspPlanner):
             if planned is None or self._calc_gain(belief, planned) < self.weighing.min_gain:
                 continue
             if self._can_press(planned.target, pose):
-                return planned
+                return with_sure_force(planned, belief, rules)
         return None
 
     def _can_press(self, target: PressTarget, pose: Array) -> bool:

@@ -88,6 +88,7 @@ class PressOptions:
             height is uncertain by.
         tare_time: how long the force's offset is averaged, s.
         tilt_rate: rate at which the object tilts once it gives way, rad/s; it sets the speed.
+        sure_speedup: factor on the speed while the force is less than the target's `sure_force`.
         notice_tilt: tilt within which giving way is noticed, rad.
         gives_way: share of the commanded descent that the tip must make for the object to give way.
         sink_share: share of the greatest tilt by which the tip may go down since it touched; from
@@ -114,6 +115,7 @@ class PressOptions:
     slow_above: float = 0.0015
     tare_time: float = 0.5
     tilt_rate: float = radians(5.0)
+    sure_speedup: float = 3.0
     notice_tilt: float = radians(0.2)
     gives_way: float = 0.4
     sink_share: float = 0.6
@@ -148,6 +150,8 @@ class PressTarget:
         edge_angle: direction of the edge's outward normal, rad.
         top: height of the object's top above the table, m.
         tip_radius: radius of the tip's sphere, m.
+        sure_force: force up to which the object surely lies still, by all that is known of it, N.
+            Up to there the tip presses faster.
     """
 
     place: tuple[float, float]
@@ -155,6 +159,7 @@ class PressTarget:
     edge_angle: float
     top: float
     tip_radius: float
+    sure_force: float = 0.0
 
     @property
     def hover(self) -> Array:
@@ -334,15 +339,18 @@ def _press(
         speed = max(speed, options.descent_speed)
     now = _follow(now, sample)
     assert now.command is not None
-    moved = _move(now, sample, now.command - np.array([0.0, 0.0, 1.0]), speed)
     window = (*now.window, (sample, float(now.command[2])))
     while sample.time - window[0][0].time > max(options.touch_time, options.window) + ROUND_OFF:
         window = window[1:]
 
-    # Is the tip where something should have been met? The offset is known better than the noise of
-    # a few samples, but only straight down.
+    # The offset is known better than the noise of a few samples, but only straight down.
     felt = [one.force[2] for one, _ in window if sample.time - one.time <= options.touch_time]
     force = float(np.mean(felt)) - float(now.tare[0][2])
+    if now.touched is not None and force < target.sure_force:
+        speed *= options.sure_speedup
+    moved = _move(now, sample, now.command - np.array([0.0, 0.0, 1.0]), speed)
+
+    # Is the tip where something should have been met?
     is_full = sample.time - window[0][0].time >= options.touch_time - ROUND_OFF
     touches = is_full and force >= options.touch_force
     if not touches and sample.tip[2] < target.hover[2] - options.max_depth:

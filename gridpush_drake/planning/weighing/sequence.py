@@ -45,6 +45,13 @@ HEAVIER = 1.5
 """Factor on the mass that is supposed, for each press that the object withstood."""
 
 
+SURE_SIGMAS = 3.5
+"""Number of standard deviations by which the expected force of a press may be too high while the
+object still surely lies still."""
+
+SURE_SHARE = 0.75
+"""Share of the least force that is possible up to which the tip presses fast."""
+
 HEADINGS = 24
 """Number of headings in which an object is laid over an edge, evenly spaced."""
 
@@ -130,7 +137,24 @@ def plan_next_press(
             if left < least:
                 best = planned
                 least = left
-    return best
+    return None if best is None else with_sure_force(best, belief, rules)
+
+
+def with_sure_force(
+    planned: PlannedPress, belief: AbsoluteEstimate, rules: PressRules
+) -> PlannedPress:
+    """Says with a press up to which force the object surely lies still.
+
+    Args:
+        planned: the press.
+        belief: what is known now; the force is that of its mass, whatever the rules suppose.
+        rules: with the standard deviation of the force.
+    """
+    force, J, variance = _predict_force(belief, planned, rules)
+    # The force is a product of what is known to so many percent: its logarithm is about normal.
+    relative = float(np.sqrt(J @ belief.covariance @ J + variance)) / force
+    sure = SURE_SHARE * force * float(np.exp(-SURE_SIGMAS * relative))
+    return replace(planned, target=replace(planned.target, sure_force=sure))
 
 
 def calc_left_open(
@@ -143,6 +167,22 @@ def calc_left_open(
         planned: the press.
         rules: with the standard deviation of its force.
         options: with what is enough.
+    """
+    _, J, r = _predict_force(belief, planned, rules)
+    S = belief.covariance
+    SJ = S @ J
+    left = S - np.outer(SJ, SJ) / (float(J @ SJ) + r)
+    return calc_open(left, options)
+
+
+def _predict_force(
+    belief: AbsoluteEstimate, planned: PlannedPress, rules: PressRules
+) -> tuple[float, Array, float]:
+    """Predicts the force of a press.
+
+    Returns:
+        F, N; its derivatives (4,) by log m, the center of mass and log mu; and the variance of what
+        is measured, N².
     """
     noise = PoseNoise()
     target = planned.target
@@ -160,12 +200,7 @@ def calc_left_open(
     by_edge = (force + weight) / a * noise.edge
     by_place = weight / a * noise.position
     by_angle = weight / a * float(n @ turn_left(arm)) * noise.angle
-    r = rules.force_std**2 + by_edge**2 + by_place**2 + by_angle**2
-
-    S = belief.covariance
-    SJ = S @ J
-    left = S - np.outer(SJ, SJ) / (float(J @ SJ) + r)
-    return calc_open(left, options)
+    return force, J, rules.force_std**2 + by_edge**2 + by_place**2 + by_angle**2
 
 
 def calc_open(S: Array, options: SequenceOptions) -> float:
