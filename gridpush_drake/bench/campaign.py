@@ -23,6 +23,7 @@ from gridpush_drake.bench.results import Results
 from gridpush_drake.bench.table import CONFIDENCE, MM, PERCENT, Share, Table, Value, calc_mean
 from gridpush_drake.errors import GridPushError, OutputError
 from gridpush_drake.files import is_file, make_folder
+from gridpush_drake.identification.absolute_errors import compare_with_truth
 from gridpush_drake.planning.scene.fetching import POKE, SLIDE
 from gridpush_drake.station.pregrasp_task import PreGraspRecord
 from gridpush_drake.station.resolve import resolve
@@ -127,6 +128,12 @@ class Episode:
         center_of_mass_error: of the last estimate, m; None where nothing was learned.
         duration: simulated, s.
         wall: what it took, s, with making the station.
+        mass_error: error of the last estimate of the mass, relative to it; this and what follows is
+            None where nothing was weighed.
+        friction_error: error of the last estimate of the mean friction coefficient.
+        mass_holds: whether the 95 % interval of the mass holds it.
+        center_holds: whether the 95 % region of the center of mass holds it.
+        friction_holds: whether the 95 % interval of the mean friction holds it.
     """
 
     object: str
@@ -141,6 +148,11 @@ class Episode:
     center_of_mass_error: float | None = None
     duration: float = 0.0
     wall: float = 0.0
+    mass_error: float | None = None
+    friction_error: float | None = None
+    mass_holds: bool | None = None
+    center_holds: bool | None = None
+    friction_holds: bool | None = None
 
 
 def run_episode(job: EpisodeJob) -> Episode:
@@ -235,6 +247,17 @@ def _make_episode(job: EpisodeJob, record: TaskRecord, outcome: str, wall: float
     if record.estimates:
         error = calc_center_error(record, record.estimates[-1].params)
         episode = replace(episode, center_of_mass_error=error)
+        absolute = record.estimates[-1].absolute
+        if absolute is not None and record.truth is not None:
+            errors = compare_with_truth(absolute, record.obj, record.truth)
+            episode = replace(
+                episode,
+                mass_error=errors.mass,
+                friction_error=errors.friction,
+                mass_holds=errors.mass_holds,
+                center_holds=errors.center_holds,
+                friction_holds=errors.friction_holds,
+            )
     return episode
 
 
@@ -318,8 +341,10 @@ class Campaign:
         meanings = [f"{end}: {MEANINGS[end]}." for end in self.ends if end in MEANINGS]
         notes = [
             f"In brackets: {PERCENT * CONFIDENCE:g} % Wilson intervals. {' '.join(meanings)}"
-            " The rest: means of all episodes in which it was found."
+            " The rest: means of magnitudes, of all episodes in which it was found."
         ]
+        if "mass held, %" in averaged:
+            notes.append("held: share of the weighed episodes whose 95 % interval has the truth.")
         for failure in self.failures:
             name = Path(failure.object).stem
             notes.append(f"{name}, seed {failure.seed}: {failure.status}. {failure.message}")
@@ -344,13 +369,20 @@ AVERAGED = {
     "pokes": ("pokes", 1.0),
     "slides": ("slides", 1.0),
     "CoM error, mm": ("center_of_mass_error", MM),
+    "mass error, %": ("mass_error", PERCENT),
+    "friction error": ("friction_error", 1.0),
+    "mass held, %": ("mass_holds", PERCENT),
+    "CoM held, %": ("center_holds", PERCENT),
+    "friction held, %": ("friction_holds", PERCENT),
     "simulated, s": ("duration", 1.0),
 }
-"""Columns of means: fields of an episode, and what they are multiplied by."""
+"""Columns of means of magnitudes: fields of an episode, and what they are multiplied by."""
 
 
 def _list_known(episodes: Sequence[Episode], key: str) -> list[float]:
-    return [getattr(episode, key) for episode in episodes if getattr(episode, key) is not None]
+    """Lists magnitudes of a field of the episodes in which it was found."""
+    values = [getattr(episode, key) for episode in episodes]
+    return [abs(float(value)) for value in values if value is not None]
 
 
 def describe_settings(task: str, scenario: PushScenario) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from gridpush_drake.bench.weighing_world import EDGE, WeighingNoise, WeighingWor
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.identification.absolute_errors import compare_with_truth
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.weighed_model import weigh_model
@@ -95,9 +96,6 @@ FRICTION_GOAL = 0.03
 
 Column = Callable[[Any], str | float | int | Mean | None]
 """What stands in a column of some scores."""
-
-CHI_SQUARE = 5.991
-"""95 % quantile of a chi square with two degrees of freedom."""
 
 
 @dataclass(frozen=True)
@@ -305,47 +303,39 @@ def score(
     moved: float,
 ) -> WeighingScore:
     """Compares what is known with the truth."""
-    mass = float(truth.total_mass)
-    friction = float(truth.mass @ truth.friction) / mass
-    center = truth.center_of_mass(known.obj)
-    absolute = known.absolute
-    if absolute is None:
+    if known.absolute is None:
         # Nothing could be weighed.
-        off = known.params.center_of_mass(known.obj) - center
-        errors: tuple[float | None, float, float | None] = (None, float(np.linalg.norm(off)), None)
-        holds = (False, False, False)
+        off = known.params.center_of_mass(known.obj) - truth.center_of_mass(known.obj)
+        found: dict[str, Any] = {
+            "mass_error": None,
+            "center_error": float(np.linalg.norm(off)),
+            "friction_error": None,
+            "mass_holds": False,
+            "center_holds": False,
+            "friction_holds": False,
+        }
     else:
-        off = absolute.center_of_mass - center
-        errors = (
-            absolute.total_mass / mass - 1,
-            float(np.linalg.norm(off)),
-            absolute.friction - friction,
-        )
-        low, high = absolute.mass_interval
-        least, most = absolute.friction_interval
-        distance = float(off @ np.linalg.solve(absolute.center_covariance, off))
-        holds = (
-            bool(low <= mass <= high),
-            distance <= CHI_SQUARE,
-            bool(least <= friction <= most),
-        )
+        errors = compare_with_truth(known.absolute, known.obj, truth)
+        found = {
+            "mass_error": errors.mass,
+            "center_error": errors.center,
+            "friction_error": errors.friction,
+            "mass_holds": errors.mass_holds,
+            "center_holds": errors.center_holds,
+            "friction_holds": errors.friction_holds,
+        }
     return WeighingScore(
         name=job.name,
         seed=job.seed,
-        mass=mass,
+        mass=float(truth.total_mass),
         pushes=len(known.push_names),
         presses=presses,
         withstood=withstood,
         time=time,
-        mass_error=errors[0],
-        center_error=errors[1],
-        friction_error=errors[2],
-        mass_holds=holds[0],
-        center_holds=holds[1],
-        friction_holds=holds[2],
         max_tilt=tilt,
         moved=moved,
         fell=bool(tilt >= FALLEN_TILT),
+        **found,
     )
 
 

@@ -84,6 +84,21 @@ def test_the_table_counts_and_gives_wilson_intervals():
     assert rows[1]["pokes"] == pytest.approx(3.0)  # of the one that has any
 
 
+def test_the_table_tells_how_well_objects_were_weighed():
+    campaign = make_campaign()
+    assert "mass error, %" not in campaign.tabulate().columns
+    weighed = [
+        replace(HELD, mass_error=-0.02, friction_error=0.01, mass_holds=True, center_holds=True),
+        replace(HELD, mass_error=0.04, friction_error=-0.03, mass_holds=False, center_holds=True),
+    ]
+    table = replace(campaign, episodes=[*campaign.episodes, *weighed]).tabulate()
+    row = dict(zip(table.columns, table.rows[-1], strict=True))
+    assert row["mass error, %"] == pytest.approx(3.0)
+    assert row["friction error"] == pytest.approx(0.02)
+    assert (row["mass held, %"], row["CoM held, %"]) == (50.0, 100.0)
+    assert "friction held, %" not in table.columns
+
+
 def test_what_the_gripper_did_not_raise_is_not_dropped():
     campaign = make_campaign()
     before = campaign.tabulate()

@@ -178,10 +178,38 @@ def test_numbers_that_are_not_finite_end_a_press():
     assert (state.phase, state.outcome) == (PressPhase.RETREATING, PressOutcome.NO_FORCE)
 
 
+def test_the_tip_follows_the_top_of_a_tilting_object_and_creeps_no_farther():
+    """An arm whose tip is 0.2 mm off from what is commanded would else creep on and on."""
+    options = PressOptions()
+    farthest = TOP * np.tan(options.max_tilt)
+    state = replace(
+        PressState(),
+        phase=PressPhase.DWELLING,
+        command=TARGET.hover,
+        start_height=0.038,
+        hold=TARGET.hover,
+    )
+    offs = []
+    for step in range(30):
+        tip = state.command + (0.0, 2e-4, 0.0)
+        offs.append(float(np.linalg.norm(tip[:2] - TARGET.place)))
+        state = advance_press(
+            TARGET, options, state, PressSample(0.01 * step, tip, np.array([0.0, 0.0, 5.0]))
+        )
+    assert state.phase == PressPhase.DWELLING
+    np.testing.assert_allclose(offs[:2], [2e-4, 4e-4])
+    assert max(offs) < farthest + 2e-4
+    assert offs[-1] == pytest.approx(farthest, abs=1e-5)
+
+
 def test_a_force_along_the_normal_counts_by_its_moment():
     """The object's top draws the tip along: the moment of both forces about the edge is what counts."""
     state = replace(
-        PressState(), phase=PressPhase.DWELLING, command=TARGET.hover, start_height=0.038
+        PressState(),
+        phase=PressPhase.DWELLING,
+        command=TARGET.hover,
+        start_height=0.038,
+        hold=TARGET.hover,
     )
     sample = PressSample(0.0, TARGET.hover, np.array([2.0, 0.0, 10.0]))
     state = advance_press(TARGET, PressOptions(), state, sample)

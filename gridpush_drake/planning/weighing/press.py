@@ -20,7 +20,9 @@ outward normal, a the tip's distance from the edge and h the height of the conta
 
 is the force that would do the same straight down. As the object tilts, its top draws the tip along
 by friction. A tip that is held against that presses with f·n, too, and may jam: so the place that
-is commanded follows the tip sideways, and only its height is held.
+is commanded follows the tip sideways, as far from where it touched as a tilt draws the top,
+h tan(t) at the greatest tilt t. There it is held, as its height is: an arm that is pushed sideways
+by its own pressing would else creep on, and take the object along.
 
 `advance_press` is a pure function from state and sample to state. `systems.edge_presser` puts it
 between ports. Where it is safe to press is worked out in `plan`.
@@ -29,7 +31,7 @@ between ports. Where it is safe to press is worked out in `plan`.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import cos, isfinite, radians, sin, sqrt
+from math import cos, isfinite, radians, sin, sqrt, tan
 
 import numpy as np
 
@@ -97,8 +99,8 @@ class PressOptions:
         touch_force: mean force straight down from which the tip counts as touching, N.
         dwell_tilt: how much further than noticed the object is tilted while the force is averaged,
             rad. At the very beginning other feet than the edge may still bear.
-        hold_gain: share of the error of the tip's height by which the command is corrected in each
-            sample at the tilt.
+        hold_gain: share of the error of the tip's height, and of its place where it is held
+            sideways, by which the command is corrected in each sample.
         dwell_time: how long the force is averaged at the tilt, s.
         max_tilt: greatest tilt; the tip goes up at once if the object tilts further, rad.
         max_force: greatest force, N. If the object does not tilt with it, the press ends.
@@ -206,7 +208,7 @@ class PressState(Unchanging):
         window: the latest samples, each with the height commanded then, m.
         touched: when the tip began to touch, s; None before.
         start_height: height of the tip as it began to touch, m.
-        hold_height: height at which the tip is held at the tilt, m.
+        hold: (3,) place about which the tip is held, m: where it touched and, at the tilt, lower.
         forces: straight-down forces F of the samples at the tilt, N.
         places: (x, y) of the tip at these, m.
         tilt: greatest tilt that the tip's descent says, rad.
@@ -222,7 +224,7 @@ class PressState(Unchanging):
     window: tuple[tuple[PressSample, float], ...] = ()
     touched: float | None = None
     start_height: float = 0.0
-    hold_height: float = 0.0
+    hold: Array = field(default_factory=lambda: np.zeros(3))
     forces: tuple[float, ...] = ()
     places: tuple[tuple[float, float], ...] = ()
     tilt: float = 0.0
@@ -337,7 +339,8 @@ def _press(
     speed = options.tilt_rate * target.calc_arm(sample.tip)
     if now.touched is None and sample.tip[2] > target.hover[2] + options.slow_above:
         speed = max(speed, options.descent_speed)
-    now = _follow(now, sample)
+    if now.touched is not None:
+        now = _give_sideways(target, options, now, sample)
     assert now.command is not None
     window = (*now.window, (sample, float(now.command[2])))
     while sample.time - window[0][0].time > max(options.touch_time, options.window) + ROUND_OFF:
@@ -365,6 +368,7 @@ def _press(
     if touches and touched is None:
         touched = sample.time
         height_then = float(sample.tip[2])
+        moved = replace(moved, hold=sample.tip)
     moved = replace(moved, window=window, touched=touched, start_height=height_then)
     if touched is None or sample.time - touched < options.window:
         return moved
@@ -384,7 +388,7 @@ def _press(
         phase=PressPhase.DWELLING,
         velocity=np.zeros(3),
         since=sample.time,
-        hold_height=float(sample.tip[2]) - options.dwell_tilt * arm,
+        hold=np.array([*moved.hold[:2], sample.tip[2] - options.dwell_tilt * arm]),
         window=(),
     )
 
@@ -395,7 +399,7 @@ def _dwell(
     """Averages the force at the tilt, and watches that the object does not tilt further."""
     tilt = (now.start_height - float(sample.tip[2])) / target.calc_arm(sample.tip)
     after = replace(
-        _hold(options, now, sample),
+        _hold(target, options, now, sample),
         forces=(*now.forces, _calc_force(target, now, sample)),
         places=(*now.places, (float(sample.tip[0]), float(sample.tip[1]))),
         tilt=max(now.tilt, tilt),
@@ -448,17 +452,28 @@ def _move(now: PressState, sample: PressSample, goal: Array, speed: float) -> Pr
     return replace(now, command=now.command + step * direction, velocity=speed * direction)
 
 
-def _follow(now: PressState, sample: PressSample) -> PressState:
-    """Lets the command follow the tip sideways, so that it may be drawn along."""
+def _give_sideways(
+    target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
+) -> PressState:
+    """Lets the command follow the tip sideways as far as a tilt draws it, and holds it there."""
     assert now.command is not None
-    return replace(now, command=np.array([*sample.tip[:2], now.command[2]]))
+    farthest = target.top * tan(options.max_tilt)
+    off = sample.tip[:2] - now.hold[:2]
+    distance = float(np.linalg.norm(off))
+    place = sample.tip[:2]
+    if distance > farthest:
+        limit = now.hold[:2] + farthest / distance * off
+        place = now.command[:2] + options.hold_gain * (limit - sample.tip[:2])
+    return replace(now, command=np.array([*place, now.command[2]]))
 
 
-def _hold(options: PressOptions, now: PressState, sample: PressSample) -> PressState:
-    """Corrects the command so that the tip stays at one height."""
-    followed = _follow(now, sample)
+def _hold(
+    target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
+) -> PressState:
+    """Corrects the command so that the tip stays at one height, and near one place."""
+    followed = _give_sideways(target, options, now, sample)
     assert followed.command is not None
-    rise = options.hold_gain * (now.hold_height - float(sample.tip[2]))
+    rise = options.hold_gain * float(now.hold[2] - sample.tip[2])
     return replace(followed, command=followed.command + np.array([0.0, 0.0, rise]))
 
 
