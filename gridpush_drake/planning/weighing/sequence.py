@@ -73,8 +73,8 @@ class SequenceOptions:
 
     rules: PressRules = field(default_factory=PressRules)
     sigmas: float = 3.5
-    mass_std: float = 0.01
-    center_std: float = 0.001
+    mass_std: float = 0.0125
+    center_std: float = 0.00125
     min_gain: float = 0.03
     max_presses: int = 10
 
