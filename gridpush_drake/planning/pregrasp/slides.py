@@ -3,10 +3,10 @@
 `plan_slide` chooses it. Contact-point optimization proposes pushes towards each goal, forbidden to
 pass poses whose stability margin is too thin. Each proposal is then simulated with a few samples of
 the model, with the loads that an overhanging object has (`dynamics.kernels.support_loads`), and
-cut short before the first pose in which the margin is too thin by any of them. Those that so look
-better than the best one known are weighed with all samples: cut before the first pose in which the
-margin is too thin by more than a small share of them, or in which the object falls by any. The
-proposal is taken that, so cut, ends nearest to its goal on the average of the samples.
+cut short before the first pose in which the margin is too thin by any of them. If what is left of
+it looks better than the best one known, it is weighed with all samples: cut before the first pose
+in which the margin is too thin by more than a small share of them, or in which the object falls by
+any. The proposal is taken that, so cut, ends nearest to its goal on the average of the samples.
 
 `PushMonitor` watches a push under way: whether the object stays as safe as was planned, and clear
 of other things on the table.
@@ -287,11 +287,11 @@ def plan_slide(
         # By the samples, and cut short, a push would hardly end nearer than by the model alone.
         if best is not None and planned.cost >= best.planned.cost:
             break
-        # First with a few samples, then with all of them.
+        # First with a few samples; what they leave of it then with all.
         slide: Slide | None = None
         for models in ((params, *draws[: options.few]), (params, *draws)):
             slide = _cut_short(
-                planned=planned,
+                planned=planned if slide is None else slide.planned,
                 goal=goal,
                 masses=masses,
                 models=models,
