@@ -192,7 +192,8 @@ class OutlineEdges(Frozen):
                 the perimeter it goes on round.
 
         Returns:
-            The point (2,), m, the unit tangent (2,) and the outward unit normal (2,), body frame.
+            The point (2,), m, the unit tangent (2,) and the outward unit normal (2,), body frame;
+            the last two are read-only.
         """
         s = arc_length % self.perimeter
         # The edge is the last one that starts no later than s.
@@ -206,12 +207,12 @@ class OutlineEdges(Frozen):
     def tangents(self) -> Array:
         """(E, 2) unit tangents of the edges."""
         along = self.end - self.start
-        return along / np.linalg.norm(along, axis=1)[:, None]
+        return _join([along / np.linalg.norm(along, axis=1)[:, None]])
 
     @cached_property
     def normals(self) -> Array:
         """(E, 2) outward unit normals of the edges."""
-        return turn_right(self.tangents)
+        return _join([turn_right(self.tangents)])
 
 
 def _join(parts: list[NDArray[Any]]) -> NDArray[Any]:

@@ -262,3 +262,13 @@ def test_the_edges_near_the_disc_say_what_all_edges_say(seed):
     # all cases came up: nothing, one and two contacts; few edges, and all where it was inside
     assert {0, 1, 2} <= set(counts)
     assert -1 in chosen and 0 < np.median([n for n in chosen if n > 0]) < len(edges.ax) / 2
+
+
+def test_a_place_on_the_outline_cannot_be_changed_by_who_asked_for_it() -> None:
+    edges = OutlineEdges.from_polygon(Polygon([(0, 0), (0.2, 0), (0.2, 0.1), (0, 0.1)]))
+    for arc_length, outward in ((0.05, (0, -1)), (0.25, (1, 0)), (0.35, (0, 1)), (0.65, (0, -1))):
+        _, tangent, normal = edges.at(arc_length)
+        np.testing.assert_allclose(normal, outward, atol=1e-15)
+        np.testing.assert_allclose([-tangent[1], tangent[0]], -normal, atol=1e-15)
+        with pytest.raises(ValueError, match="read-only"):
+            normal[:] = 0.0
