@@ -188,7 +188,8 @@ class LcpFingerWorld(FingerWorld):
         """
         self.obj = obj
         self.params = params
-        self._model = make_model(obj, params, radius)._replace(step=WORLD_STEP)
+        model = make_model(obj, params, radius, approximate=False)
+        self._model = model._replace(step=WORLD_STEP)
         self._state = np.zeros(STATE)
         super().__init__(pose, tip, sight, seed)
 

@@ -59,7 +59,12 @@ class FeedbackFinger:
 
 
 def make_model(
-    obj: GridObject, params: CellParameters, radius: float, physics: Physics | None = None
+    obj: GridObject,
+    params: CellParameters,
+    radius: float,
+    physics: Physics | None = None,
+    *,
+    approximate: bool = True,
 ) -> PushedModel:
     """Makes a model as the compiled search takes it.
 
@@ -68,6 +73,8 @@ def make_model(
         params: its masses and frictions.
         radius: of the finger, m.
         physics: physics of the model; its regime does not matter, for the search is quasi-static.
+        approximate: whether poses may be a little off, as in `PushBatch`; not of what stands for
+            the true object.
 
     Raises:
         PlanningError: the parameters are those of another object, or the friction law knows no
@@ -84,7 +91,9 @@ def make_model(
     used = used.with_regime("quasi_static")
     if not float(params.friction @ params.mass) * used.gravity > 0:
         raise PlanningError("model: expected some friction with the support")
-    law, body, support, edges, scheme = prepare_rollout(obj, params, used, None, approximate=True)
+    law, body, support, edges, scheme = prepare_rollout(
+        obj, params, used, None, approximate=approximate
+    )
     corners = shapely.get_coordinates(obj.outline)
     return PushedModel(
         law=law,

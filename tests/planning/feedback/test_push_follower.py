@@ -73,6 +73,14 @@ def test_the_search_moves_the_object_as_simulate_does():
     assert state[X : THETA + 1] == pytest.approx(expected, abs=2e-4)
 
 
+def test_the_world_is_simulated_exactly_and_the_search_approximately():
+    searched = make_follower(GOAL).model.scheme
+    world = make_world()._model.scheme
+    assert world.early_end == 0.0
+    assert searched.early_end > 0.0
+    assert searched._replace(early_end=0.0) == world
+
+
 def test_a_finger_that_passes_by_moves_nothing():
     world = make_world()
     start = world.pose
