@@ -113,7 +113,9 @@ class GoalConfig(Config):
     Attributes:
         pose: [x, y, theta] of B in W at the goal, m and rad.
         tolerance: the goal is reached once the mean distance of the object's cells from where they
-            should be is less than this, m.
+            should be is less than this, m. Where several objects are rearranged, it is the distance
+            of each object's cells' centroid, and its turn from the goal is at most 10 rad/m times
+            this.
         max_pushes: number of pushes after which the robot gives up.
     """
 

@@ -68,6 +68,21 @@ def test_two_objects_change_places():
     assert first.aside.sum() == 1
 
 
+def test_threads_choose_the_same_push():
+    truth = make_truth(["square", "bar"], [(-0.12, 0, 0), (0.12, 0, 0.3)])
+    belief = SceneBelief.of_prior(truth.objects, truth.poses)
+    chosen = []
+    for workers in (1, 2):
+        options = RearrangeOptions(search=replace(QUICK, workers=workers))
+        planner = RearrangePlanner(
+            truth.objects, [(0.1, 0.2, 0.5), (0.3, -0.1, 0)], options, SceneRules(TABLE)
+        )
+        chosen.append(planner.decide(truth.poses, belief, []))
+    assert chosen[0].body == chosen[1].body
+    np.testing.assert_array_equal(chosen[0].push.xy, chosen[1].push.xy)
+    np.testing.assert_array_equal(chosen[0].expected, chosen[1].expected)
+
+
 def test_an_object_without_a_goal_is_moved_out_of_one():
     truth = make_truth(["square", "bar"], [(-0.25, 0, 0), (0.0, 0, 0.3)])
     goals = [(0.0, 0.0, 0.0), (np.nan, np.nan, np.nan)]

@@ -194,6 +194,15 @@ def test_a_run_is_summarized_and_reported(name, tmp_path):
     assert status is TaskStatus.DROPPED and task.names[1] in message
 
 
+@pytest.mark.parametrize(("tolerance", "angle"), [(0.02, 0.2), (0.005, 0.05), (0.3, 0.5)])
+def test_a_goals_tolerance_is_one_of_position_and_turn(tolerance, angle):
+    scenario = read_scenario("rearrange")
+    goal = scenario.goal.model_copy(update={"tolerance": tolerance})
+    options = RearrangeTask(scenario.model_copy(update={"goal": goal})).make_planner().options
+    assert options.position_tolerance == tolerance
+    assert options.angle_tolerance == pytest.approx(angle)
+
+
 def test_objects_of_one_name_are_told_apart():
     scenario = parse_scenario(
         Path("two.yaml"),

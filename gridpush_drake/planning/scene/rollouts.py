@@ -4,7 +4,7 @@ What the kernels know of the objects does not depend on where they lie. It is ma
 and used for pushes from any poses: searches ask for hundreds.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -130,3 +130,26 @@ class SceneRollouts:
             touched=bool((steps.modes[with_pusher] != 0).any()),
             solved=solved,
         )
+
+
+def roll_models(
+    models: Sequence[SceneRollouts], push: Push, poses: Array, workers: int = 1
+) -> Iterator[Rollout]:
+    """Simulates one push from poses (N, 3) with several models, one after another or by threads.
+
+    Args:
+        models: the models.
+        push: the push.
+        poses: (N, 3) where the objects lie, m and rad.
+        workers: number of threads; no result depends on it. With one, a model is simulated only
+            when its rollout is asked for.
+
+    Yields:
+        Each model's rollout.
+    """
+    if workers == 1 or len(models) < 2:
+        for model in models:
+            yield model.roll(push, poses)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        yield from pool.map(lambda model: model.roll(push, poses), models)

@@ -30,7 +30,7 @@ from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.push_constraints import PushRule, make_body
 from gridpush_drake.planning.scene.belief import SceneBelief
-from gridpush_drake.planning.scene.rollouts import Rollout, SceneRollouts
+from gridpush_drake.planning.scene.rollouts import Rollout, SceneRollouts, roll_models
 from gridpush_drake.planning.support_surface import SupportSurface
 
 CostToGo = Callable[[Array], Array]
@@ -519,8 +519,7 @@ class SceneSearch:
     ) -> float | None:
         """Averages what is left after a push over all models, s; None where one breaks a rule."""
         left = [each.left]
-        for rollouts in self._others:
-            rollout = rollouts.roll(each.push, poses)
+        for rollout in roll_models(self._others, each.push, poses, self.options.workers):
             if not self._keeps_room(rollout.poses, limits).all():
                 return None
             left.append(float(cost(rollout.poses[-1:])[0]))
