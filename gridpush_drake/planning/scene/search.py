@@ -436,7 +436,9 @@ class SceneSearch:
         if first >= last:
             return None
         # the best of the steps, and then of places between it and those beside it
-        best = first + int(np.argmin(self._rate(rollout, np.arange(first, last), cost)[0]))
+        best = first + int(
+            np.argmin(self._rate(rollout, np.arange(first, last, dtype=float), cost)[0])
+        )
         places = np.arange(-STOPS_A_STEP, STOPS_A_STEP + 1) / STOPS_A_STEP + best
         places = places[(places >= first) & (places <= last - 1)]
         values, left = self._rate(rollout, places, cost)
