@@ -354,20 +354,7 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
         ScenarioError: a directive cannot be carried out, there is no arm with a finger, there are
             several, or a file of measures is not what it should be.
     """
-    package_map = PackageMap()
-    AddModelsPackage(package_map)
-    check_directives(directives, package_map)
-    try:
-        flat = FlattenModelDirectives(
-            ModelDirectives(directives=list(directives)), package_map
-        ).directives
-        folders = {
-            d.add_model.name: Path(package_map.ResolveUrl(d.add_model.file)).parent
-            for d in flat
-            if d.add_model
-        }
-    except (RuntimeError, ValueError) as error:
-        raise ScenarioError(f"directives: {' '.join(str(error).split())}") from error
+    flat, folders = _flatten(directives)
     arm_model, arm = _find_measures(folders, "robot.yaml", ArmMeasures)
     finger_model, finger = _find_measures(folders, "finger.yaml", FingerMeasures)
     gripper_model, gripper = _find_measures(folders, "gripper.yaml", GripperMeasures)
@@ -437,7 +424,61 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
             f"expected one of {able}{or_else}"
         )
     url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
-    return [ModelDirective(add_directives=AddDirectives(file=url))]
+    directives = [ModelDirective(add_directives=AddDirectives(file=url))]
+    if path is not shipped:
+        key = "grasp" if grasping else "push"
+        _refuse_other_robot(path, f"scenes.{key} is {scene}", directives)
+    return directives
+
+
+def _refuse_other_robot(path: Path, says: str, directives: Sequence[ModelDirective]) -> None:
+    """Refuses a scene with another robot than the one whose robot.yaml names it.
+
+    That robot.yaml would be passed over, and the other's be taken.
+
+    Args:
+        path: the robot.yaml.
+        says: what it says of the scene, for the message.
+        directives: the scene.
+
+    Raises:
+        ScenarioError: the scene has another robot, or a directive cannot be carried out.
+    """
+    _, folders = _flatten(directives)
+    robots = [folder.resolve() for folder in folders.values() if is_file(folder / path.name)]
+    if robots and path.parent.resolve() not in robots:
+        raise ScenarioError(
+            f"{path}: {says}, where the robot of {robots[0]} stands; expected a scene with the "
+            "model beside this robot.yaml"
+        )
+
+
+def _flatten(
+    directives: Sequence[ModelDirective],
+) -> tuple[list[ModelDirective], dict[str, Path]]:
+    """Reads the files that directives name, down to the last one.
+
+    Returns:
+        All directives, and the folder of each model's file by the model's name.
+
+    Raises:
+        ScenarioError: a directive cannot be carried out.
+    """
+    package_map = PackageMap()
+    AddModelsPackage(package_map)
+    check_directives(directives, package_map)
+    try:
+        flat = FlattenModelDirectives(
+            ModelDirectives(directives=list(directives)), package_map
+        ).directives
+        folders = {
+            d.add_model.name: Path(package_map.ResolveUrl(d.add_model.file)).parent
+            for d in flat
+            if d.add_model
+        }
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"directives: {' '.join(str(error).split())}") from error
+    return flat, folders
 
 
 def _find_shipped() -> Path:

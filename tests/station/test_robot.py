@@ -1,6 +1,7 @@
 """A robot is a folder: its measures stand beside its model, and another arm needs no change to the package."""
 
 import re
+import shutil
 from dataclasses import fields
 from pathlib import Path
 
@@ -362,3 +363,11 @@ def test_a_folder_of_ones_own_names_its_scene(second_arm):
         resolve(PushScenario(directives=directives, object_pose=[0.65, 0.0, 0.0]))
     with pytest.raises(ScenarioError, match="has no gripper"):
         make_robot_directives(str(second_arm.parent), grasping=True)
+
+
+def test_a_copied_folder_whose_scene_has_the_robot_it_was_copied_from_is_refused(tmp_path):
+    # The copy's own measures would be passed over.
+    copied = Path(shutil.copytree(find_models() / "robots/ur5e", tmp_path / "mine"))
+    message = r"mine/robot\.yaml: scenes\.push is package://.*, where the robot of .*ur5e stands"
+    with pytest.raises(ScenarioError, match=message):
+        make_robot_directives(str(copied), grasping=False)
