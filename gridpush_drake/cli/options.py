@@ -18,7 +18,13 @@ from gridpush_drake.bench.results import Results
 from gridpush_drake.cli.console import count_noun, print_notice, work_progress
 from gridpush_drake.cli.kernels import compile_all
 from gridpush_drake.dynamics.physics import Physics
-from gridpush_drake.errors import MAX_NUMBER, GridPushError, PlanningError, PushLogError
+from gridpush_drake.errors import (
+    MAX_NUMBER,
+    GridPushError,
+    PlanningError,
+    PushLogError,
+    require_positive,
+)
 from gridpush_drake.files import check_writable, exists, is_file, is_same
 from gridpush_drake.identification.model_file import looks_like_model, read_model
 from gridpush_drake.identification.result import Identification
@@ -439,8 +445,13 @@ def load_log(path: Path, obj: GridObject, *, require_final: bool = True) -> Push
 
 
 def choose_radius(radius: float | None, obj: GridObject) -> float:
-    """The pusher's radius, m: as given, else as in the object's file, else the shipped finger's."""
+    """The pusher's radius, m: as given, else as in the object's file, else the shipped finger's.
+
+    Raises:
+        OptionError: the radius that was given is not positive, or absurdly large.
+    """
     if radius is not None:
+        require_positive(OptionError, "--radius: ", "m", radius=radius)
         return radius
     known = obj.prior.pusher_radius
     return DEFAULT_PUSHER_RADIUS if known is None else known

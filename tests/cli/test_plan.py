@@ -89,7 +89,7 @@ def test_says_that_there_is_no_path(gridpush, block, tmp_path):
         ((*GOAL, "--table", "square:1"), ["--table", "rectangle:WxH"]),
         ((*GOAL, "--table", "round:-1"), ["--table", "radius"]),
         ((*GOAL, "--obstacle", "round:x"), ["--obstacle", "round:R"]),
-        ((*GOAL, "--radius", "-1"), ["radius", "positive"]),
+        ((*GOAL, "--radius", "-1"), ["--radius: radius is -1.0; expected a positive number"]),
         ((*GOAL, "--tolerance", "0"), ["tolerance", "positive"]),
         ((*GOAL, "--speed", "0"), ["speed", "positive"]),
         (("--goal", "1e300,0,0"), ["--goal", "1e300,0,0", "x,y,theta"]),

@@ -78,7 +78,7 @@ def test_a_push_that_misses_is_no_error(gridpush, block):
         (("--pose", "0,0"), ["--pose", "x,y,theta"]),
         (("--duration", "-1"), ["duration", "positive"]),
         (("--duration", "nan"), ["duration", "positive"]),
-        (("--radius", "0"), ["radius", "positive"]),
+        (("--radius", "0"), ["--radius: radius is 0.0; expected a positive number"]),
         (("--radius", "1e300"), ["radius is 1e+300", "at most 1e+12"]),
         (("--duration", "1e300"), ["duration is 1e+300", "at most 1e+12"]),
         (("--pose", "0,0,1e300"), ["--pose", "0,0,1e300"]),

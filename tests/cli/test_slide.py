@@ -132,7 +132,7 @@ def test_one_json_document_tells_what_a_poke_is_worth(gridpush):
         (("claw_hammer", *TABLE, "--depth", "-0.1"), ["gripper", "depth"]),
         (("claw_hammer", *TABLE, "--margin", "-0.1"), ["margin"]),
         (("claw_hammer", *TABLE, "--friction", "0.5,0.2"), ["friction_range"]),
-        (("claw_hammer", *TABLE, "--radius", "0"), ["radius"]),
+        (("claw_hammer", *TABLE, "--radius", "0"), ["--radius: radius is 0.0"]),
         (("claw_hammer", *TABLE, "--start", "5,0,0"), ["--start", "on the table"]),
         (("claw_hammer", *TABLE, "--start", "0,0"), ["--start", "x,y,theta"]),
         (("nothing", *TABLE), ["nothing"]),
