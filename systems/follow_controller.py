@@ -49,6 +49,7 @@ from gridpush_drake.systems.messages import (
     SteerStatus,
 )
 from gridpush_drake.systems.object_controller import AbstractStateSystem
+from gridpush_drake.systems.poke_policy import MAX_REPETITION
 from gridpush_drake.systems.worker import Answer, Request, answer_now, make_worker
 
 SAMPLE_PERIOD = 0.01
@@ -67,6 +68,13 @@ BEHIND = 0.012
 
 DIRECTIONS = 36
 """Directions around the object in which a place for the finger is looked for."""
+
+LEAD_GAIN = 0.3
+"""Share of the latest one in how long decisions take."""
+
+MAX_BLIND_TIME = 3.0
+"""Time for which the finger waits for a pose, s. Then it goes up: it may be the arm that hides the
+object from the camera."""
 
 LEARNING_TIME = 10.0
 """Longest wait for the last poke to be learned from, s."""
@@ -196,6 +204,9 @@ class FollowControlState(Unchanging):
         progress: how far the object came on its path, m.
         request: the calculation under way; None if there is none.
         decide_at: time of the next decision, s.
+        lead: how long the last decisions took, s, the latest counting most.
+        blind_since: time from which on no pose came while the finger was steered, s; inf if one
+            did.
         tips: (time, x, y) of the finger's center since the last decision, s and m.
         seen: poses that came since the last decision.
         ride: tips and poses of all decisions so far.
@@ -216,6 +227,8 @@ class FollowControlState(Unchanging):
     progress: float = 0.0
     request: Request | None = None
     decide_at: float = 0.0
+    lead: float = 0.0
+    blind_since: float = np.inf
     tips: tuple[tuple[float, float, float], ...] = ()
     seen: tuple[SeenPose, ...] = ()
     ride: Ride = field(default_factory=Ride)
@@ -339,7 +352,10 @@ class FollowController(AbstractStateSystem[FollowControlState]):
         time = context.get_time()
         log: PushLog = self._push_log.Eval(context)
         count = self.rules.pokes
-        if len(log) < count or not self._push_status.Eval(context).ready:
+        status: PushStatus = self._push_status.Eval(context)
+        # Not every poke can be written down; the policy repeats them, but not for ever.
+        is_last = status.executed >= MAX_REPETITION * count
+        if not status.ready or (len(log) < count and not is_last):
             return now
         # A poke is learned from a little after it was made, and in real time later still.
         if now.poked_at == np.inf:
@@ -419,6 +435,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
             shown_at=-np.inf,
             study=None,
             learn_at=time + LEARN_EVERY,
+            blind_since=np.inf,
         )
 
     def _follow(self, context: Context, now: FollowControlState) -> FollowControlState:
@@ -437,7 +454,15 @@ class FollowController(AbstractStateSystem[FollowControlState]):
             if time < now.decide_at - ROUNDING:
                 return now
             now = self._learn(context, now)
-            work = partial(decide, follower, now.tips, now.seen, now.learned)
+            work = partial(
+                decide,
+                follower,
+                now.tips,
+                now.seen,
+                now.learned,
+                lead=now.lead,
+                velocity=(now.command.vx, now.command.vy),
+            )
             ride = Ride((*now.ride.tips, *now.tips), (*now.ride.seen, *now.seen))
             now = replace(
                 now,
@@ -448,14 +473,25 @@ class FollowController(AbstractStateSystem[FollowControlState]):
                 decide_at=time + self.rules.options.period,
             )
             now, answer = self._ask(now, work, time)
+            asked_at = time
         else:
             now, answer = self._take(now, time)
+            asked_at = now.decide_at - self.rules.options.period
         if answer is None:
+            # What was decided last holds for a while, but the finger goes nowhere blindly.
+            if time > now.decide_at + self.rules.options.period:
+                now = replace(now, command=replace(now.command, vx=0.0, vy=0.0))
             return now
+        lead = now.lead + LEAD_GAIN * (time - asked_at - now.lead)
+        now = replace(now, lead=lead)
         if answer.error:
             return now.give_up(f"No decision could be made: {answer.error}.")
         after, decision = answer.value
         now = replace(now, prepared=replace(now.prepared, follower=after))
+        is_blind = decision.status == FollowStatus.NO_POSE
+        now = replace(now, blind_since=min(now.blind_since, time) if is_blind else np.inf)
+        if time > now.blind_since + MAX_BLIND_TIME:
+            return self._plan_anew(now, decision.reason, decision.status)
         return self._heed(now, decision)
 
     def _learn(self, context: Context, now: FollowControlState) -> FollowControlState:
@@ -670,6 +706,9 @@ def decide(
     tips: Sequence[tuple[float, float, float]],
     seen: Sequence[SeenPose],
     learned: Identification | None = None,
+    *,
+    lead: float = 0.0,
+    velocity: ArrayLike = (0.0, 0.0),
 ) -> tuple[PushFollower, FollowDecision]:
     """Tells a copy of a follower what was seen since the last decision, and lets it decide.
 
@@ -678,6 +717,8 @@ def decide(
         tips: (time, x, y) of the finger's center, s and m; the last one is now.
         seen: poses that came.
         learned: what was learned meanwhile; None if nothing was.
+        lead: time until the finger will do what is decided, s.
+        velocity: (2,) of the finger until then, W, m/s.
 
     Returns:
         The copy, and what it decided.
@@ -690,4 +731,4 @@ def decide(
     for each in seen:
         after.add_pose(each.time, each.pose)
     time, x, y = tips[-1]
-    return after, after.decide(time, (x, y))
+    return after, after.decide(time, (x, y), lead=lead, velocity=velocity)

@@ -25,7 +25,7 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import LoopOptions, Pose
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushStatus
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.worker import Request, Worker, make_worker
@@ -249,6 +249,12 @@ def predict_poke(
 DEFAULT_PERIOD = 0.05
 """Time between two looks at the executor's status, s."""
 
+LOGGING_TIME = 2.0
+"""Time after a poke within which it is logged, if it is at all, s."""
+
+MAX_REPETITION = 2
+"""Greatest number of pokes that are made, in how many are wanted: not every poke is logged."""
+
 
 @dataclass(frozen=True)
 class PokePolicyState:
@@ -259,6 +265,7 @@ class PokePolicyState:
         attempts: number of candidates that were looked at for the next command, none of which fits.
         request: the choice under way in a worker; None if there is none.
         looked_at: (3,) X_WB of the object when that choice was asked for, m and rad.
+        ready_at: time at which the executor was found ready after the command, s; inf before.
         reason: why the last choice could not be made; empty if it could.
     """
 
@@ -266,6 +273,7 @@ class PokePolicyState:
     attempts: int = 0
     request: Request | None = None
     looked_at: Pose | None = None
+    ready_at: float = np.inf
     reason: str = ""
 
 
@@ -278,6 +286,7 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         input_ports:
         - object_pose
         - status
+        - push_log
         output_ports:
         - push_command
         - message
@@ -285,12 +294,15 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
     * object_pose: vector of 3, observed X_WB, (x, y, theta), m and rad; while it is NaN the policy
       waits.
     * status: abstract `PushStatus` of the executor.
+    * push_log: abstract `PushLog`, the pushes that could be written down. It need not be connected.
     * push_command: vector of 6, see `PushCommand`; its id is 0 before the first. It stays until the
       executor is ready again and has taken up, or refused, its id.
     * message: abstract `str`, why the choice of a push has failed in a worker; else empty.
 
     A refused command is replaced by another one, with the next id. After `num_pushes` executed
-    commands, and `test_pushes` more with a distance of their own, the last command stays. Abstract
+    commands, and `test_pushes` more with a distance of their own, the last command stays. A push
+    that was not written down, such as one before or after which the arm hid the object, is made up
+    for by another one where the log is connected; twice as many are made at most. Abstract
     state: one `PokePolicyState`. Numeric parameter 0: the seed.
     """
 
@@ -350,6 +362,7 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         self._reach = reach
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._status = self.DeclareAbstractInputPort("status", AbstractValue.Make(PushStatus()))
+        self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(PushLog(())))
         self._declare_vector("push_command", PUSH_COMMAND_SIZE, lambda now: now.command.to_vector())
         self._declare_value("message", lambda now: now.reason)
 
@@ -361,12 +374,10 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
     def _go_on(self, context: Context, now: PokePolicyState) -> PokePolicyState:
         status: PushStatus = self._status.Eval(context)
         pose = self._object_pose.Eval(context)
-        is_due = (
-            status.executed < self.num_pushes + self.test_pushes
-            and status.ready
-            and status.command_id == now.command.command_id
-            and np.isfinite(pose).all()
-        )
+        is_idle = status.ready and status.command_id == now.command.command_id
+        if is_idle and now.ready_at == np.inf:
+            now = replace(now, ready_at=context.get_time())
+        is_due = is_idle and np.isfinite(pose).all() and self._wants_more(context, now, status)
         if not is_due:
             # A choice under way is of no use any more.
             return now if now.request is None else replace(now, request=None, looked_at=None)
@@ -374,7 +385,9 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
             return self._take_choice(self._worker, now, pose, context.get_time())
 
         # A new choice, at once or in a worker.
-        style = self.style if status.executed < self.num_pushes else self._test_style
+        planned = self.num_pushes + self.test_pushes
+        is_test = self.num_pushes <= status.executed < planned
+        style = self._test_style if is_test else self.style
         choose = partial(
             choose_poke,
             obj=self.obj,
@@ -393,6 +406,18 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         x, y, theta = pose.tolist()
         request = self._worker.ask(choose, context.get_time())
         return replace(now, request=request, looked_at=(x, y, theta))
+
+    def _wants_more(self, context: Context, now: PokePolicyState, status: PushStatus) -> bool:
+        """Whether another push is wanted: not all were made, or one of them was not logged."""
+        planned = self.num_pushes + self.test_pushes
+        if status.executed < planned:
+            return True
+        if not self._push_log.HasValue(context) or status.executed >= MAX_REPETITION * planned:
+            return False
+        if context.get_time() < now.ready_at + LOGGING_TIME:
+            return False
+        log: PushLog = self._push_log.Eval(context)
+        return len(log) < planned
 
     def _take_choice(
         self, worker: Worker, now: PokePolicyState, pose: Array, time: float
@@ -418,5 +443,5 @@ def _apply_choice(
 ) -> PokePolicyState:
     """Returns the state after `choose_poke`: with the new command, or with the draws in vain."""
     if command is None:
-        return PokePolicyState(command=now.command, attempts=attempts)
+        return PokePolicyState(command=now.command, attempts=attempts, ready_at=now.ready_at)
     return PokePolicyState(command=command)

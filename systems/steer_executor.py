@@ -55,9 +55,9 @@ class SteerOptions:
     vertical_speed: float = 0.15
     travel_acceleration: float = 1.0
     max_speed: float = 0.2
-    acceleration: float = 2.0
+    acceleration: float = 1.0
     max_force: float = np.inf
-    hard_braking: float = 6.0
+    hard_braking: float = 2.0
     period: float = 0.005
 
 

@@ -346,6 +346,7 @@ def _join_controllers(policy: PokePolicy, follower: FollowController) -> Diagram
         builder.ExportInput(port, port.get_name())
     builder.ConnectInput("object_pose", policy.GetInputPort("object_pose"))
     builder.ConnectInput("push_status", policy.GetInputPort("status"))
+    builder.ConnectInput("push_log", policy.GetInputPort("push_log"))
     builder.ExportOutput(policy.GetOutputPort("push_command"), "push_command")
     for name in ("steer_command", "status", "progress", "prepared"):
         builder.ExportOutput(follower.GetOutputPort(name), name)

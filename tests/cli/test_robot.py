@@ -160,6 +160,23 @@ def test_two_processes_and_the_robot_is_lost(tmp_path):
 
 
 @pytest.mark.slow
+def test_two_processes_and_a_finger_is_steered_through_the_slalom(tmp_path):
+    told = tell("steer_through_the_slalom", tmp_path)
+    robot = told["robot"]
+    print(robot["err"])
+    assert robot["code"] == 0, robot
+    summary = robot["summary"]
+    assert (summary["status"], summary["cause"], summary["pokes"]) == ("reached", "reached", 3)
+    assert summary["distance"] < 0.004
+    assert summary["turn"] < np.radians(2)
+    assert summary["path_rms"] < 0.02
+    assert summary["clearance"] > 0.003
+    # the twin says the same of where the object lies at the end
+    assert told["last_pose"] == pytest.approx(summary["goal"], abs=0.04)
+    assert told["twin_code"] == 0
+
+
+@pytest.mark.slow
 def test_a_tracker_beside_them_finds_the_object_in_the_twins_pictures(tmp_path):
     require_renderer()
     told = tell("see_by_pictures", tmp_path)

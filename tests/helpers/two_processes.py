@@ -53,6 +53,9 @@ MOVED = 0.008
 PATIENCE = 240.0
 """s, wall, for anything."""
 
+STEERING_WAITS = 3
+"""How many times PATIENCE a whole slalom may take."""
+
 
 def find_obstacle() -> str | None:
     """Why there can be no such namespace here; None where there can."""
@@ -83,7 +86,7 @@ def run_in_namespace(story: str, folder: Path) -> dict:
         str(folder),
     ]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=3 * PATIENCE, check=False
+        command, capture_output=True, text=True, timeout=5 * PATIENCE, check=False
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
@@ -353,6 +356,31 @@ def see_by_pictures(folder: Path, rate: str = str(SEEING_RATE)) -> dict:
     return told
 
 
+def steer_through_the_slalom(folder: Path, rate: str = str(RATE)) -> dict:
+    """An object is poked, learned and pushed through the shipped slalom, with a finger that is steered."""
+    (folder / "scenario.yaml").write_text(
+        (Path(__file__).parents[2] / "models/scenarios/slalom.yaml").read_text()
+    )
+    watch, twin = Watch(), start("twin", folder, rate=float(rate))
+    watch.until_there()
+    more = ["--task", "follow", "--go", "--json", "--seed", "1", "--out", str(folder / "robot")]
+    robot = start("robot", folder, *more, rate=float(rate))
+    # each of the pokes, the way there and the slalom itself may take as long as anything else
+    watch.until_pushing()
+    begin = watch.statuses[-1][0]
+    for _ in range(STEERING_WAITS):
+        try:
+            watch.until(lambda: robot.poll() is not None, "the end")
+            break
+        except TimeoutError:
+            continue
+    told = {"robot": end(robot, "robot", folder), "twin_seconds": watch.statuses[-1][0] - begin}
+    twin.send_signal(signal.SIGINT)
+    told["twin_code"] = twin.wait(PATIENCE)
+    told["last_pose"] = list(watch.poses[-1])
+    return told
+
+
 def whole_story(folder: Path, *seeds: str) -> list[dict]:
     """Poked, learned, slid, grasped and lifted in real time, for each of some seeds; minutes each, so no test."""
     (folder / "scenario.yaml").write_text(
@@ -379,6 +407,7 @@ STORIES = {
         lose_twin,
         record_a_run,
         see_by_pictures,
+        steer_through_the_slalom,
         whole_story,
     )
 }

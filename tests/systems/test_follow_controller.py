@@ -24,6 +24,7 @@ from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.follow_controller import (
+    MAX_BLIND_TIME,
     FollowController,
     FollowMode,
     FollowRules,
@@ -35,6 +36,7 @@ from gridpush_drake.systems.messages import (
     SteerPhase,
     SteerStatus,
 )
+from gridpush_drake.systems.poke_policy import MAX_REPETITION
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.made_logs import make_pushed_block
 
@@ -172,6 +174,39 @@ def test_it_rests_while_no_pose_comes_and_goes_on_with_the_next():
     assert run.go(30.0).mode == FollowMode.REACHED
 
 
+def test_the_finger_goes_up_if_the_object_stays_hidden_and_goes_on_once_it_is_seen():
+    run = Run()
+    run.poke()
+    run.go(1.0)
+    run.is_seen = False
+    status = run.go(MAX_BLIND_TIME + 1.0)
+    assert (status.mode, status.cause) == (FollowMode.PLANNING, FollowStatus.NO_POSE)
+    assert "Another path" in status.reason
+    assert run.command.command_id == 0
+    run.is_seen = True
+    status = run.go(30.0)
+    assert (status.mode, status.plans) == (FollowMode.REACHED, 2)
+
+
+def test_the_finger_stops_where_a_decision_takes_too_long_and_makes_up_for_its_time():
+    late = 2.5 * RULES.options.period
+    run = Run(answer_delay=late)
+    run.poke()
+    # planning takes as long
+    while run.status.mode != FollowMode.FOLLOWING:
+        run.go(0.02)
+    speeds = []
+    for _ in range(200):
+        run.go(0.02)
+        speeds.append(float(np.hypot(*run.command.velocity)))
+    moving = np.array(speeds) > 0
+    # each decision holds for two periods at most, and the rest of its time the finger waits
+    edges = np.flatnonzero(np.diff(moving.astype(int)))
+    assert len(edges) > 10
+    assert 0.02 * np.max(np.diff(edges)) <= 2 * RULES.options.period + 0.05
+    assert run.go(60.0).mode == FollowMode.REACHED
+
+
 def test_the_finger_comes_down_elsewhere_if_the_arm_does_not_get_there():
     run = Run()
     run.refused = 2
@@ -226,6 +261,17 @@ def test_nothing_learned_is_nothing_followed():
     status = run.go(12.0)
     assert status.mode == FollowMode.FAILED
     assert "Nothing was learned" in status.reason
+
+
+def test_goes_on_with_fewer_pokes_where_no_more_could_be_written_down():
+    run = Run(replace(RULES, pokes=2))
+    run.poke()
+    assert len(LOG) == 1
+    run.fix("push_status", AbstractValue.Make(PushStatus(executed=3)))
+    assert run.go(1.0).mode == FollowMode.POKING
+    run.fix("push_status", AbstractValue.Make(PushStatus(executed=MAX_REPETITION * 2)))
+    run.go(1.0)
+    assert run.status.mode == FollowMode.FOLLOWING
 
 
 def test_a_model_of_another_object_is_told_apart_and_planned_with_anew_at_most_so_often():

@@ -9,12 +9,16 @@ from pydrake.systems.analysis import Simulator
 from shapely import Point, Polygon, box
 from shapely.affinity import affine_transform
 
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.world import SimulatedWorld
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.messages import PushCommand, PushPhase, PushStatus
 from gridpush_drake.systems.poke_policy import (
+    LOGGING_TIME,
     PokePolicy,
     PokeRegion,
     RandomPokeOptions,
@@ -203,6 +207,50 @@ def test_test_pushes_follow_in_their_own_style():
     test = bench.say(PushStatus(command_id=1, executed=1))
     assert test.command_id == 2 and test.distance == pytest.approx(0.05 + STYLE.clearance)
     assert bench.say(PushStatus(command_id=2, executed=2)) == test
+
+
+def test_a_poke_that_was_not_logged_is_made_up_for_but_not_for_ever():
+    bench = Bench(num_pushes=2)
+    log = bench.policy.GetInputPort("push_log")
+    seen = make_observed_pushes(bench.obj)
+
+    def tell(executed, logged):
+        log.FixValue(bench.context, AbstractValue.Make(PushLog(tuple(seen[:logged]))))
+        status = PushStatus(command_id=executed, executed=executed)
+        first = bench.say(status).command_id
+        # it may be logged a little later
+        bench.simulator.AdvanceTo(bench.context.get_time() + LOGGING_TIME)
+        return first, bench.say(status).command_id
+
+    assert bench.say(PushStatus()).command_id == 1
+    assert tell(1, 0) == (2, 2)
+    # two were made, and one of them is missing
+    assert tell(2, 1) == (2, 3)
+    assert tell(3, 1) == (3, 4)
+    # twice as many as wanted, and never more
+    assert tell(4, 1) == (4, 4)
+    # all there
+    other = Bench(num_pushes=2)
+    other.policy.GetInputPort("push_log").FixValue(
+        other.context, AbstractValue.Make(PushLog(tuple(seen)))
+    )
+    other.say(PushStatus(command_id=1, executed=1))
+    status = PushStatus(command_id=2, executed=2)
+    other.say(status)
+    other.simulator.AdvanceTo(other.context.get_time() + LOGGING_TIME)
+    assert other.say(status).command_id == 2
+
+
+def make_observed_pushes(obj):
+    """Two pushes of an object, as they are written down."""
+    world = SimulatedWorld(obj, CellParameters.uniform(obj), np.zeros(3))
+    pushes = []
+    for place in (0.05, 0.15):
+        world.put(np.zeros(3))
+        pushes.append(
+            world.execute(Push.on_outline(obj, place, 0.0, 0.05, radius=0.008, speed=0.05))
+        )
+    return pushes
 
 
 def test_executor_takes_the_pushes_and_a_clone_goes_on_alike():

@@ -74,6 +74,9 @@ LEAST_GAIN = 1e-3
 TOUCHED = 1e-4
 """Motion of the object in a decision from which on the finger pushes it, m."""
 
+MAX_PACES = 3.0
+"""Periods of decisions for which a path goes on, at most, until the next decision."""
+
 PROGRESS = 0.002
 """Nearing of the goal, or way on the path, that counts as getting on, m."""
 
@@ -130,6 +133,7 @@ class PushFollower:
         self.track = PoseTrack(obj.radius_of_gyration, track)
         self.progress = 0.0
         self._pace = 0.0
+        self._decided_at = -np.inf
         self._best = np.inf
         self._best_at = -np.inf
         self._shoves = 0
@@ -243,17 +247,28 @@ class PushFollower:
         """Takes in where the finger's center is, (2,) m, at a time, s; times increase."""
         self.track.add_tip(time, check_vector(PlanningError, "tip", tip, 2, "m"))
 
-    def decide(self, time: float, tip: ArrayLike) -> FollowDecision:
+    def decide(
+        self, time: float, tip: ArrayLike, *, lead: float = 0.0, velocity: ArrayLike = (0.0, 0.0)
+    ) -> FollowDecision:
         """Decides on the finger's velocity; to be called once each `options.period`.
 
         Args:
             time: now, s.
             tip: (2,) where the finger's center is, W, m.
+            lead: time until the finger will do what is decided, s; that of deciding itself, where
+                it is not short beside a period.
+            velocity: (2,) of the finger until then, W, m/s.
 
         Raises:
-            PlanningError: the finger's place is not two finite numbers.
+            PlanningError: the finger's place or velocity is not two finite numbers, or the lead is
+                negative.
         """
+        if not lead >= 0:
+            raise PlanningError(f"lead is {lead!r}; expected a time >= 0 (s)")
         self.add_tip(time, tip)
+        # the pace of a path that decisions keep, whenever they come
+        passed = min(time - self._decided_at, MAX_PACES * self.options.period)
+        self._decided_at = time
         if self._refused is not None:
             return self._rest(self._refused)
         if time - self.track.seen_at > self.options.no_pose_after:
@@ -262,14 +277,17 @@ class PushFollower:
             return self._rest(FollowStatus.UNLIKE_MODEL)
         state = self.track.predict(self.model)
         pose = state[X : THETA + 1].copy()
-        status = self._look_at_goal(time, pose)
+        status = self._look_at_goal(time, pose, passed)
         if status is not None:
             return self._rest(status, pose)
         if np.isfinite(self._near_since):
             return FollowDecision(np.zeros(2), FollowStatus.PUSHING, "", pose, self.progress)
-        wish = self._make_wish(pose)
-        velocity = self._search(state, wish)
-        return FollowDecision(velocity, FollowStatus.PUSHING, "", pose, self.progress)
+        if lead > 0.0:
+            way = lead * check_vector(PlanningError, "velocity", velocity, 2, "m/s")
+            follow_tip(self.model, state, (state[TIP_X : TIP_Y + 1] + way)[None])
+        wish = self._make_wish(lead)
+        chosen = self._search(state, wish)
+        return FollowDecision(chosen, FollowStatus.PUSHING, "", pose, self.progress)
 
     def _find_refusal(self) -> FollowStatus | None:
         """Why the goal or the path cannot be followed, whatever is seen; None where it can."""
@@ -294,13 +312,19 @@ class PushFollower:
                 return FollowStatus.PATH_BLOCKED
         return None
 
-    def _look_at_goal(self, time: float, pose: Array) -> FollowStatus | None:
-        """Notes how far the object has come; says whether it is there, or does not get on."""
+    def _look_at_goal(self, time: float, pose: Array, passed: float) -> FollowStatus | None:
+        """Notes how far the object has come; says whether it is there, or does not get on.
+
+        Args:
+            time: now, s.
+            pose: (3,) where the object is.
+            passed: time since the last decision, s.
+        """
         # How far it has come: along the path, then towards the goal.
         center = transform(pose, self._middle[None])[0]
         if self._way is not None:
             self.progress = self._way.project(center, float(pose[2]), self.progress)
-            step = self._way.path.speed * self.options.period
+            step = self._way.path.speed * passed
             self._pace = min(self.progress, self._pace + step)
             gained = -self.progress
         else:
@@ -333,15 +357,15 @@ class PushFollower:
         """Whether there is a path, and the object is not yet at its end."""
         return self._way is not None and self.progress < self._way.length - PROGRESS
 
-    def _make_wish(self, pose: Array) -> Wish:
-        """Says what is wanted of the next decisions, from a pose (3,) on."""
+    def _make_wish(self, lead: float) -> Wish:
+        """Says what is wanted of the next decisions, the first of which is done after a time, s."""
         options = self.options
         # where the object should be after each decision
         follows = self._is_on_path
         count = self._count_decisions(follows)
         if follows:
             assert self._way is not None
-            ahead = self._way.path.speed * options.period * np.arange(count + 1)
+            ahead = self._way.path.speed * (lead + options.period * np.arange(count + 1))
             references = self._way.at(self._pace + ahead)
             along = self._way.along(self._pace + ahead)
         else:
