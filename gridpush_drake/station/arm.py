@@ -262,7 +262,11 @@ class ArmReach:
         return reason
 
     def find_region(
-        self, bounds: ArrayLike, height: float, step: float = REGION_STEP
+        self,
+        bounds: ArrayLike,
+        height: float,
+        step: float = REGION_STEP,
+        speed: float | None = None,
     ) -> BaseGeometry:
         """Finds where the tip can be, by leading it from place to place on a square grid.
 
@@ -270,6 +274,8 @@ class ArmReach:
             bounds: (4,) least x and y, greatest x and y, in W, m.
             height: z of the tip's center in W, m.
             step: distance between places, m.
+            speed: speed of the tip that the arm must be able to keep everywhere, m/s; a stretched
+                arm cannot. None if it does not matter.
 
         Returns:
             The union of the grid's squares whose middle is reached, within the bounds, a polygon or
@@ -304,8 +310,19 @@ class ArmReach:
                     if reason is None:
                         reached[near] = q
                         front.append(near)
+        kept = set(reached)
+        if speed is not None:
+            # Two neighbors are both left out if the arm is too slow on the way between them.
+            for at in reached:
+                for di, dj in ((1, 0), (0, 1)):
+                    near = (at[0] + di, at[1] + dj)
+                    if near not in reached:
+                        continue
+                    _, reason = self._follow(reached[at], places[at], places[near], speed)
+                    if reason is not None:
+                        kept -= {at, near}
         squares = [
-            shapely.Point(places[at][:2]).buffer(step / 2, cap_style="square") for at in reached
+            shapely.Point(places[at][:2]).buffer(step / 2, cap_style="square") for at in kept
         ]
         return shapely.union_all(squares) & shapely.box(x0, y0, x1, y1)
 

@@ -407,7 +407,7 @@ class FollowConfig(Config):
     ] = None
     speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.05
     finger_speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.1
-    walking_speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.2
+    walking_speed: Annotated[Number, positive("m/s", low=1e-3, high=0.5)] = 0.15
     position_tolerance: Annotated[Number, positive("m", low=1e-4)] = 0.005
     angle_tolerance: Annotated[Number, positive("rad", low=1e-3)] = radians(3)
     plans: Annotated[int, whole(1)] = 3

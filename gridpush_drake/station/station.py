@@ -742,21 +742,31 @@ def make_finger_region(
 def make_steer_region(setting: "Setting | Station", reach: ArmReach) -> BaseGeometry:
     """Makes the region in which the tip's center may be while the finger is steered, W, m.
 
-    It is that of `make_finger_region`, but for what is near the limits of workspace and reach.
+    It is that of `make_finger_region`, but for what is near the limits of workspace and reach, and
+    for where the arm is too stretched to move its finger as fast as it may be steered.
     """
-    region = _make_reach_region(setting, reach, STEER_INSET)
+    follow = setting.scenario.follow
+    speed = max(follow.finger_speed, follow.walking_speed)
+    region = _make_reach_region(setting, reach, STEER_INSET, speed)
     return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius)
 
 
-def _make_reach_region(setting: "Setting | Station", reach: ArmReach, inset: float) -> BaseGeometry:
-    """Makes the part of the workspace that the arm reaches, W, m, made smaller by an inset, m."""
+def _make_reach_region(
+    setting: "Setting | Station", reach: ArmReach, inset: float, speed: float | None = None
+) -> BaseGeometry:
+    """Makes the part of the workspace that the arm reaches, W, m, made smaller by an inset, m.
+
+    With a speed, m/s, it is the part in which the arm can move the tip as fast as that.
+    """
     workspace = setting.scenario.workspace
     height = setting.scenario.finger.push_height
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
-    if setting.robot.arm.reach is None:
+    if setting.robot.arm.reach is None or speed is not None:
         # A region that is found in squares has hairline cracks between them.
-        region = reach.find_region(box.bounds, height).buffer(CRACK, join_style="mitre")
-        return region.buffer(-CRACK - inset)
+        found = reach.find_region(box.bounds, height, speed=speed)
+        box = found.buffer(CRACK, join_style="mitre").buffer(-CRACK)
+    if setting.robot.arm.reach is None:
+        return box.buffer(-inset)
     axis, least, greatest = CalcTipReach(setting.plant, setting.robot, height)
     return MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
 

@@ -14,7 +14,7 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.station import IdentifyTask, TaskStatus
-from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.arm import ArmPosture, ArmReach, CalcStartPosture, MakeControlPlant
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
@@ -28,7 +28,7 @@ from gridpush_drake.station.robot import (
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene import CalcTipReach
-from gridpush_drake.station.station import MakeRing
+from gridpush_drake.station.station import STEER_INSET, MakeRing
 from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.twin_bench import TwinBench
 
@@ -169,6 +169,29 @@ def test_inverse_kinematics_finds_the_ring_that_the_formula_says():
     found = reach.find_region(box.bounds, 0.012)
     assert (found - ring.buffer(0.03)).is_empty
     assert found.area > 0.85 * ring.area  # the paths' margins from the joints' limits take a little
+
+
+@pytest.mark.parametrize("name", ["iiwa14", "panda"])
+def test_where_a_finger_is_steered_the_arm_can_move_it_as_fast_as_that(name):
+    robot = find_robot(make_robot_directives(name, grasping=False))
+    plant = MakeControlPlant(robot)
+    q = CalcStartPosture(plant, robot, (0.5, 0.0, 0.2))
+    reach = ArmReach(plant, robot, q)
+    posture = ArmPosture(plant, robot)
+    bounds = (0.4, -0.5, 0.8, 0.5)
+    everywhere = reach.find_region(bounds, 0.012)
+    steered = reach.find_region(bounds, 0.012, speed=0.15)
+    assert steered.area < 0.99 * everywhere.area
+    assert (steered - everywhere).is_empty
+    # within the rim that the station leaves, no joint has to turn faster than it may
+    rim = steered.buffer(1e-3).buffer(-STEER_INSET)
+    for place in shapely.get_coordinates(rim)[::5]:
+        posture_there = posture.solve((*place, 0.012), q, q)
+        assert posture_there is not None
+        # the tip's Jacobian is that of the tool, which points down: its z is no way to go
+        rates = np.linalg.pinv(posture.calc_jacobian(posture_there))[:, 3:5]
+        fastest = 0.15 * np.linalg.norm(rates, axis=1) / posture.speed
+        assert fastest.max() < 1.0
 
 
 def test_reach_is_measured_from_the_base_wherever_it_stands(second_arm):
