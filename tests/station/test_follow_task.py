@@ -9,6 +9,7 @@ from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.feedback.pose_path import PosePath
 from gridpush_drake.station.follow_task import FollowRecord, FollowTask, calc_shown_age
 from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
@@ -16,6 +17,7 @@ from gridpush_drake.station.station import MakeFingerRegion
 from gridpush_drake.station.task import TaskStatus
 from gridpush_drake.station.tasks import TASKS
 from gridpush_drake.systems.follow_controller import FollowControlStatus, FollowMode
+from tests.helpers.link_bench import LinkBench
 
 
 @pytest.mark.slow
@@ -41,6 +43,21 @@ def test_goes_through_the_slalom(robot):
     assert "data:image/svg+xml" in kind.make_report(record)
     # a second run of the same station goes alike
     assert task.run(1).pose == pytest.approx(record.pose)
+
+
+@pytest.mark.slow
+def test_goes_through_the_slalom_over_a_link_with_decisions_that_take_time():
+    scenario = read_scenario("slalom")
+    scenario.simulation.answer_delay = 0.05
+    bench = LinkBench(resolve(scenario), FollowTask)
+    record = bench.task.run(1, drive=bench.link)
+    assert record.status == TaskStatus.REACHED, record.message
+    assert record.distance < scenario.follow.position_tolerance + 0.002
+    assert record.calc_clearance() > 0
+    assert record.calc_rms() < 0.01
+    # the joints keep up with the steered finger, whose height stays as it should be
+    assert record.limit_report.tracking_error < 0.006
+    assert record.limit_report.force < 0.5 * scenario.safety.force
 
 
 @pytest.mark.parametrize(
