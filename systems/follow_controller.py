@@ -69,6 +69,9 @@ BEHIND = 0.012
 DIRECTIONS = 36
 """Directions around the object in which a place for the finger is looked for."""
 
+HELD = 2.0
+"""Periods of decisions for which a velocity is kept while the next decision is under way."""
+
 LEAD_GAIN = 0.3
 """Share of the latest one in how long decisions take."""
 
@@ -454,6 +457,8 @@ class FollowController(AbstractStateSystem[FollowControlState]):
             if time < now.decide_at - ROUNDING:
                 return now
             now = self._learn(context, now)
+            # the finger goes on until the decision is there, but for no longer than HELD periods
+            held = min(1.0, HELD * self.rules.options.period / max(now.lead, ROUNDING))
             work = partial(
                 decide,
                 follower,
@@ -461,7 +466,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
                 now.seen,
                 now.learned,
                 lead=now.lead,
-                velocity=(now.command.vx, now.command.vy),
+                velocity=held * now.command.velocity,
             )
             ride = Ride((*now.ride.tips, *now.tips), (*now.ride.seen, *now.seen))
             now = replace(
@@ -479,7 +484,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
             asked_at = now.decide_at - self.rules.options.period
         if answer is None:
             # What was decided last holds for a while, but the finger goes nowhere blindly.
-            if time > now.decide_at + self.rules.options.period:
+            if time > asked_at + HELD * self.rules.options.period:
                 now = replace(now, command=replace(now.command, vx=0.0, vy=0.0))
             return now
         lead = now.lead + LEAD_GAIN * (time - asked_at - now.lead)

@@ -204,7 +204,8 @@ def test_the_finger_stops_where_a_decision_takes_too_long_and_makes_up_for_its_t
     edges = np.flatnonzero(np.diff(moving.astype(int)))
     assert len(edges) > 10
     assert 0.02 * np.max(np.diff(edges)) <= 2 * RULES.options.period + 0.05
-    assert run.go(60.0).mode == FollowMode.REACHED
+    status = run.go(60.0)
+    assert status.mode == FollowMode.REACHED, status
 
 
 def test_the_finger_comes_down_elsewhere_if_the_arm_does_not_get_there():
