@@ -298,6 +298,7 @@ def _look(task: StationTask[Any], link: HardwareLink, json: bool) -> None:
         "joints": task.read(f"{task.station.robot.arm_model}.position_measured").tolist(),
         "tip": tip.tolist(),
         "object_pose": pose.tolist(),
+        "other_poses": [task.read(f"{other.name}.pose").tolist() for other in task.station.others],
         "first_push": None if push is None else [push.x, push.y, push.direction, push.distance],
     }
     if json:
@@ -307,6 +308,9 @@ def _look(task: StationTask[Any], link: HardwareLink, json: bool) -> None:
     print_line(f"The joints are at [{', '.join(f'{q:.3f}' for q in seen['joints'])}] rad.")
     print_line("The finger's tip is at ({:.3f}, {:.3f}, {:.3f}) m.".format(*tip))
     print_line("The object lies at ({:.3f}, {:.3f}) m, turned by {:.2f} rad.".format(*pose))
+    for number, other in enumerate(seen["other_poses"]):
+        where = "({:.3f}, {:.3f}) m, turned by {:.2f} rad".format(*other)
+        print_line(f"others[{number}] lies at {where}.")
     print_line(_describe_push(push))
     print_line("Nothing has moved. With --go the arm will move.")
 

@@ -1,7 +1,11 @@
+import json
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from pydrake.lcm import DrakeLcm
 
+from gridpush_drake.cli.robot import _look
 from gridpush_drake.cli.tracker import _find
 from gridpush_drake.cli.twin import read_robot_scenario
 from gridpush_drake.perception.tracking import NOT_SEEN, TrackedPose
@@ -9,6 +13,7 @@ from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.renderer import require_renderer
 from tests.helpers.two_processes import SEEN_SCENARIO, find_obstacle, run_in_namespace
 
@@ -40,6 +45,36 @@ def test_by_pictures_the_robot_must_be_told_which_object_the_tracker_follows(ref
         tmp_path / "seen.yaml",
         says=["--object: missing", "gridpush tracker"],
     )
+
+
+class Waiting:
+    """A task with two objects before its first push, and what its robot is linked by."""
+
+    status_age = 0.004
+
+    def __init__(self):
+        others = (SimpleNamespace(name="other_0"),)
+        self.station = SimpleNamespace(robot=SimpleNamespace(arm_model="iiwa"), others=others)
+
+    def preview(self, link, within):
+        return PushCommand(1, 0.5, -0.2, 0.3, 0.04, 0.05)
+
+    def read(self, port):
+        return {
+            "object.pose": np.array([0.56, -0.1, 0.25]),
+            "other_0.pose": np.array([0.6, 0.07, -1.5]),
+            "pusher.state": np.zeros(6),
+            "iiwa.position_measured": np.zeros(7),
+        }[port]
+
+
+def test_the_robot_says_where_it_sees_each_of_several_objects(capsys):
+    _look(Waiting(), Waiting(), False)
+    lines = capsys.readouterr().out.splitlines()
+    assert "The object lies at (0.560, -0.100) m, turned by 0.25 rad." in lines
+    assert "others[0] lies at (0.600, 0.070) m, turned by -1.50 rad." in lines
+    _look(Waiting(), Waiting(), True)
+    assert json.loads(capsys.readouterr().out)["other_poses"] == [[0.6, 0.07, -1.5]]
 
 
 class Follower:
