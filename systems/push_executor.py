@@ -475,10 +475,11 @@ def plan_push(
         rest: p_WP of the tip, which is at rest, m.
         style: heights, speeds and times.
         reach: says why the arm cannot follow a path; None if it always can.
-        home: p_WP of the tip's home, by which it may go, m; None for straight to the push.
+        home: p_WP of the tip's home, by which it may go, and to which it must be able to go
+            afterwards, m; None where there is no such place.
 
     Returns:
-        The segments, and None; or no segments, and why the arm cannot follow, or could not go on
+        The segments, and None; or no segments, and why the arm cannot follow, or could not go home
         from where the push ends.
     """
     if reach is None:
@@ -496,11 +497,14 @@ def plan_push(
     else:
         # Why it cannot be done straight, at the least speed.
         return (), reasons[len(SPEED_SCALES) - 1]
-    # The next plan begins where this push ends, and leads the arm there from its nominal posture.
-    # If that fails at a joint's limit, which the arm has just kept on another way, no plan would
-    # ever lead it away.
-    reason = reach(np.array([segments[-1].end]), np.empty(0))
-    return (segments, None) if reason is None else ((), reason)
+    # From where this push ends the arm must be able to go home. Else it would be caught there: at a
+    # joint's limit that it has just kept on another way, or stretched so far that its joints would
+    # turn too fast.
+    if home is not None:
+        reason = _find_hitch(segments[-1].end, home, style, reach)
+        if reason is not None:
+            return (), reason
+    return segments, None
 
 
 def plan_lookout(
@@ -516,6 +520,17 @@ def plan_lookout(
         if reach is None or not segments or _ask(reach, segments) is None:
             return segments
     return ()
+
+
+def _find_hitch(rest: Point, home: Point, style: PushTrajectoryOptions, reach: Reach) -> str | None:
+    """Says why the arm cannot go home from a place, however slowly; None if it can."""
+    reason = None
+    for speed_scale in SPEED_SCALES:
+        segments = make_lookout_trajectory(rest, home, style, speed_scale)
+        reason = _ask(reach, segments) if segments else None
+        if reason is None:
+            return None
+    return reason
 
 
 def _ask(reach: Reach, segments: tuple[TrajectorySegment, ...]) -> str | None:

@@ -620,7 +620,7 @@ class Station(Diagram):
 
     def FindObstacle(self, command: PushCommand) -> str | None:
         """Says why the arm cannot carry out a push when it comes from its home; None if it can."""
-        return plan_push(command, self.home, self.style, self.reach)[1]
+        return plan_push(command, self.home, self.style, self.reach, self.home)[1]
 
     def FindGraspObstacle(self, command: GraspCommand) -> str | None:
         """Says why the arm cannot carry out a grasp when it comes from its home; None if it can.

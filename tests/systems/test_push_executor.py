@@ -314,28 +314,29 @@ def test_reach_is_asked_about_the_whole_way_and_again_at_less_speed():
 
     def reach(way, speeds):
         asked.append((way, speeds))
-        return "too fast" if len(speeds) and speeds[0] > 0.2 else None
+        return "too fast" if speeds[0] > 0.2 else None
 
     run = Run(reach=reach)
     run.give(PUSH)
     run.advance(0.05)
     assert run.status.phase == "approaching"
-    (way, speeds), (same, slower), (end, _) = asked
+    (way, speeds), (same, slower), _, (back, _) = asked
     (x0, y0), (x1, y1), high, low = PUSH.start, PUSH.end, STYLE.travel_height, STYLE.push_height
     corners = [HOME, (x0, y0, high), (x0, y0, low), (x1, y1, low), (x1, y1, low), (x1, y1, high)]
     np.testing.assert_allclose(way, corners)
     np.testing.assert_array_equal(way, same)
     assert speeds[2] == slower[2] == PUSH.speed
     assert slower[0] == speeds[0] / 2
-    # and at last whether the next plan can begin where this push ends
-    np.testing.assert_allclose(end, corners[-1:])
+    # and at last about the way home from where the push ends
+    np.testing.assert_allclose(back[[0, -1]], [corners[-1], HOME])
 
 
-def test_a_push_after_which_the_arm_could_not_go_on_is_refused():
-    """On its way the arm just keeps a limit, which it would not keep coming from its home."""
+def test_a_push_from_whose_end_the_arm_could_not_go_home_is_refused():
+    """On its way the arm just keeps a limit, which it would not keep from there."""
+    end = (*PUSH.end, STYLE.travel_height)
 
     def reach(way, speeds):
-        return "joint 2 would come to its limit" if len(way) == 1 else None
+        return "joint 2 would come to its limit" if np.allclose(way[0], end) else None
 
     run = Run(reach=reach)
     run.give(PUSH)
