@@ -501,7 +501,8 @@ def plan_push(
     # joint's limit that it has just kept on another way, or stretched so far that its joints would
     # turn too fast.
     if home is not None:
-        reason = _find_hitch(segments[-1].end, home, style, reach)
+        x, y, z = segments[-1].end
+        reason = _find_hitch((x, y, z), home, style, reach)
         if reason is not None:
             return (), reason
     return segments, None
