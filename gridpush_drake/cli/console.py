@@ -25,6 +25,9 @@ LINE_EVERY = 10.0
 MM = 1e3
 """Millimeters in a meter."""
 
+PLACE = "({:.3f}, {:.3f}) m, turned by {:.2f} rad"
+"""Where an object lies, in words: to be formatted with x and y, m, and its heading, rad."""
+
 PLAIN_PERIOD = 5.0
 """Shortest time between two plain lines about the same stage of a search or a run, s."""
 

@@ -15,7 +15,14 @@ from typing import Annotated, Any
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, count_progress, print_json, print_line, print_notice
+from gridpush_drake.cli.console import (
+    MM,
+    PLACE,
+    count_progress,
+    print_json,
+    print_line,
+    print_notice,
+)
 from gridpush_drake.cli.demo import EXIT_NOT_DONE, print_summary
 from gridpush_drake.cli.interrupts import (
     EXIT_INTERRUPTED,
@@ -292,13 +299,17 @@ def _look(task: StationTask[Any], link: HardwareLink, json: bool) -> None:
     """Prints what the robot sees, and which push it would make first. Nothing moves."""
     push = task.preview(link, LOOKING)
     pose = task.read("object.pose")
+    others = []
+    for other in task.station.others:
+        seen_there = task.read(f"{other.name}.pose")
+        others.append(seen_there.tolist())
     tip = task.read("pusher.state")[:3]
     seen: dict[str, Any] = {
         "status_age": link.status_age,
         "joints": task.read(f"{task.station.robot.arm_model}.position_measured").tolist(),
         "tip": tip.tolist(),
         "object_pose": pose.tolist(),
-        "other_poses": [task.read(f"{other.name}.pose").tolist() for other in task.station.others],
+        "other_poses": others,
         "first_push": None if push is None else [push.x, push.y, push.direction, push.distance],
     }
     if json:
@@ -307,9 +318,10 @@ def _look(task: StationTask[Any], link: HardwareLink, json: bool) -> None:
     print_line(f"The robot's last status is {1e3 * seen['status_age']:.0f} ms old.")
     print_line(f"The joints are at [{', '.join(f'{q:.3f}' for q in seen['joints'])}] rad.")
     print_line("The finger's tip is at ({:.3f}, {:.3f}, {:.3f}) m.".format(*tip))
-    print_line("The object lies at ({:.3f}, {:.3f}) m, turned by {:.2f} rad.".format(*pose))
-    for number, other in enumerate(seen["other_poses"]):
-        where = "({:.3f}, {:.3f}) m, turned by {:.2f} rad".format(*other)
+    where = PLACE.format(*pose)
+    print_line(f"The object lies at {where}.")
+    for number, other in enumerate(others):
+        where = PLACE.format(*other)
         print_line(f"others[{number}] lies at {where}.")
     print_line(_describe_push(push))
     print_line("Nothing has moved. With --go the arm will move.")

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_line, print_notice
+from gridpush_drake.cli.console import MM, PLACE, print_line, print_notice
 from gridpush_drake.cli.open_link import (
     DEFAULT_URL,
     ByRos2,
@@ -133,8 +133,8 @@ def _find(follower: PictureTracker, network: OpenedLink, out: Path | None, force
     assert obj is not None  # it is seen
     places = []
     for tracked in poses:
-        x, y, theta = tracked.pose
-        places.append(f"at ({x:.3f}, {y:.3f}) m, turned by {theta:.2f} rad")
+        place = PLACE.format(*tracked.pose)
+        places.append(f"at {place}")
     if out is None:
         for name, where in zip(follower.names, places, strict=True):
             print_line(f"{name} is seen {where}.")
