@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from gridpush_drake.dynamics.first_compilation import is_compiled
 from gridpush_drake.dynamics.warm_up import compile_columns, compile_rollouts, make_square
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact import optimize_contact
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -29,6 +30,7 @@ def compile_all() -> None:
     """Loads the kernels that commands need, and compiles those that are not in the cache."""
     with _working_apart(needed=not is_compiled()):
         compile_rollouts()
+    compile_contact_search()
     compile_margins()
 
 
@@ -36,6 +38,13 @@ def compile_apart() -> None:
     """Compiles the second process's part: what a rollout needs last, and what it does not need."""
     compile_columns()
     compile_margins()
+
+
+def compile_contact_search() -> None:
+    """Loads or compiles the kernels that choose where to push, by choosing one push."""
+    obj = make_square()
+    goal = [0.02, 0.0, 0.1]
+    optimize_contact(obj, CellParameters.uniform(obj), [0.0, 0.0, 0.0], goal)
 
 
 def compile_margins() -> None:
