@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.stats import sem
 
 from gridpush_drake.bench.jobs import Report, check_known
-from gridpush_drake.bench.linear_player import WEIGHTS, choose_by_weights
 from gridpush_drake.bench.pregrasp.world import is_over
 from gridpush_drake.bench.protocol import hide_parts, know_friction
 from gridpush_drake.bench.speed import one_core
@@ -44,6 +43,7 @@ from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import PushLog
 
 try:
+    from gridpush_drake.bench.linear_player import WEIGHTS, choose_by_weights
     from gridpush_drake.gym import PushEnvironment, PushVectorEnvironment
     from gridpush_drake.gym.episode import FRICTION_RANGE
     from gridpush_drake.gym.games import GAMES, HELD_OUT, ITERATIONS, MAX_ARM, REACHED

@@ -12,7 +12,7 @@ from tests.helpers.made_identifications import make_block
 
 
 def test_measures_everything():
-    push, sizes, identification, decisions, start_up = STUDY.run(
+    push, sizes, batches, identification, decisions, start_up = STUDY.run(
         repetitions=3, sizes=(4, 400, 900), logs=((16, 3),), draws=2, mujoco=False
     )
     assert push.rows[0][0] == "inertial"
@@ -21,8 +21,9 @@ def test_measures_everything():
     assert [row[:2] for row in identification.rows] == [[16, 3]]
     assert all(value > 0 for value in identification.rows[0][2:])
     assert all(row[1] > 0 for row in decisions.rows)
+    assert all(exact > 0 and fast > 0 for _, _, exact, fast, _ in batches.rows)
     # a push by a drawn model is one of a hundred by each of two
-    assert decisions.rows[1][1] == pytest.approx(200 * decisions.rows[2][1])
+    assert decisions.rows[-2][1] == pytest.approx(200 * decisions.rows[-1][1])
     assert len(start_up.rows) == 3
 
 
