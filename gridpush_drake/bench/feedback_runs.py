@@ -256,10 +256,12 @@ class TimedFollower(PushFollower):
         super().__init__(*arguments, **options)
         self.times: list[float] = []
 
-    def decide(self, time: float, tip: ArrayLike) -> FollowDecision:
+    def decide(
+        self, time: float, tip: ArrayLike, *, lead: float = 0.0, velocity: ArrayLike = (0.0, 0.0)
+    ) -> FollowDecision:
         """Decides, and takes the time."""
         begin = thread_time()
-        decision = super().decide(time, tip)
+        decision = super().decide(time, tip, lead=lead, velocity=velocity)
         self.times.append(thread_time() - begin)
         return decision
 
