@@ -85,7 +85,7 @@ def demo(
             "In tasks with several objects the robot is told all outlines, and with rgbd it "
             "follows all of them in its pictures.",
             show_default="that of --scenario; without one rgbd, or ideal if nothing can be "
-            "rendered, or for several objects",
+            "rendered, for several objects, or for --task follow, where the arm hides the object",
         ),
     ] = None,
     seed: Annotated[
@@ -157,7 +157,7 @@ def demo(
     if robot is not None:
         scenario.directives = make_robot_directives(robot, grasping=chosen.grasps)
     if camera is None and scenario_file is None:
-        scenario.camera.use("ideal" if chosen.several else _choose_camera())
+        scenario.camera.use("ideal" if chosen.needs_poses else _choose_camera())
     resolved = resolve(scenario, scenario_file, told=told)
 
     # Everything that can be refused is refused now, before minutes are spent

@@ -93,6 +93,7 @@ class TaskKind:
         marks: entries of the recording's legend, besides those of the estimate.
         grasps: whether the robot needs a gripper.
         several: whether it is a task with several objects, of which the robot is told the outlines.
+        hides: whether the arm hides the object from the camera again and again while it works.
     """
 
     station: Callable[..., Any]
@@ -103,6 +104,12 @@ class TaskKind:
     marks: tuple[Mark, ...] = ()
     grasps: bool = False
     several: bool = False
+    hides: bool = False
+
+    @property
+    def needs_poses(self) -> bool:
+        """Whether the robot is told the objects' poses unless a camera is asked for."""
+        return self.several or self.hides
 
     def make_scenario(self) -> PushScenario:
         """Makes the scenario in which the task is done if none is given."""

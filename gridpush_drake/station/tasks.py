@@ -463,6 +463,7 @@ class FollowKind(TaskKind):
     station = FollowTask
     done = TaskStatus.REACHED
     scenario = FOLLOW_SCENARIO
+    hides = True
     marks = (
         Mark(to_css(PLANNED_COLOR), "where the object should go, and lie at the end"),
         Mark(to_css(GONE_COLOR), "where it went"),

@@ -131,7 +131,7 @@ def test_an_object_of_which_nothing_is_told_is_weighed(name):
 
 @pytest.mark.slow
 def test_where_it_would_give_up_it_weighs_and_goes_on():
-    given_up, weighed = run_edge_job(EdgeJob("claw_hammer", 0))
+    given_up, weighed = run_edge_job(EdgeJob("claw_hammer", 3))
     assert not given_up.grasped
     assert "only closer friction bounds would help" in given_up.reason
     assert weighed.grasped
