@@ -12,7 +12,6 @@ from gridpush_drake.perception.tracking import NOT_SEEN, TrackedPose
 from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.renderer import require_renderer
 from tests.helpers.two_processes import SEEN_SCENARIO, find_obstacle, run_in_namespace
@@ -193,25 +192,6 @@ def test_two_processes_and_the_robot_is_lost(tmp_path):
     assert looked["code"] == 0, looked["err"]
     assert len(looked["summary"]["first_push"]) == 4
     assert looked["summary"]["status_age"] < 1.0
-
-
-@pytest.mark.slow
-def test_two_processes_and_a_finger_is_steered_through_the_slalom(tmp_path):
-    told = tell("steer_through_the_slalom", tmp_path)
-    robot = told["robot"]
-    print(robot["err"])
-    assert robot["code"] == 0, robot
-    summary = robot["summary"]
-    assert (summary["status"], summary["cause"], summary["pokes"]) == ("reached", "reached", 3)
-    rules = read_scenario("slalom").follow
-    assert summary["distance"] < rules.position_tolerance + 0.002
-    assert summary["turn"] < rules.angle_tolerance + np.radians(1)
-    assert summary["path_rms"] < 0.02
-    assert summary["clearance"] > 0
-    assert summary["limit_report"]["touched"] == []
-    # the twin says the same of where the object lies at the end
-    assert told["last_pose"][:2] == pytest.approx(summary["goal"][:2], abs=0.02)
-    assert told["twin_code"] == 0
 
 
 @pytest.mark.slow

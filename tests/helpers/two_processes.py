@@ -357,7 +357,7 @@ def see_by_pictures(folder: Path, rate: str = str(SEEING_RATE)) -> dict:
 
 
 def steer_through_the_slalom(folder: Path, rate: str = str(SEEING_RATE)) -> dict:
-    """An object is poked, learned and pushed through the shipped slalom, with a finger that is steered."""
+    """A finger is steered, and pushes a learned object through the shipped slalom; minutes, so no test."""
     (folder / "scenario.yaml").write_text(
         (Path(__file__).parents[2] / "models/scenarios/slalom.yaml").read_text()
     )
