@@ -1,6 +1,8 @@
 """Scenarios: read, written, checked."""
 
+import shutil
 from math import pi, radians
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -234,9 +236,17 @@ def test_a_robot_stands_for_the_scene_that_it_names(tmp_path):
     assert find_robot(panda.directives).gripper is not None
     assert find_robot(read(tmp_path, "robot: gantry").directives).gripper is None
     assert "panda_grasp" in text_of(tmp_path, panda)
-    own = tmp_path / "own"
-    own.mkdir()
-    (own / "robot.yaml").write_text((find_models() / "robots/panda/robot.yaml").read_text())
+    # a robot in a folder of one's own, with a scene in which its own model stands
+    own = Path(shutil.copytree(find_models() / "robots/panda", tmp_path / "own"))
+    scene = (find_models() / "scenes/panda_grasp.dmd.yaml").read_text()
+    shipped = "package://gridpush_drake/robots/panda"
+    (own / "scene.dmd.yaml").write_text(scene.replace(shipped, own.as_uri()))
+    measures = (own / "robot.yaml").read_text()
+    for kind in ("push", "grasp"):
+        measures = measures.replace(
+            f"package://gridpush_drake/scenes/panda_{kind}.dmd.yaml", "scene.dmd.yaml"
+        )
+    (own / "robot.yaml").write_text(measures)
     assert find_robot(read(tmp_path, "robot: own").directives).arm_model == "panda"
     for text, message in (
         ("robot: pnda", "robot pnda is not known; did you mean panda"),
