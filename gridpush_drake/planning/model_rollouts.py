@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from math import floor
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
@@ -52,6 +53,18 @@ def follow_pushes(
     return [
         poses[:, begin:end] for begin, end in zip(batch.offsets, batch.offsets[1:], strict=False)
     ]
+
+
+def count_kept(held: NDArray[np.bool_]) -> IntArray:
+    """Counts the steps, from the first on, at which each model keeps a rule.
+
+    Args:
+        held: (M, T), T >= 1, whether each model keeps it at each step.
+
+    Returns:
+        (M,).
+    """
+    return np.where(held.all(axis=1), held.shape[1], np.argmin(held, axis=1))
 
 
 def count_exceptions(draws: int, confidence: float) -> int:

@@ -52,6 +52,7 @@ from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.model_rollouts import (
     WEIGHED_DRAWS,
     count_agreed,
+    count_kept,
     follow_pushes,
 )
 from gridpush_drake.planning.push_constraints import CIRCLE_ROOM, PushConstraints
@@ -248,10 +249,9 @@ class Robustness:
         Returns:
             (M,).
         """
-        count = poses.shape[1]
         surface = self.constraints.surface
         if surface is None:
-            return np.full(len(poses), count)
+            return np.full(len(poses), poses.shape[1])
         centers = np.array([params.relative_friction() @ self.obj.p_BC for params in self.models])
         places = poses[..., :2] + rotate(poses[..., 2], centers[:, None])
         margin = self.options.center_margin
@@ -259,10 +259,10 @@ class Robustness:
         # Distances are calculated only of places that are not well inside the edge.
         well_inside = surface.polygon.buffer(-CIRCLE_ROOM * margin)
         shapely.prepare(well_inside)
-        held = np.asarray(shapely.contains_xy(well_inside, places))
+        held = np.asarray(shapely.contains_xy(well_inside, places[..., 0], places[..., 1]))
         m, k = np.nonzero(~held)
         held[m, k] = surface.signed_distances(places[m, k]) >= least[m]
-        return np.where(held.all(axis=1), count, np.argmin(held, axis=1))
+        return count_kept(held)
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, calc_goal_error
-from gridpush_drake.planning.model_rollouts import count_agreed, count_exceptions
+from gridpush_drake.planning.model_rollouts import count_agreed, count_exceptions, count_kept
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
 from gridpush_drake.planning.pregrasp.stability import (
     SUPPORT_INSET,
@@ -352,8 +352,7 @@ def _cut_short(
             return None
     # The estimate, and nearly all of the other models, keep the rule up to the cut.
     held = rule(paths.reshape(-1, 3)).reshape(paths.shape[:2])
-    kept = np.where(held.all(axis=1), len(cuts), np.argmin(held, axis=1))
-    cuts = cuts[: count_agreed(kept, options.confidence)]
+    cuts = cuts[: count_agreed(count_kept(held), options.confidence)]
     if not (cuts >= shortest).any():
         return None
     # Of the cuts that are left, the one that ends nearest to the goal on the models' average.

@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -101,6 +102,27 @@ def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
             world = SimulatedWorld(bar, params, POSE, TABLE)
             world.execute(cut.push)
             assert not world.truth.fallen
+
+
+def test_the_center_of_friction_stays_over_the_table_by_every_model_to_the_end(bar, even):
+    # cells may hang over, so that only the center of friction says how far a push goes
+    rules = PushConstraints(TABLE, edge_margin=-0.2, finger_inset=-0.2)
+    robustness = make_robustness(bar, even, rules=rules)
+    pose = np.array([0.05, 0.2, 0.1])
+    plan = optimize_contact(bar, even, pose, (0.05, 0.4, 0.1), constraints=rules)
+    safe = [robustness.cut(pose, push) for push in plan.candidates]
+    lengths = [
+        (one.planned.distance, whole.distance)
+        for one, whole in zip(safe, plan.candidates, strict=True)
+        if one is not None
+    ]
+    assert any(kept < whole - 0.01 for kept, whole in lengths)
+    for one in safe:
+        for params, end in zip(
+            robustness.models, one.ends if one is not None else (), strict=False
+        ):
+            center = transform(end, (params.relative_friction() @ bar.p_BC)[None])
+            assert TABLE.signed_distances(center)[0] >= OPTIONS.center_margin - 1e-6
 
 
 def test_without_edges_nothing_is_cut(bar, even):
