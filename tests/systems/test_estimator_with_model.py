@@ -5,11 +5,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import shapely
-from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
-from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
@@ -19,16 +17,14 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.foresight import PushModel
 from gridpush_drake.perception.tracking import PoseTracker
 from gridpush_drake.systems import ObjectPoseEstimator
-from tests.helpers.pictures import make_camera, paint
+from tests.helpers.hidden_pictures import ARM, HEIGHT, PERIOD, ROWS, WIDTH, HiddenPictures
+from tests.helpers.pictures import make_camera
 
 SQUARE = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
 OBJ = GridObject.from_outline(shapely.Polygon(SQUARE), max_cells=25, name="square")
 PARAMS = CellParameters.uniform(OBJ)
 START = np.array([0.0, -0.02, 0.0])
-HEIGHT, RADIUS, PERIOD, ARM = 0.03, 0.006, 0.1, 7
-WIDTH, ROWS = 640, 480
-HIDDEN = (0.05, 1.65)
-"""When the arm hides everything, s."""
+RADIUS = 0.006
 
 
 @lru_cache(maxsize=1)
@@ -50,52 +46,10 @@ def calc_pose(time: float) -> np.ndarray:
     return motion.poses[k]
 
 
-class Scene(LeafSystem):
-    """Pictures of the square, labels of the arm, and the state of the tip."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        for name, image in (
-            ("color", ImageRgba8U(WIDTH, ROWS)),
-            ("depth", ImageDepth32F(WIDTH, ROWS)),
-            ("label", ImageLabel16I(WIDTH, ROWS)),
-        ):
-            self.DeclareAbstractOutputPort(
-                name, lambda image=image: Value(image), getattr(self, f"_show_{name}")
-            )
-        self.DeclareVectorOutputPort("tip", 6, self._show_tip)
-
-    def _take(self, context: Context):
-        time = context.get_time()
-        prism = (SQUARE, calc_pose(time), HEIGHT, (150, 120, 80))
-        return paint(make_camera(), [prism], seed=round(time / PERIOD))
-
-    def _show_color(self, context: Context, output) -> None:
-        image = ImageRgba8U(WIDTH, ROWS)
-        image.mutable_data[..., :3] = self._take(context).color
-        output.set_value(image)
-
-    def _show_depth(self, context: Context, output) -> None:
-        image = ImageDepth32F(WIDTH, ROWS)
-        image.mutable_data[..., 0] = self._take(context).depth
-        output.set_value(image)
-
-    def _show_label(self, context: Context, output) -> None:
-        image = ImageLabel16I(WIDTH, ROWS)
-        hidden = HIDDEN[0] < context.get_time() < HIDDEN[1]
-        image.mutable_data[:] = ARM if hidden else 1
-        output.set_value(image)
-
-    def _show_tip(self, context: Context, output) -> None:
-        t, xy, _ = push()
-        place = [np.interp(context.get_time(), t, xy[:, i]) for i in range(2)]
-        output.SetFromVector([*place, 0.01, 0.0, 0.0, 0.0])
-
-
 def run(model: PushModel | None, estimate: CellParameters | None = None):
     """The pose and its stated deviation after the hidden push."""
     builder = DiagramBuilder()
-    scene = builder.AddSystem(Scene())
+    scene = builder.AddSystem(HiddenPictures([SQUARE], lambda time: [calc_pose(time)], push()[:2]))
     estimator = builder.AddSystem(
         ObjectPoseEstimator(
             PoseTracker(SQUARE, HEIGHT, make_camera()),

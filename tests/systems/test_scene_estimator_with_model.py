@@ -5,10 +5,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import shapely
-from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
-from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
+from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
@@ -20,7 +18,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception import KnownObject, SceneTracker
 from gridpush_drake.perception.foresight import ScenePushModel
 from gridpush_drake.systems import ObjectsPoseEstimator
-from tests.helpers.pictures import make_camera, paint
+from tests.helpers.hidden_pictures import ARM, HEIGHT, PERIOD, ROWS, WIDTH, HiddenPictures
+from tests.helpers.pictures import make_camera
 
 SQUARE = GridObject.from_outline(shapely.box(-0.05, -0.05, 0.05, 0.05), max_cells=25, name="square")
 BLOCK = GridObject.from_outline(shapely.box(-0.03, -0.02, 0.03, 0.02), max_cells=20, name="block")
@@ -28,10 +27,7 @@ START = np.array([[0.0, -0.02, 0.0], [-0.02, 0.07, 0.2]])
 SCENE = Scene(
     [(obj, CellParameters.uniform(obj), q) for obj, q in zip((SQUARE, BLOCK), START, strict=True)]
 )
-HEIGHT, RADIUS, PERIOD, ARM = 0.03, 0.006, 0.1, 7
-WIDTH, ROWS = 640, 480
-HIDDEN = (0.05, 1.65)
-"""When the arm hides everything, s."""
+RADIUS = 0.006
 
 
 @lru_cache(maxsize=1)
@@ -53,56 +49,11 @@ def calc_poses(time: float) -> np.ndarray:
     return motion.poses[min(np.searchsorted(motion.times, time - t[0]), len(motion.times) - 1)]
 
 
-class Pictures(LeafSystem):
-    """Pictures of the objects, labels of the arm, and the state of the tip."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        for name, image in (
-            ("color", ImageRgba8U(WIDTH, ROWS)),
-            ("depth", ImageDepth32F(WIDTH, ROWS)),
-            ("label", ImageLabel16I(WIDTH, ROWS)),
-        ):
-            self.DeclareAbstractOutputPort(
-                name, lambda image=image: Value(image), getattr(self, f"_show_{name}")
-            )
-        self.DeclareVectorOutputPort("tip", 6, self._show_tip)
-
-    def _take(self, context: Context):
-        time = context.get_time()
-        outlines = [np.array(obj.outline.exterior.coords)[:-1] for obj in SCENE.objects]
-        prisms = [
-            (outline, pose, HEIGHT, (150, 120, 80))
-            for outline, pose in zip(outlines, calc_poses(time), strict=True)
-        ]
-        return paint(make_camera(), prisms, seed=round(time / PERIOD))
-
-    def _show_color(self, context: Context, output) -> None:
-        image = ImageRgba8U(WIDTH, ROWS)
-        image.mutable_data[..., :3] = self._take(context).color
-        output.set_value(image)
-
-    def _show_depth(self, context: Context, output) -> None:
-        image = ImageDepth32F(WIDTH, ROWS)
-        image.mutable_data[..., 0] = self._take(context).depth
-        output.set_value(image)
-
-    def _show_label(self, context: Context, output) -> None:
-        image = ImageLabel16I(WIDTH, ROWS)
-        hidden = HIDDEN[0] < context.get_time() < HIDDEN[1]
-        image.mutable_data[:] = ARM if hidden else 1
-        output.set_value(image)
-
-    def _show_tip(self, context: Context, output) -> None:
-        t, xy, _ = push()
-        place = [np.interp(context.get_time(), t, xy[:, i]) for i in range(2)]
-        output.SetFromVector([*place, 0.01, 0.0, 0.0, 0.0])
-
-
 def run(model: ScenePushModel | None, covered_from: float = np.inf):
     """The poses after the hidden push."""
     builder = DiagramBuilder()
-    pictures = builder.AddSystem(Pictures())
+    outlines = [np.array(obj.outline.exterior.coords)[:-1] for obj in SCENE.objects]
+    pictures = builder.AddSystem(HiddenPictures(outlines, calc_poses, push()[:2]))
     known = [KnownObject(obj.outline, HEIGHT, obj.name) for obj in SCENE.objects]
     estimator = builder.AddSystem(
         ObjectsPoseEstimator(
