@@ -6,7 +6,7 @@ begins, and p the cells' parameters,
     q[n+1] = f(q[n], u[n]; p)
 
 in the quasi-static regime. The pose is all the state there is: unlike `GridLcpSystem`, it remembers
-neither the velocity, by which that system foresees where a body will be halfway through a step, nor
+neither the velocity, by which that system predicts where a body will be halfway through a step, nor
 where its solver was. So it is a little less accurate at the same step, and it is what Drake's tools
 for discrete systems ask for: `FirstOrderTaylorApproximation`, `DirectTranscription`,
 `ToAutoDiffXd`. Their derivatives are the exact ones of the kernel.

@@ -19,8 +19,8 @@ from gridpush_drake.perception.detection import DetectedObject, DetectorOptions,
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.table_view import cover_pixels, find_off_table
 from gridpush_drake.systems.object_controller import AbstractStateSystem
-from gridpush_drake.systems.object_pose_estimator import RgbdInputs
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
+from gridpush_drake.systems.rgbd_inputs import RgbdInputs
 from gridpush_drake.systems.worker import Answer, Request, answer_now, make_worker
 
 

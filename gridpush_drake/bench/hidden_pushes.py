@@ -23,9 +23,9 @@ from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception import Camera, Frame, PoseTracker
-from gridpush_drake.perception.foresight import make_expectation
 from gridpush_drake.perception.frames import Mask
 from gridpush_drake.perception.look_alikes import Expectation
+from gridpush_drake.perception.pose_prediction import make_expectation
 
 KINDS = ("wrench", "plate", "square")
 """Kinds of outlines that are generated."""

@@ -22,8 +22,8 @@ from shapely.geometry.base import BaseGeometry
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.foresight import ScenePushModel
 from gridpush_drake.perception.look_alikes import SAME, find_look_alikes
+from gridpush_drake.perception.pose_prediction import ScenePushModel
 from gridpush_drake.perception.scene_tracking import KnownObject, SceneTracker
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.station.camera import LIVE, LOST_BELOW, ConnectPictures, RgbdCamera

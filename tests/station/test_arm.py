@@ -149,7 +149,7 @@ def test_start_out_of_reach_is_refused(p_WP):
         CalcStartPosture(MakeControlPlant(ROBOT), ROBOT, p_WP)
 
 
-def test_moving_arm_comes_to_the_postures_that_reach_foresees(bench, posture):
+def test_moving_arm_comes_to_the_postures_that_reach_predicts(bench, posture):
     """Both are drawn to the nominal posture, so that the way there does not matter."""
     bench.start()
     record = bench.push(PushCommand(1, 0.5, 0.3, -0.5, DISTANCE, 0.1))

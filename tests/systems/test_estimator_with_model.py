@@ -1,4 +1,4 @@
-"""The estimator foretells what a push does to a square that the arm hides meanwhile."""
+"""The estimator predicts what a push does to a square that the arm hides meanwhile."""
 
 from functools import lru_cache
 
@@ -14,7 +14,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.perception.foresight import PushModel
+from gridpush_drake.perception.pose_prediction import PushModel
 from gridpush_drake.perception.tracking import PoseTracker
 from gridpush_drake.systems import ObjectPoseEstimator
 from tests.helpers.hidden_pictures import ARM, HEIGHT, PERIOD, ROWS, WIDTH, HiddenPictures

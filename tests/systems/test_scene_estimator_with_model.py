@@ -1,4 +1,4 @@
-"""The estimator foretells what a push through one object does to another, while the arm hides both."""
+"""The estimator predicts what a push through one object does to another, while the arm hides both."""
 
 from functools import lru_cache
 
@@ -16,7 +16,7 @@ from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception import KnownObject, SceneTracker
-from gridpush_drake.perception.foresight import ScenePushModel
+from gridpush_drake.perception.pose_prediction import ScenePushModel
 from gridpush_drake.systems import ObjectsPoseEstimator
 from tests.helpers.hidden_pictures import ARM, HEIGHT, PERIOD, ROWS, WIDTH, HiddenPictures
 from tests.helpers.pictures import make_camera

@@ -192,12 +192,12 @@ class FeedbackController:
         return self._do_first(position, seen)
 
     def _follow_disc(self, position: Array) -> None:
-        """Corrects the disc's velocity, which its law foretells, by where it was seen to be."""
+        """Corrects the disc's predicted velocity by where the disc was seen to be."""
         if self._last_disc is not None:
             disc = self.block.disc
-            foretold = self._states[0, PX : PX + 2]
+            predicted = self._states[0, PX : PX + 2]
             duration = disc.time_step * disc.substeps
-            self._velocity = self._states[0, VX : VX + 2] + (position - foretold) / duration
+            self._velocity = self._states[0, VX : VX + 2] + (position - predicted) / duration
 
     def _learn(self, position: Array, pose: Array) -> None:
         """Takes in how the block moved since the last decision."""

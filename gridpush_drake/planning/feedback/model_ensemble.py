@@ -2,7 +2,7 @@
 
 A model that was learned from a few pokes is off most where it was not poked. An ensemble of models,
 the estimate x and draws x_i from its posterior, is taken along: from one pose that was seen, each
-of them foretells where the object is after it moved a little, y_i. What was seen there, y, corrects
+of them predicts where the object is after it moved a little, y_i. What was seen there, y, corrects
 them as an ensemble Kalman filter does (Evensen 1994; in the form of Sakov and Oke 2008, which needs
 no random numbers):
 

@@ -63,7 +63,7 @@ def correct(ensemble, offset):
         ensemble.add(0.02 * at, poses[at], tips[max(at - 2, 0) : at + 1])
 
 
-def test_what_was_seen_of_pushes_makes_another_push_foretold_better():
+def test_pushes_that_were_seen_make_the_prediction_of_another_push_better():
     ensemble = ModelEnsemble(OBJ, EVEN, draw_models(32), RADIUS)
     before = measure_error(ensemble.models[0], 0.01)
     for offset in (-0.02, 0.03, 0.0):

@@ -1,11 +1,11 @@
-"""Where a push takes an object that a camera does not see meanwhile.
+"""Predicts where a push takes an object that a camera does not see meanwhile.
 
-While the arm hides an object, the finger's tip is known all the same, and a model says where its
-push takes the object. That tells apart the poses at which it looks the same turned round, see
-docs/theory/perception.md, section 3. The model need not be exact: it is believed to a part of the
-way that it foretells.
+While the arm hides an object, the position of the finger's tip is known all the same, and a model
+predicts where its push takes the object. Where the object looks the same at several angles, the
+prediction tells these apart, see docs/theory/perception.md, section 3. The model need not be exact:
+a prediction's standard deviation is a part of the way that the object is predicted to go.
 
-One object is foretold by `foresee`, several that push each other by `foresee_scene`.
+`predict_pose` predicts one object, `predict_scene_poses` several that push each other.
 """
 
 from collections.abc import Callable
@@ -68,17 +68,17 @@ class Tip(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Foresight:
-    """Where an object is foretold to be since it was last seen.
+class PosePrediction:
+    """Predicted pose of an object that was not seen since some pushes.
 
     Attributes:
-        told: (3,) the pose last told, W, m and rad.
-        pose: (3,) where the pushes since then take it.
-        known: whether the model has been told of all that may have moved it.
+        last_seen: (3,) the pose at which it was last seen, W, m and rad.
+        pose: (3,) the pose to which the pushes since then take it, W, m and rad.
+        known: whether all that may have moved it since then is known to the model.
         pushed: whether a push has moved it in the model.
     """
 
-    told: Array
+    last_seen: Array
     pose: Array
     known: bool = True
     pushed: bool = False
@@ -87,21 +87,21 @@ class Foresight:
         """Says where the object is expected; None where the model says nothing of it."""
         if not (self.known and self.pushed):
             return None
-        way = float(np.linalg.norm(self.pose[:2] - self.told[:2]))
-        turn = abs(float(wrap_angle(self.pose[2] - self.told[2])))
+        way = float(np.linalg.norm(self.pose[:2] - self.last_seen[:2]))
+        turn = abs(float(wrap_angle(self.pose[2] - self.last_seen[2])))
         return make_expectation(self.pose, way, turn)
 
 
 def make_expectation(pose: Array, way: float, turn: float) -> Expectation:
-    """Makes the expectation of an object that a model foretells.
+    """Turns the pose that a model predicts for an object into an expectation.
 
     Args:
-        pose: (3,) where it is foretold, W, m and rad.
+        pose: (3,) the predicted pose, W, m and rad.
         way: how far it moves in the model, m.
         turn: how far it turns in the model, rad.
 
     Returns:
-        The expectation: the longer the way, the less sure.
+        The expectation. Its standard deviations grow with the way and the turn.
     """
     return Expectation(
         pose=pose,
@@ -110,17 +110,17 @@ def make_expectation(pose: Array, way: float, turn: float) -> Expectation:
     )
 
 
-def foresee(
-    before: Foresight,
+def predict_pose(
+    before: PosePrediction,
     model: PushModel,
     read_params: Callable[[], CellParameters],
     last: Tip,
     now: Tip,
-) -> Foresight:
-    """Foretells where an object is after the tip went straight from one place to another.
+) -> PosePrediction:
+    """Predicts where an object is after the tip went straight from one place to another.
 
     Args:
-        before: where it was foretold before.
+        before: the prediction for the moment at which the tip was at `last`.
         model: the object and the tip.
         read_params: gives masses and frictions of the object's cells; it is called only where the
             tip may have pushed.
@@ -128,8 +128,8 @@ def foresee(
         now: the tip now.
 
     Returns:
-        Where it is now. The model is not known any more where the tip was not, or where it cannot
-        follow the push.
+        The prediction for now. It is not `known` where the tip's place is not known, or where the
+        model cannot follow the push.
     """
     if not _is_known(last, now):
         return replace(before, known=False)
@@ -164,23 +164,23 @@ class ScenePushModel:
 
 
 @dataclass(frozen=True, eq=False)
-class SceneForesight:
-    """Where several objects are foretold to be since each of them was last seen.
+class ScenePrediction:
+    """Predicted poses of several objects, each since it was last seen.
 
     Attributes:
-        told: (N, 3) the poses last told, W, m and rad.
-        poses: (N, 3) where the pushes since then take the objects.
-        known: (N,) whether the model has been told of all that may have moved an object.
+        last_seen: (N, 3) the poses at which the objects were last seen, W, m and rad.
+        poses: (N, 3) the poses to which the pushes since then take them, W, m and rad.
+        known: (N,) whether all that may have moved an object since then is known to the model.
     """
 
-    told: Array
+    last_seen: Array
     poses: Array
     known: NDArray[np.bool_]
 
     def expect(self) -> tuple[Expectation | None, ...]:
         """Says where each object is expected; None where the model says nothing of it."""
         # The further a push took an object in the model, the less sure it is where it lies.
-        moved = self.poses - self.told
+        moved = self.poses - self.last_seen
         ways = np.linalg.norm(moved[:, :2], axis=1).tolist()
         turns = np.abs(wrap_angle(moved[:, 2])).tolist()
         return tuple(
@@ -188,35 +188,35 @@ class SceneForesight:
             for pose, way, turn, known in zip(self.poses, ways, turns, self.known, strict=True)
         )
 
-    def see(self, poses: Array) -> "SceneForesight":
-        """Begins anew for the objects that were seen.
+    def see(self, poses: Array) -> "ScenePrediction":
+        """Returns the prediction after a picture: it begins anew for the objects that were seen.
 
         Args:
             poses: (N, 3) where they were seen, W, m and rad; NaN for one that was not.
         """
-        # What was not seen goes on from where it was foretold.
+        # An object that was not seen keeps its prediction.
         seen: NDArray[np.bool_] = np.asarray(np.isfinite(poses).all(axis=1))
-        return SceneForesight(
-            told=np.where(seen[:, None], poses, self.told),
+        return ScenePrediction(
+            last_seen=np.where(seen[:, None], poses, self.last_seen),
             poses=np.where(seen[:, None], poses, self.poses),
             known=self.known | seen,
         )
 
 
-def foresee_scene(
-    before: SceneForesight, model: ScenePushModel, last: Tip, now: Tip
-) -> SceneForesight:
-    """Foretells where several objects are after the tip went straight from one place to another.
+def predict_scene_poses(
+    before: ScenePrediction, model: ScenePushModel, last: Tip, now: Tip
+) -> ScenePrediction:
+    """Predicts where several objects are after the tip went straight from one place to another.
 
     Args:
-        before: where they were foretold before.
+        before: the prediction for the moment at which the tip was at `last`.
         model: the objects and the tip.
         last: the tip in the picture before.
         now: the tip now.
 
     Returns:
-        Where they are now. Nothing is known of them any more, until they are seen, where nothing is
-        known of the tip, or where the model cannot follow the push.
+        The prediction for now. No object is `known`, until it is seen, where the tip's place is not
+        known, or where the model cannot follow the push.
     """
     # A tip that nobody knows of, as in a grasp, may have moved any of them.
     unknown = replace(before, known=np.zeros_like(before.known))

@@ -1,4 +1,4 @@
-"""Where a push takes an object that is not seen."""
+"""Predictions of where a push takes an object that is not seen."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -13,28 +13,28 @@ from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.perception.foresight import (
-    Foresight,
+from gridpush_drake.perception.pose_prediction import (
+    PosePrediction,
     PushModel,
-    SceneForesight,
+    ScenePrediction,
     ScenePushModel,
     Tip,
-    foresee,
-    foresee_scene,
+    predict_pose,
+    predict_scene_poses,
 )
 
 OBJ = GridObject.from_outline(shapely.box(-0.06, -0.03, 0.06, 0.03), max_cells=20)
 PARAMS = CellParameters.uniform(OBJ)
 MODEL = PushModel(OBJ, top=0.03, radius=0.006)
 START = np.array([0.1, -0.05, 0.4])
-BEGIN = Foresight(told=START, pose=START)
+BEGIN = PosePrediction(last_seen=START, pose=START)
 
 
 def go(path, z=0.01, before=BEGIN, dt=0.1):
-    """Foretells along a path (K, 2) of the tip, from picture to picture."""
+    """Predicts along a path (K, 2) of the tip, from picture to picture."""
     tips = [Tip(dt * k, np.array([*place, z])) for k, place in enumerate(path)]
     for last, now in pairwise(tips):
-        before = foresee(before, MODEL, lambda: PARAMS, last, now)
+        before = predict_pose(before, MODEL, lambda: PARAMS, last, now)
     return before
 
 
@@ -43,7 +43,7 @@ def make_path(count=12):
     return start + np.linspace(0, 1, count)[:, None] * [0.01, 0.09]
 
 
-def test_in_steps_it_foretells_what_the_model_does_in_one_push():
+def test_a_prediction_in_steps_is_that_of_one_push():
     path = make_path()
     found = go(path)
     whole = simulate(OBJ, PARAMS, Push.along(0.1 * np.arange(len(path)), path, 0.006), START)
@@ -63,10 +63,10 @@ def test_a_tip_above_the_object_or_beside_it_says_nothing():
         assert found.expect() is None
 
 
-def test_what_it_cannot_follow_is_not_foretold_any_more():
+def test_what_the_model_cannot_follow_is_not_predicted_any_more():
     pushed = go(make_path())
     assert pushed.expect() is not None
-    gone = foresee(
+    gone = predict_pose(
         pushed, MODEL, lambda: PARAMS, Tip(0.0, np.zeros(3)), Tip(0.1, np.full(3, np.nan))
     )
     assert gone.expect() is None
@@ -79,15 +79,15 @@ def test_what_it_cannot_follow_is_not_foretold_any_more():
 BLOCK = GridObject.from_outline(shapely.box(-0.02, -0.02, 0.02, 0.02), max_cells=16)
 SCENE = Scene([(OBJ, PARAMS, START), (BLOCK, CellParameters.uniform(BLOCK), (0.04, -0.02, 0.4))])
 SCENE_MODEL = ScenePushModel(SCENE, top=0.03, radius=0.006)
-SCENE_BEGIN = SceneForesight(SCENE.poses, SCENE.poses, np.ones(2, dtype=bool))
+SCENE_BEGIN = ScenePrediction(SCENE.poses, SCENE.poses, np.ones(2, dtype=bool))
 
 
-def test_what_is_pushed_through_another_object_is_foretold_too():
+def test_what_is_pushed_through_another_object_is_predicted_too():
     path = make_path()
     found = SCENE_BEGIN
     tips = [Tip(0.1 * k, np.array([*place, 0.01])) for k, place in enumerate(path)]
     for last, now in pairwise(tips):
-        found = foresee_scene(found, SCENE_MODEL, last, now)
+        found = predict_scene_poses(found, SCENE_MODEL, last, now)
     whole = simulate_scene(SCENE, Push.along(0.1 * np.arange(len(path)), path, 0.006))
     moved = np.linalg.norm(whole.poses[-1, :, :2] - SCENE.poses[:, :2], axis=1)
     assert moved.min() > 0.01
@@ -105,13 +105,13 @@ def test_what_is_pushed_through_another_object_is_foretold_too():
     np.testing.assert_array_equal(again.expect()[1].pose, found.poses[1])
 
 
-def test_of_a_tip_that_is_not_known_nothing_is_foretold_until_objects_are_seen():
+def test_with_an_unknown_tip_nothing_is_predicted_until_objects_are_seen():
     tips = [Tip(0.0, np.zeros(3)), Tip(0.1, np.full(3, np.nan))]
-    gone = foresee_scene(SCENE_BEGIN, SCENE_MODEL, *tips)
+    gone = predict_scene_poses(SCENE_BEGIN, SCENE_MODEL, *tips)
     assert not gone.known.any()
     assert gone.expect() == (None, None)
     seen = np.array([SCENE.poses[0], [np.nan] * 3])
     np.testing.assert_array_equal(gone.see(seen).known, [True, False])
     # above all objects nothing is pushed
     high = [Tip(0.1 * k, np.array([*place, 0.05])) for k, place in enumerate(make_path())]
-    assert foresee_scene(SCENE_BEGIN, SCENE_MODEL, high[0], high[-1]) is SCENE_BEGIN
+    assert predict_scene_poses(SCENE_BEGIN, SCENE_MODEL, high[0], high[-1]) is SCENE_BEGIN
