@@ -19,7 +19,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from gridpush_drake.bench import plant
 from gridpush_drake.bench.campaign import calc_center_error
 from gridpush_drake.bench.jobs import Report, count_steps
-from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
+from gridpush_drake.bench.speed_cases import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, MS, Table, Value
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime

@@ -19,9 +19,9 @@ from scipy.stats import sem
 from gridpush_drake.bench.jobs import Report, check_known
 from gridpush_drake.bench.pregrasp.world import is_over
 from gridpush_drake.bench.protocol import hide_parts, know_friction
-from gridpush_drake.bench.speed import one_core
 from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, Value, count_of, mean_of
+from gridpush_drake.bench.timing import one_core
 from gridpush_drake.errors import MissingExtraError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
@@ -106,7 +106,6 @@ AIM = 0.8 * REACHED
 
 SLIDE = SlideOptions(contact=replace(FINGER, starts=6, budget=24))
 """What the planner's slides are chosen from: pushes that the environment can make."""
-
 
 SPREAD = 1.0
 """Standard deviation of the first weights that CMA-ES draws."""

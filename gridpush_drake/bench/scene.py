@@ -23,15 +23,10 @@ from gridpush_drake.bench.scene_rows import (
     make_mujoco_scene,
     make_row,
 )
-from gridpush_drake.bench.speed import (
-    DT,
-    DURATION,
-    SPEED,
-    measure,
-    one_core,
-)
+from gridpush_drake.bench.speed_cases import DT, DURATION, SPEED
 from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, MS, Table, Value, mean_of
+from gridpush_drake.bench.timing import measure, one_core
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.geometry.se2 import Array

@@ -4,36 +4,41 @@ Timing on one core: by the clock on the wall, and of identification and decision
 processor.
 """
 
-import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from time import perf_counter, process_time
-from typing import NamedTuple
+from time import process_time
 
 import numpy as np
-from shapely import LineString
-from threadpoolctl import threadpool_limits
 
 from gridpush_drake.bench.jobs import Report, count_steps
-from gridpush_drake.bench.pregrasp.experiments import find_mask
-from gridpush_drake.bench.protocol import METERS_PER_PIXEL
+from gridpush_drake.bench.mujoco_boxes import make_mujoco_push
+from gridpush_drake.bench.speed_cases import (
+    DRAWN_LENGTH,
+    DRAWN_PUSHES,
+    DT,
+    DURATION,
+    OBSERVED,
+    draw_random_pushes,
+    load_hammer,
+    make_bench_log,
+    make_bench_push,
+)
 from gridpush_drake.bench.study import MASKS, Study, StudyOptions, option
 from gridpush_drake.bench.table import MS, Table, Value
+from gridpush_drake.bench.timing import Timing, measure, one_core
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
-from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
-from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push_batch import PushBatch
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.geometry.se2 import Array, calc_yaw
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.goal.next_push import GoalRules
@@ -41,73 +46,12 @@ from gridpush_drake.planning.goal.push_decision import decide_push
 from gridpush_drake.planning.model_rollouts import WEIGHED_DRAWS
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-
-class Timing(NamedTuple):
-    """How long something takes.
-
-    Attributes:
-        median: median over the repetitions, s.
-        low: lower quartile, s.
-        high: upper quartile, s.
-    """
-
-    median: float
-    low: float
-    high: float
-
-
-def measure(
-    work: Callable[[], object],
-    repetitions: int,
-    warm_up: int = 1,
-    clock: Callable[[], float] = perf_counter,
-) -> Timing:
-    """Times `work` by a clock that gives s, after `warm_up` runs that are not counted."""
-    for _ in range(warm_up):
-        work()
-    seconds = []
-    for _ in range(repetitions):
-        begin = clock()
-        work()
-        seconds.append(clock() - begin)
-    low, median, high = np.quantile(seconds, [0.25, 0.5, 0.75])
-    return Timing(float(median), float(low), float(high))
-
-
-@contextmanager
-def one_core() -> Iterator[bool]:
-    """Keeps this process to one core and one thread; yields whether the system can do that."""
-    with threadpool_limits(1):
-        if not hasattr(os, "sched_setaffinity"):
-            yield False
-            return
-        before = os.sched_getaffinity(0)
-        os.sched_setaffinity(0, {max(before)})
-        try:
-            yield True
-        finally:
-            os.sched_setaffinity(0, before)
-
 
 PAPER_SIMULATION = 1.3448
 """The paper's time of a simulated push, s (Song and Boularias, RSS 2020)."""
 
 PAPER_GRADIENT = 0.0069
 """The paper's time of a gradient, s."""
-
-DURATION = 2.0
-"""Duration of the paper's push, s."""
-
-SPEED = 0.1
-"""Speed of the paper's push, m/s."""
-
-RADIUS = 0.015
-"""Radius of the disc that pushes in place of the paper's finger, m."""
-
-DT = 0.01
-"""Step of the paper's simulation, s."""
 
 PUSH_HEIGHT = 0.01
 """Height of the pusher above the table where loads shift, m."""
@@ -117,9 +61,6 @@ FINAL = ", with the Jacobian of the final pose"
 
 EVERY = ", with the Jacobian of all poses"
 """Ending of the name of a simulation that also gives all poses' derivatives."""
-
-PLACE = 0.7
-"""Where along the object's width it is pushed, 0 to 1."""
 
 SIZES = (10, 30, 100, 300, 1000, 3000, 10000)
 """Numbers of cells for the cost against the number of cells."""
@@ -134,42 +75,6 @@ START_UPS = 7
 LOGS = ((60, 5), (132, 6), (132, 12), (132, 25), (132, 50), (132, 100), (132, 200))
 """Numbers of cells and pushes of the logs that are identified."""
 
-BAR = np.array([[0.0, 0.0], [0.22, 0.0], [0.22, 0.055], [0.0, 0.055]])
-"""Outline of the object that is identified, m."""
-
-HEAD = 0.3
-"""Share of its cells that are heavy, at one end."""
-
-HEAD_LOAD = 5.0
-"""Mass of a heavy cell over that of another one."""
-
-BAR_MASS = 0.5
-"""Mass of the object, kg."""
-
-BAR_FRICTION = 0.35
-"""Friction of the object against the table."""
-
-TIP_FRICTION = 0.3
-"""Friction of the object against the pusher."""
-
-POKE = 0.06
-"""Length of a poke, m."""
-
-POKE_SPEED = 0.03
-"""Speed of a poke, m/s."""
-
-POKE_SLANT = 0.4
-"""Greatest angle of a poke from the outline's normal, rad."""
-
-POKE_RADIUS = 0.01
-"""Radius of the pusher of a poke, m."""
-
-OBSERVED = 10
-"""Number of poses that are seen of each poke."""
-
-POSE_NOISE = (3e-4, 3e-4, 3e-3)
-"""Standard deviations of these poses, m, m and rad."""
-
 FEW = 25
 """Number of pushes from which on an identification is timed only once."""
 
@@ -178,12 +83,6 @@ IDENTIFY_REPETITIONS = 5
 
 DRAWN_LOG = (132, 6)
 """Number of cells and of pushes of the log from whose posterior models are drawn."""
-
-DRAWN_PUSHES = 100
-"""Number of pushes that are simulated with every model that is drawn."""
-
-DRAWN_LENGTH = 0.1
-"""Length of these pushes, m."""
 
 BATCH_CELLS = 4900
 """Number of cells of the square whose pushes are timed in a batch."""
@@ -243,23 +142,6 @@ def measure_all(options: Options, report: Report | None) -> list[Table]:
         announce("start-up")
         tables.append(_measure_start_up())
     return tables
-
-
-def make_bench_push(obj: GridObject) -> Push:
-    """Makes the push of the measurement: upwards, from below, off the middle."""
-    x0, y0, x1, y1 = obj.outline.bounds
-    x = x0 + PLACE * (x1 - x0)
-    bottom = obj.outline.intersection(LineString([(x, y0 - 1), (x, y1 + 1)])).bounds[1]
-    return Push((x, bottom - RADIUS), (0.0, SPEED), DURATION, RADIUS)
-
-
-def load_hammer(data: Path | None) -> GridObject:
-    """Loads the paper's hammer from a folder of masks; the shipped one where that is None."""
-    if data is None:
-        return GridObject.from_yaml(find_shipped_object("claw_hammer"))
-    return GridObject.from_mask(
-        find_mask(data), meters_per_pixel=METERS_PER_PIXEL, name="hammer mask"
-    )
 
 
 def _make_simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
@@ -364,26 +246,6 @@ def _describe_slopes(medians: np.ndarray) -> str:
     )
 
 
-def make_bench_log(cells: int, pushes: int) -> tuple[GridObject, PushLog]:
-    """Makes a bar with a heavy end, of about so many cells, and noisy pokes of it all around."""
-    obj = GridObject.from_outline(BAR, max_cells=cells)
-    mass = np.where(obj.p_BC[:, 0] < np.quantile(obj.p_BC[:, 0], HEAD), HEAD_LOAD, 1.0)
-    truth = CellParameters(BAR_MASS * mass / mass.sum(), np.full(obj.n, BAR_FRICTION), TIP_FRICTION)
-    rng = np.random.default_rng(0)
-    seen = []
-    for i in range(pushes):
-        place = rng.uniform(0, obj.edges.perimeter)
-        angle = rng.uniform(-POKE_SLANT, POKE_SLANT)
-        push = Push.on_outline(obj, place, angle, POKE, radius=POKE_RADIUS, speed=POKE_SPEED)
-        times = np.linspace(0.0, push.duration, OBSERVED + 1)[1:]
-        steps = make_times_with(push, times, "quasi_static")
-        motion = simulate(obj, truth, push, regime="quasi_static", times=steps)
-        noise = rng.normal(0.0, POSE_NOISE, (OBSERVED, 3))
-        poses = motion.poses[np.searchsorted(steps, times)] + noise
-        seen.append(ObservedPush(f"poke_{i}", push, np.zeros(3), times, poses))
-    return obj, PushLog(tuple(seen))
-
-
 def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce) -> Table:
     rows: list[list[Value]] = []
     for cells, pushes in logs:
@@ -455,7 +317,7 @@ def _measure_decisions(obj: GridObject, draws: int, announce: Announce) -> Table
     bounded = _time_weighed_decisions(found, GoalRules(PushConstraints(table)), goals)
     announce(f"{draws} models, {DRAWN_PUSHES} pushes")
     models = found.samples(draws)
-    batch = PushBatch(learned, _draw_pushes(learned, rng), QUASI_STATIC, approximate=True)
+    batch = PushBatch(learned, draw_random_pushes(learned, rng), QUASI_STATIC, approximate=True)
     batch.simulate(models[0])
     whole = measure(lambda: [batch.simulate(model) for model in models], 1, 0, process_time).median
     each = whole / (draws * DRAWN_PUSHES)
@@ -509,7 +371,7 @@ def _measure_batches(obj: GridObject, repetitions: int, announce: Announce) -> T
     for each in (obj, square):
         announce(f"batches, {each.n} cells")
         params = CellParameters.random(each, seed=0)
-        pushes = _draw_pushes(each, np.random.default_rng(0))
+        pushes = draw_random_pushes(each, np.random.default_rng(0))
         times = []
         for approximate in (False, True):
             batch = PushBatch(each, pushes, QUASI_STATIC, approximate=approximate)
@@ -523,21 +385,6 @@ def _measure_batches(obj: GridObject, repetitions: int, announce: Announce) -> T
         "quasi-static, in one call of `PushBatch`."
     )
     return Table("Pushes in a batch", columns, rows, [note])
-
-
-def _draw_pushes(obj: GridObject, rng: np.random.Generator) -> list[BatchPush]:
-    """Draws the pushes that every drawn model is tried on."""
-    pushes = []
-    for _ in range(DRAWN_PUSHES):
-        place = rng.uniform(0, obj.edges.perimeter)
-        angle = rng.uniform(-POKE_SLANT, POKE_SLANT)
-        push = Push.on_outline(
-            obj, place, angle, DRAWN_LENGTH, radius=POKE_RADIUS, speed=POKE_SPEED
-        )
-        times = make_path_times(push, "quasi_static")
-        last = np.array([len(times) - 1])
-        pushes.append(BatchPush(push, np.zeros(3), times, last, None))
-    return pushes
 
 
 def _simulate_singly(obj: GridObject, params: CellParameters, timed: Sequence[TimedPush]) -> None:
@@ -570,78 +417,6 @@ def _measure_start_up() -> Table:
 
 def _row(name: str, timing: Timing, ratio: float) -> list[Value]:
     return [name, *(MS * seconds for seconds in timing), ratio]
-
-
-MUJOCO_TIME_STEP = 0.002
-"""Time step of MuJoCo, its default, s."""
-
-PUSHER_GAIN = 1e4
-"""Gain of the position servo that drives the pusher in MuJoCo, N/m."""
-
-PUSHER_MASS = 1.0
-"""Mass of the pusher in MuJoCo, kg."""
-
-
-def make_mujoco_push(
-    obj: GridObject, params: CellParameters, push: Push
-) -> Callable[[], np.ndarray]:
-    """Prepares a push in MuJoCo: the cells are boxes of a free body, pushed by a sphere.
-
-    Returns:
-        A function that runs the push, straight and at constant velocity, from the beginning, and
-        returns the final pose (3,), m and rad.
-
-    Raises:
-        ImportError: MuJoCo is not installed (`pip install 'gridpush-drake[bench]'`).
-    """
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_string(_describe_scene(obj, params, push))
-    data = mujoco.MjData(model)
-    steps = round(push.duration / MUJOCO_TIME_STEP)
-    targets = push.tip_at(np.arange(1, steps + 1) * MUJOCO_TIME_STEP) - push.start
-    velocity = np.asarray(push.velocity)
-
-    def run() -> np.ndarray:
-        mujoco.mj_resetData(model, data)
-        data.qvel[-2:] = velocity
-        for target in targets:
-            data.ctrl[:] = target
-            mujoco.mj_step(model, data)
-        return np.array([*data.qpos[:2], calc_yaw(*data.qpos[3:7])])
-
-    return run
-
-
-def _describe_scene(obj: GridObject, params: CellParameters, push: Push) -> str:
-    """Describes the scene in MJCF.
-
-    A contact with the plane has the cell's friction, and one with the pusher has the pusher's.
-    """
-    half = obj.cell_size / 2
-    boxes = "\n".join(
-        f'<geom type="box" pos="{x} {y} 0" size="{half} {half} {half}" mass="{mass}" '
-        f'conaffinity="3" friction="{mu} 0.005 0.0001"/>'
-        for (x, y), mass, mu in zip(obj.p_BC, params.mass, params.friction, strict=True)
-    )
-    damping = 2 * np.sqrt(PUSHER_GAIN * PUSHER_MASS)
-    return f"""
-<mujoco>
-  <option timestep="{MUJOCO_TIME_STEP}"/>
-  <worldbody>
-    <geom type="plane" size="2 2 0.1" friction="0 0.005 0.0001"/>
-    <body pos="0 0 {half}"><freejoint/>{boxes}</body>
-    <body pos="{push.start[0]} {push.start[1]} {half}" gravcomp="1">
-      <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
-      <geom type="sphere" size="{push.radius}" mass="{PUSHER_MASS}" contype="2" conaffinity="0"
-            priority="1" friction="{params.contact_friction} 0.005 0.0001"/>
-    </body>
-  </worldbody>
-  <actuator>
-    <position joint="x" kp="{PUSHER_GAIN}" kv="{damping}"/>
-    <position joint="y" kp="{PUSHER_GAIN}" kv="{damping}"/>
-  </actuator>
-</mujoco>"""
 
 
 STUDY = Study(

@@ -17,18 +17,13 @@ from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
 from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.station.camera import calc_pose_age
+from gridpush_drake.station.finger_region import make_steer_region
 from gridpush_drake.station.identify_task import make_policy
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.push_task import EDGE_MARGIN, AddGoal
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import (
-    Learning,
-    Station,
-    StationMaker,
-    make_steer_region,
-    make_surface,
-)
+from gridpush_drake.station.station import Learning, Station, StationMaker, make_surface
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,

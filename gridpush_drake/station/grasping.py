@@ -18,7 +18,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.station.arm import ArmReach
-from gridpush_drake.station.robot import COUPLING, GripperMeasures
+from gridpush_drake.station.robot_measures import COUPLING, GripperMeasures
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grasp_trajectory import CONTROLLER_STIFFNESS, GraspTrajectoryOptions

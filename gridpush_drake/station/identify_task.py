@@ -10,11 +10,12 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.posts import leave_out
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import MakeFingerRegion, Station, StationMaker
+from gridpush_drake.station.station import Station, StationMaker
 from gridpush_drake.station.task import (
     ADVANCE,
     GO_ON,

@@ -35,13 +35,13 @@ from gridpush_drake.planning.support_surface import SupportSurface, stayed_suppo
 from gridpush_drake.planning.weighing.plan import PressRules
 from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.planning.weighing.sequence import SequenceOptions
+from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import (
     PRESS_SHARE,
     Learning,
-    MakeFingerRegion,
     Station,
     StationMaker,
     make_surface,

@@ -80,14 +80,13 @@ from gridpush_drake.station.scene_camera import (
     AddPosesTogether,
     AddTruePoses,
 )
+from gridpush_drake.station.setting import MakeSetting, Setting
 from gridpush_drake.station.station import (
     POSE_LOG,
     AddRobotControl,
     FeltLoad,
     Learning,
-    MakeSetting,
     RobotControl,
-    Setting,
     Station,
 )
 from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor, LoadNoise

@@ -14,16 +14,11 @@ from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_erro
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import (
-    Learning,
-    MakeFingerRegion,
-    Station,
-    StationMaker,
-    make_surface,
-)
+from gridpush_drake.station.station import Learning, Station, StationMaker, make_surface
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,

@@ -42,6 +42,7 @@ from gridpush_drake.planning.scene.scene_loop import (
 from gridpush_drake.planning.scene.search import SceneRules, SceneSearchOptions
 from gridpush_drake.planning.scene.separation import SeparatePlanner, calc_clearances
 from gridpush_drake.pushes.scene_log import ObservedScenePush
+from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.posts import leave_out, place_posts
 from gridpush_drake.station.pregrasp_task import (
     CLEARANCE,
@@ -54,13 +55,7 @@ from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.push_task import EDGE_MARGIN, GOAL_COLOR, MAX_PUSH
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import (
-    Learning,
-    MakeFingerRegion,
-    Station,
-    StationMaker,
-    make_surface,
-)
+from gridpush_drake.station.station import Learning, Station, StationMaker, make_surface
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,

@@ -13,7 +13,6 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from pydrake.multibody.inverse_kinematics import DifferentialInverseKinematicsIntegrator
-from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import LogVectorOutput
 from shapely import Polygon
@@ -30,7 +29,8 @@ from gridpush_drake.pushes.segmentation import RecordOptions, Sample
 from gridpush_drake.pushes.stream import make_samples
 from gridpush_drake.station.arm import ArmReach
 from gridpush_drake.station.arm_driver import AddArmKinematics
-from gridpush_drake.station.camera import FoundObject, calc_pose_age
+from gridpush_drake.station.camera import calc_pose_age
+from gridpush_drake.station.finger_region import REGION_SLACK, make_steer_region
 from gridpush_drake.station.grasping import (
     AddGraspExecutor,
     AddPusherGate,
@@ -38,12 +38,8 @@ from gridpush_drake.station.grasping import (
     ExportOutputs,
     make_grasp_trajectory_options,
 )
-from gridpush_drake.station.others import OtherObject, place_others
-from gridpush_drake.station.posts import leave_out, place_posts
-from gridpush_drake.station.resolve import ResolvedScenario
-from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import CalcBasePose, CalcTipReach
+from gridpush_drake.station.setting import Setting, find_lookouts, make_style
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.lift_scale import LiftOptions, LiftScale
@@ -148,100 +144,6 @@ def AddLogs(builder: DiagramBuilder, ports: dict[str, OutputPort], period: float
         LogVectorOutput(port, builder, period).set_name(name)
 
 
-def make_style(scenario: PushScenario, robot: Robot) -> PushTrajectoryOptions:
-    """Makes the options of the finger's path in a push from scenario and robot."""
-    finger = scenario.finger
-    return PushTrajectoryOptions(
-        travel_height=finger.travel_height,
-        push_height=finger.push_height,
-        tip_radius=robot.finger.tip_radius,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What a station knows of its robot and of the table before it, whether simulated or real.
-
-    Attributes:
-        scenario: the scenario that it was made from. With a color and depth camera, pose and
-            height of the object are those that the camera saw.
-        obj: the object, as the robot knows it.
-        found: the object as it was found in the photograph; None if the robot is told the object.
-        others: the other objects on the table.
-        plant: the scene's plant, finalised. With a real robot it is never simulated, and serves
-            only for measures.
-        control_plant: the robot alone, as `MakeControlPlant` makes it.
-        robot: measures of the robot, and the names of its models.
-        table_top: the part of the table where things may lie, a polygon in W, m.
-        home: p_WP of the tip at the beginning, m.
-        q_start: (n,) the arm's joint positions with the tip at `home`, rad. The inverse kinematics
-            is drawn to them.
-    """
-
-    scenario: PushScenario
-    obj: GridObject
-    found: FoundObject | None
-    others: tuple[OtherObject, ...]
-    plant: MultibodyPlant
-    control_plant: MultibodyPlant
-    robot: Robot
-    table_top: BaseGeometry
-    home: tuple[float, float, float]
-    q_start: Array
-
-    @property
-    def obstacles(self) -> tuple[Polygon, ...]:
-        """What pushes are planned around, polygons in W, m: posts, and other objects."""
-        return (*place_posts(self.scenario.posts), *place_others(self.others))
-
-
-def MakeSetting(
-    resolved: ResolvedScenario,
-    scenario: PushScenario,
-    plant: MultibodyPlant,
-    found: FoundObject | None = None,
-    others: tuple[OtherObject, ...] = (),
-) -> Setting:
-    """Makes a setting of a resolved scenario; see `Setting` for what its parts mean.
-
-    Args:
-        resolved: the resolved scenario.
-        scenario: its scenario, or a copy with the object's pose and height as the camera saw them.
-        plant: the scene's plant, finalised.
-        found: the object as it was found in the photograph; None if the robot is told the object.
-        others: the other objects in the plant.
-    """
-    obj = resolved.obj if found is None else found.obj
-    return Setting(
-        scenario=scenario,
-        obj=obj.forget() if scenario.nothing_told else obj,
-        found=found,
-        others=others,
-        plant=plant,
-        control_plant=resolved.control_plant,
-        robot=resolved.robot,
-        table_top=resolved.table_top,
-        home=resolved.home,
-        q_start=resolved.q_start,
-    )
-
-
-def find_lookouts(setting: Setting) -> Array:
-    """Chooses places for the tip, (3, 3), p_WP, m, from which the arm hides little from a camera.
-
-    The arm may stand between the camera and the object. If the object is not seen, the executor
-    moves the tip to these places in turn. They are the tip's home and, at the same height, the two
-    corners of the workspace that are nearest to the robot's base, where the arm is folded. What the
-    arm hides at one of the places can be seen when it is at another.
-    """
-    workspace = setting.scenario.workspace
-    z = setting.home[2]
-    p_WR = CalcBasePose(setting.plant, setting.robot).translation()
-    corners = np.array([(x, y, z) for x in workspace.x for y in workspace.y])
-    nearest = np.argsort(np.linalg.norm(corners[:, :2] - p_WR[:2], axis=1), kind="stable")[:2]
-    return np.vstack([setting.home, corners[nearest]])
-
-
 @dataclass(frozen=True, eq=False)
 class FeltLoad:
     """The ports that tell what an arm feels, for a station that weighs; see `ArmLoadSensor`.
@@ -256,6 +158,10 @@ class FeltLoad:
     smooth_tip_force: OutputPort
     grasp_wrench: OutputPort
 
+
+FORCE_SHARE = 0.5
+"""Share of the scenario's greatest force at which a steered finger goes up by itself. The rest is
+for its braking."""
 
 PRESS_SHARE = 0.8
 """Greatest force of a press, as a share of the force at which a real arm is stopped."""
@@ -682,96 +588,3 @@ class Station(Diagram):
         """
         log = self.GetSubsystemByName(name).FindLog(root_context)
         return log.sample_times(), log.data().T
-
-
-FORCE_SHARE = 0.5
-"""Share of the scenario's greatest force at which a steered finger goes up by itself. The rest is
-for its braking."""
-
-STEER_INSET = 0.03
-"""Distance that a steered finger keeps from the limits of workspace and reach, m. There the joints
-of a stretched arm would turn too fast for it."""
-
-CRACK = 1e-4
-"""Half the width of cracks in a region that do not count, m."""
-
-REGION_SLACK = 0.003
-"""Distance by which a steered finger may leave its region before it is held back, m. It is less
-than the distance that plans keep from obstacles."""
-
-RING_SEGMENTS = 32
-"""Number of the sides by which a polygon replaces a quarter of a circle."""
-
-
-def MakeFingerRegion(
-    station: Station, inset: float = 0.0, *, around_others: bool = True
-) -> BaseGeometry:
-    """Makes the region in which the tip's center may be while it pushes.
-
-    Args:
-        station: the station.
-        inset: distance by which the region is made smaller on all sides, m.
-        around_others: whether places where the tip would touch another object are left out.
-
-    Returns:
-        A polygon or several in W, m, see `make_finger_region`.
-    """
-    if not around_others:
-        return _make_reach_region(station, station.reach, inset)
-    return make_finger_region(station, station.reach, inset)
-
-
-def make_finger_region(
-    setting: "Setting | Station", reach: ArmReach, inset: float = 0.0
-) -> BaseGeometry:
-    """Makes the region in which the tip's center may be while it pushes.
-
-    Args:
-        setting: robot and scene.
-        reach: says whether the arm can follow a path.
-        inset: distance by which the region is made smaller on all sides, m.
-
-    Returns:
-        A polygon or several in W, m: the part of the workspace that the arm reaches, without the
-        places where the tip would touch an obstacle; it may be empty.
-    """
-    region = _make_reach_region(setting, reach, inset)
-    return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius + inset)
-
-
-def make_steer_region(setting: "Setting | Station", reach: ArmReach) -> BaseGeometry:
-    """Makes the region in which the tip's center may be while the finger is steered, W, m.
-
-    It is that of `make_finger_region`, but for what is near the limits of workspace and reach, and
-    for where the arm is too stretched to move its finger as fast as it may be steered.
-    """
-    follow = setting.scenario.follow
-    speed = max(follow.finger_speed, follow.walking_speed)
-    region = _make_reach_region(setting, reach, STEER_INSET, speed)
-    return leave_out(region, setting.obstacles, setting.robot.finger.tip_radius)
-
-
-def _make_reach_region(
-    setting: "Setting | Station", reach: ArmReach, inset: float, speed: float | None = None
-) -> BaseGeometry:
-    """Makes the part of the workspace that the arm reaches, W, m, made smaller by an inset, m.
-
-    With a speed, m/s, it is the part in which the arm can move the tip as fast as that.
-    """
-    workspace = setting.scenario.workspace
-    height = setting.scenario.finger.push_height
-    box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
-    if setting.robot.arm.reach is None or speed is not None:
-        # A region that is found in squares has hairline cracks between them.
-        found = reach.find_region(box.bounds, height, speed=speed)
-        box = found.buffer(CRACK, join_style="mitre").buffer(-CRACK)
-    if setting.robot.arm.reach is None:
-        return box.buffer(-inset)
-    axis, least, greatest = CalcTipReach(setting.plant, setting.robot, height)
-    return MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
-
-
-def MakeRing(axis: NDArray[np.float64], least: float, greatest: float) -> shapely.Polygon:
-    """Makes a ring about a point (2,) in W, between the least and the greatest radius, all in m."""
-    center = shapely.Point(axis)
-    return center.buffer(greatest, RING_SEGMENTS) - center.buffer(least, RING_SEGMENTS)

@@ -9,8 +9,8 @@ from gridpush_drake.bench.campaign import Episode
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.pregrasp.exploring import AIMS, DISTANCES, ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp.world import Outcome
-from gridpush_drake.bench.speed import measure, one_core
 from gridpush_drake.bench.table import Mean, Table
+from gridpush_drake.bench.timing import measure, one_core
 from gridpush_drake.identification.learning import METHODS
 from gridpush_drake.objects.object_file import list_shipped_objects
 

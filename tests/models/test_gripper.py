@@ -18,7 +18,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.planning.pregrasp.gripper import PadLimit
 from gridpush_drake.station.grasping import AddGripperController
-from gridpush_drake.station.robot import GripperMeasures, read_measures
+from gridpush_drake.station.robot_measures import GripperMeasures, read_measures
 from gridpush_drake.systems.grasp_trajectory import CONTROLLER_STIFFNESS
 
 CLOSING_DOWN = RigidTransform(RollPitchYaw(-np.pi / 2, np.pi / 2, 0.0), [0.0, 0.0, 0.0])

@@ -7,13 +7,13 @@ from shapely import LineString, box
 from gridpush_drake.errors import PlanningError, ScenarioError
 from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.feedback.pose_path import PosePath
+from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.follow_task import FollowRecord, FollowTask, calc_shown_age
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.station import MakeFingerRegion
 from gridpush_drake.station.task import TaskStatus
 from gridpush_drake.station.tasks import TASKS
 from gridpush_drake.systems.follow_controller import FollowControlStatus, FollowMode

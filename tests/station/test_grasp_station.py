@@ -13,7 +13,7 @@ from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
-from gridpush_drake.station.station import make_style
+from gridpush_drake.station.setting import make_style
 from gridpush_drake.systems.messages import GraspCommand, PushCommand
 
 TRIED = 20  # of the best grasps, that the arm is asked about

@@ -15,20 +15,15 @@ from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.station import IdentifyTask, TaskStatus
 from gridpush_drake.station.arm import ArmPosture, ArmReach, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.finger_region import STEER_INSET, MakeRing
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.robot import (
-    FingerMeasures,
-    GripperMeasures,
-    find_robot,
-    make_robot_directives,
-    read_measures,
-)
+from gridpush_drake.station.robot import find_robot, make_robot_directives
+from gridpush_drake.station.robot_measures import FingerMeasures, GripperMeasures, read_measures
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene import CalcTipReach
-from gridpush_drake.station.station import STEER_INSET, MakeRing
 from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.twin_bench import TwinBench
 

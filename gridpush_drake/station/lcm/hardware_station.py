@@ -37,13 +37,12 @@ from gridpush_drake.station.others import list_others
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene_camera import AddAllSeen, AddPosesTogether
+from gridpush_drake.station.setting import MakeSetting, Setting
 from gridpush_drake.station.station import (
     AddRobotControl,
     FeltLoad,
     Learning,
-    MakeSetting,
     RobotControl,
-    Setting,
     Station,
 )
 from gridpush_drake.systems.arm_guard import ArmGuard

@@ -24,7 +24,7 @@ from gridpush_drake.station.others import AddOtherCameras, SetOthersStart
 from gridpush_drake.station.push_station import AddSensors, AddWorld, World
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import Setting
+from gridpush_drake.station.setting import Setting
 from gridpush_drake.systems.command_ramp import CommandRamp
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 

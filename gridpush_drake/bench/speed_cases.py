@@ -1,0 +1,125 @@
+"""The objects, pushes and logs of pushes whose simulation and learning `bench.speed` times."""
+
+from pathlib import Path
+
+import numpy as np
+from shapely import LineString
+
+from gridpush_drake.bench.pregrasp.experiments import find_mask
+from gridpush_drake.bench.protocol import METERS_PER_PIXEL
+from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
+from gridpush_drake.dynamics.push_batch import BatchPush
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+DURATION = 2.0
+"""Duration of the paper's push, s."""
+
+SPEED = 0.1
+"""Speed of the paper's push, m/s."""
+
+RADIUS = 0.015
+"""Radius of the disc that pushes in place of the paper's finger, m."""
+
+DT = 0.01
+"""Step of the paper's simulation, s."""
+
+PLACE = 0.7
+"""Where along the object's width it is pushed, 0 to 1."""
+
+BAR = np.array([[0.0, 0.0], [0.22, 0.0], [0.22, 0.055], [0.0, 0.055]])
+"""Outline of the object that is identified, m."""
+
+HEAD = 0.3
+"""Share of its cells that are heavy, at one end."""
+
+HEAD_LOAD = 5.0
+"""Mass of a heavy cell over that of another one."""
+
+BAR_MASS = 0.5
+"""Mass of the object, kg."""
+
+BAR_FRICTION = 0.35
+"""Friction of the object against the table."""
+
+TIP_FRICTION = 0.3
+"""Friction of the object against the pusher."""
+
+POKE = 0.06
+"""Length of a poke, m."""
+
+POKE_SPEED = 0.03
+"""Speed of a poke, m/s."""
+
+POKE_SLANT = 0.4
+"""Greatest angle of a poke from the outline's normal, rad."""
+
+POKE_RADIUS = 0.01
+"""Radius of the pusher of a poke, m."""
+
+OBSERVED = 10
+"""Number of poses that are seen of each poke."""
+
+POSE_NOISE = (3e-4, 3e-4, 3e-3)
+"""Standard deviations of these poses, m, m and rad."""
+
+DRAWN_PUSHES = 100
+"""Number of pushes that are simulated with every model that is drawn."""
+
+DRAWN_LENGTH = 0.1
+"""Length of these pushes, m."""
+
+
+def make_bench_push(obj: GridObject) -> Push:
+    """Makes the push of the measurement: upwards, from below, off the middle."""
+    x0, y0, x1, y1 = obj.outline.bounds
+    x = x0 + PLACE * (x1 - x0)
+    bottom = obj.outline.intersection(LineString([(x, y0 - 1), (x, y1 + 1)])).bounds[1]
+    return Push((x, bottom - RADIUS), (0.0, SPEED), DURATION, RADIUS)
+
+
+def load_hammer(data: Path | None) -> GridObject:
+    """Loads the paper's hammer from a folder of masks; the shipped one where that is None."""
+    if data is None:
+        return GridObject.from_yaml(find_shipped_object("claw_hammer"))
+    return GridObject.from_mask(
+        find_mask(data), meters_per_pixel=METERS_PER_PIXEL, name="hammer mask"
+    )
+
+
+def make_bench_log(cells: int, pushes: int) -> tuple[GridObject, PushLog]:
+    """Makes a bar with a heavy end, of about so many cells, and noisy pokes of it all around."""
+    obj = GridObject.from_outline(BAR, max_cells=cells)
+    mass = np.where(obj.p_BC[:, 0] < np.quantile(obj.p_BC[:, 0], HEAD), HEAD_LOAD, 1.0)
+    truth = CellParameters(BAR_MASS * mass / mass.sum(), np.full(obj.n, BAR_FRICTION), TIP_FRICTION)
+    rng = np.random.default_rng(0)
+    seen = []
+    for i in range(pushes):
+        place = rng.uniform(0, obj.edges.perimeter)
+        angle = rng.uniform(-POKE_SLANT, POKE_SLANT)
+        push = Push.on_outline(obj, place, angle, POKE, radius=POKE_RADIUS, speed=POKE_SPEED)
+        times = np.linspace(0.0, push.duration, OBSERVED + 1)[1:]
+        steps = make_times_with(push, times, "quasi_static")
+        motion = simulate(obj, truth, push, regime="quasi_static", times=steps)
+        noise = rng.normal(0.0, POSE_NOISE, (OBSERVED, 3))
+        poses = motion.poses[np.searchsorted(steps, times)] + noise
+        seen.append(ObservedPush(f"poke_{i}", push, np.zeros(3), times, poses))
+    return obj, PushLog(tuple(seen))
+
+
+def draw_random_pushes(obj: GridObject, rng: np.random.Generator) -> list[BatchPush]:
+    """Draws the pushes that every drawn model is tried on."""
+    pushes = []
+    for _ in range(DRAWN_PUSHES):
+        place = rng.uniform(0, obj.edges.perimeter)
+        angle = rng.uniform(-POKE_SLANT, POKE_SLANT)
+        push = Push.on_outline(
+            obj, place, angle, DRAWN_LENGTH, radius=POKE_RADIUS, speed=POKE_SPEED
+        )
+        times = make_path_times(push, "quasi_static")
+        last = np.array([len(times) - 1])
+        pushes.append(BatchPush(push, np.zeros(3), times, last, None))
+    return pushes
