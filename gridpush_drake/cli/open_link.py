@@ -13,7 +13,7 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.station.camera import make_camera
 from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.hardware_link import open_lcm
+from gridpush_drake.station.lcm.lcm_address import open_lcm
 from gridpush_drake.station.lcm.robot_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,

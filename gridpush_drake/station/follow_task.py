@@ -12,6 +12,7 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.feedback.follow_calculations import FollowRules
 from gridpush_drake.planning.feedback.follow_options import FollowOptions, FollowStatus
 from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
 from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
@@ -37,7 +38,6 @@ from gridpush_drake.systems.follow_controller import (
     FollowController,
     FollowControlStatus,
     FollowMode,
-    FollowRules,
 )
 from gridpush_drake.systems.poke_policy import PokePolicy
 

@@ -5,82 +5,31 @@ plant alone. All other systems know the object through its camera, and the finge
 arm's joints. What a simulated and a real station share is in `station.station`.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import cast
-
 import numpy as np
-from pydrake.geometry import (
-    GeometryId,
-    Meshcat,
-    MeshcatVisualizer,
-    MeshcatVisualizerParams,
-    Role,
-    SceneGraph,
-)
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
-from shapely.geometry.base import BaseGeometry
+from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, Role, SceneGraph
+from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.display.server import KeepToItsThread
 from gridpush_drake.geometry.se2 import Array, wrap_angle
-from gridpush_drake.multibody.contact_material import TABLE, SetPartner
-from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
-from gridpush_drake.multibody.ground_truth import (
-    SetGridObjectParameters,
-    SetGridObjectPose,
-    resample_parameters,
-)
-from gridpush_drake.multibody.parser import (
-    AddPlantAndSceneGraph,
-    AddVisualMeshes,
-    MakeParser,
-    find_drake_models,
-)
-from gridpush_drake.multibody.table_rim import AddTableRim
+from gridpush_drake.multibody.parser import find_drake_models
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.sight import SceneSight, Sight
-from gridpush_drake.station.arm_driver import (
-    DRIVER_OUTPUTS,
-    AddArmDriver,
-    SetJointServos,
-)
-from gridpush_drake.station.camera import (
-    LOST_BELOW,
-    AddIdealCamera,
-    AddPoseEstimator,
-    AddRgbdCamera,
-    AddSeenVisual,
-    FoundObject,
-    StationCamera,
-    calc_pose_age,
-)
+from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, AddArmDriver
+from gridpush_drake.station.camera import StationCamera, calc_pose_age
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
-from gridpush_drake.station.others import (
-    AddOtherCameras,
-    AddOthers,
-    OtherObject,
-    SetOthersStart,
-    list_parts,
-)
+from gridpush_drake.station.others import AddOtherCameras, SetOthersStart
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
-from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import (
-    AddScene,
-    MakeSupport,
-    MakeTruth,
+from gridpush_drake.station.scene_camera import AddTruePoses
+from gridpush_drake.station.sensors import (
+    FORCE_PERIOD,
+    AddLoadSensor,
+    AddSceneSight,
+    AddSensors,
+    SceneSightPorts,
+    Sensors,
 )
-from gridpush_drake.station.scene_camera import (
-    AddAllSeen,
-    AddObjectsPoseEstimator,
-    AddPosesTogether,
-    AddTruePoses,
-)
-from gridpush_drake.station.setting import MakeSetting, Setting
 from gridpush_drake.station.station import (
     POSE_LOG,
     AddRobotControl,
@@ -89,15 +38,12 @@ from gridpush_drake.station.station import (
     RobotControl,
     Station,
 )
-from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor, LoadNoise
+from gridpush_drake.station.station_plant import AddWorld, World
+from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor
 from gridpush_drake.systems.contact_force_sensor import ContactForceSensor
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
-from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 from gridpush_drake.systems.true_parameters import TrueParameters
-
-FORCE_PERIOD = 0.005
-"""Time between two samples of the force on the tip of a finger that is steered, s."""
 
 TRUE_LOG = "true_pose_log"
 COVARIANCE_LOG = "covariance_log"
@@ -107,268 +53,6 @@ SCENE_LOG = "scene_pose_log"
 TRUE_SCENE_LOG = "true_scene_pose_log"
 """Names of the systems that log the poses of all objects, as a camera follows them, and the true
 ones."""
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """The sensors that `AddSensors` put into a builder.
-
-    Attributes:
-        camera: sees the object with noise.
-        ground_truth: sees the object without noise, for display and for judging the task.
-        tip: measures position and velocity of the finger's tip.
-    """
-
-    camera: StationCamera
-    ground_truth: PlanarPoseSensor
-    tip: PusherStateSensor
-
-
-@dataclass(frozen=True)
-class SceneSightPorts:
-    """Ports of a camera that follows N objects.
-
-    Attributes:
-        poses: (3 N,) the poses as they are seen, m and rad.
-        true_poses: (3 N,) the true ones.
-        all_seen: (3,) the pose of object 0; NaN while any object is not seen.
-    """
-
-    poses: OutputPort
-    true_poses: OutputPort
-    all_seen: OutputPort
-
-
-def AddSensors(
-    builder: DiagramBuilder,
-    scene_graph: SceneGraph,
-    scenario: PushScenario,
-    robot: Robot,
-    part: GridObjectInPlant,
-    found: FoundObject | None,
-    followed: Sequence[OtherObject] = (),
-    table_top: BaseGeometry | None = None,
-) -> Sensors:
-    """Adds the sensors of a simulated station, and connects them to its plant.
-
-    Args:
-        builder: the builder that has the plant.
-        scene_graph: the plant's scene graph.
-        scenario: the scenario, with its camera.
-        robot: the robot, with the name of the tip's frame.
-        part: the object in the plant.
-        found: the object that a color and depth camera found and tracks; None for another camera.
-        followed: other objects that a color and depth camera follows as well, of known outlines;
-            none for another camera.
-        table_top: the table's top, a polygon in W, m, if other objects are followed.
-    """
-    plant = part.plant
-    if followed and table_top is not None:
-        rgbd = AddRgbdCamera(builder, plant, scene_graph, scenario, [part, *list_parts(followed)])
-        camera = StationCamera(
-            AddObjectsPoseEstimator(
-                builder,
-                rgbd,
-                scenario,
-                obj=part.obj,
-                others=followed,
-                table_top=table_top,
-                tip_radius=robot.finger.tip_radius,
-            ),
-            rgbd.noise,
-        )
-    elif found is None:
-        ideal = AddIdealCamera(builder, part, scenario.camera, "camera", scenario.seed)
-        camera = StationCamera(ideal)
-    else:
-        rgbd = AddRgbdCamera(builder, plant, scene_graph, scenario, [part])
-        camera = StationCamera(
-            AddPoseEstimator(builder, rgbd, scenario, found, robot.finger.tip_radius), rgbd.noise
-        )
-    ground_truth = builder.AddNamedSystem(
-        "ground_truth_sensor",
-        PlanarPoseSensor(part.body.index(), period=1 / scenario.camera.rate, lowest=LOST_BELOW),
-    )
-    tip = builder.AddNamedSystem(
-        "tip_sensor", PusherStateSensor(plant.GetBodyByName(robot.finger.tip_frame).index())
-    )
-    for sensor in (ground_truth, tip):
-        builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
-    builder.Connect(
-        plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities")
-    )
-    return Sensors(camera=camera, ground_truth=ground_truth, tip=tip)
-
-
-def AddStationScene(
-    plant: MultibodyPlant, scene_graph: SceneGraph, scenario: PushScenario, robot: Robot
-) -> tuple[RobotInPlant, tuple[GeometryId, ...]]:
-    """Adds robot and table to a plant as the scenario's directives say, before Finalize.
-
-    Returns:
-        The robot's model instances, and the table's collision geometries.
-    """
-    AddScene(MakeParser(plant), scenario)
-    # Not by the plant's own GetCollisionGeometriesForBody: pydrake ties the ids that it returns to
-    # the plant, and whoever keeps them keeps the plant alive, unseen by Python's garbage collector.
-    inspector = scene_graph.model_inspector()
-    table = tuple(
-        geometry
-        for body in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE))
-        for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity)
-    )
-    tip = plant.GetBodyByName(robot.finger.tip_frame)
-    SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(tip)])
-    instances = GetRobotInPlant(plant, robot)
-    SetJointServos(plant, robot, instances.arm)
-    return instances, table
-
-
-@dataclass(frozen=True, eq=False)
-class World:
-    """The simulated part of a station: the plant with robot, object and table.
-
-    The cells of the robot's object and of the plant's object differ where a camera found the
-    object: the truth is drawn on the plant's, and carried over to the robot's for comparison.
-
-    Attributes:
-        resolved: the resolved scenario that it is made from.
-        setting: what the robot knows.
-        true_obj: the plant's object.
-        truth: true masses and frictions, for the scenario's seed, on the cells of `setting.obj`.
-        scene_graph: the plant's scene graph.
-        robot_in_plant: the robot's model instances in the plant.
-        object_in_plant: the object's body and geometry in the plant.
-        table: the table's collision geometries, with those of its rim.
-    """
-
-    resolved: ResolvedScenario
-    setting: Setting
-    true_obj: GridObject
-    truth: CellParameters
-    scene_graph: SceneGraph
-    robot_in_plant: RobotInPlant
-    object_in_plant: GridObjectInPlant
-    table: tuple[GeometryId, ...]
-
-    @property
-    def plant(self) -> MultibodyPlant:
-        """The plant."""
-        return self.setting.plant
-
-    def SetStart(
-        self, diagram: Diagram, root_context: Context, seed: int | None
-    ) -> CellParameters | None:
-        """Puts arm and object at rest where the scenario has them.
-
-        Args:
-            diagram: the Diagram that has the plant.
-            root_context: its Context, or that of a Diagram that it is part of.
-            seed: seed of the hidden truth, instead of the scenario's; None leaves the truth in the
-                Context as it is.
-
-        Returns:
-            The truth on the cells of `setting.obj`; None if it was left as it is.
-        """
-        plant = self.plant
-        scenario = self.setting.scenario
-        arm = self.robot_in_plant.arm
-        plant_context = plant.GetMyMutableContextFromRoot(root_context)
-        plant.SetPositions(plant_context, arm, self.setting.q_start)
-        plant.SetVelocities(plant_context, arm, np.zeros_like(self.setting.q_start))
-        SetGridObjectPose(plant, plant_context, self.object_in_plant, scenario.object_pose)
-        if seed is None:
-            return None
-        resolved = self.resolved
-        truth = resolved.truth
-        support = resolved.support
-        if seed != resolved.scenario.seed:
-            truth = MakeTruth(self.true_obj, scenario.truth, seed)
-            support = MakeSupport(self.true_obj, truth, scenario, seed)
-        SetGridObjectParameters(
-            plant, self.scene_graph, root_context, self.object_in_plant, truth, support
-        )
-        if truth is resolved.truth:
-            return self.truth
-        return resample_parameters(self.true_obj, truth, self.setting.obj)
-
-
-def AddWorld(
-    builder: DiagramBuilder,
-    resolved: ResolvedScenario,
-    show_object: bool = True,
-    drake_models: Path | None = None,
-    told: bool = False,
-) -> World:
-    """Adds a finalised plant with all that a scenario has.
-
-    Args:
-        builder: an empty builder.
-        resolved: the resolved scenario.
-        show_object: whether Meshcat shows the object's plain outline.
-        drake_models: folder of the meshes with which the robot is shown; None to show its
-            primitive shapes.
-        told: whether the robot is told the object's outline whatever its camera is. Otherwise a
-            color and depth camera takes a photograph, in which the object is found.
-
-    Returns:
-        The world.
-
-    Raises:
-        ScenarioError: the camera sees no object.
-        StationError: nothing can be rendered on this computer.
-    """
-    scenario = resolved.scenario
-    robot = resolved.robot
-    found = None if told else resolved.found
-    true_obj = resolved.obj if found is None else found.true_obj
-
-    # The plant: scene, object, other objects.
-    plant, scene_graph = AddPlantAndSceneGraph(builder, scenario.simulation.time_step)
-    plant.set_name("plant")
-    plant.set_stiction_tolerance(scenario.simulation.stiction_tolerance)
-    scene_graph.set_name("scene_graph")
-    instances, table = AddStationScene(plant, scene_graph, scenario, robot)
-    # An object that is pressed at the edge tilts about the edge itself.
-    rim = AddTableRim(plant, resolved.table_top) if scenario.nothing_told else ()
-    object_in_plant = AddGridObject(
-        plant,
-        scene_graph,
-        true_obj,
-        resolved.truth,
-        cast(Base, scenario.base),
-        table=table,
-        height=scenario.object_height,
-        support=resolved.support,
-        visual=show_object,
-    )
-    others = AddOthers(plant, scene_graph, scenario, resolved.others, table, object_in_plant)
-    if scenario.camera.kind == "rgbd":
-        AddSeenVisual(plant, scene_graph, object_in_plant)
-    if found is not None:
-        # From here on the scenario is the robot's, which knows only what the camera saw.
-        seen = {
-            "object_pose": found.pose.tolist(),
-            "object_height": found.obj.height or scenario.object_height,
-        }
-        scenario = scenario.model_copy(update=seen)
-    if drake_models is not None:
-        AddVisualMeshes(plant, scene_graph, drake_models)
-    plant.Finalize()
-
-    # What the robot knows of the plant, and what only the world knows.
-    setting = MakeSetting(resolved, scenario, plant, found, others)
-    plant.SetDefaultPositions(instances.arm, setting.q_start)
-    return World(
-        resolved=resolved,
-        setting=setting,
-        true_obj=true_obj,
-        truth=resample_parameters(true_obj, resolved.truth, setting.obj),
-        scene_graph=scene_graph,
-        robot_in_plant=instances,
-        object_in_plant=object_in_plant,
-        table=(*table, *rim),
-    )
 
 
 class PushStation(Station):
@@ -602,13 +286,11 @@ def MakePushStation(
     if not sensors.camera.follows_several:
         other_cameras = AddOtherCameras(builder, setting.scenario, setting.others)
     truths = AddTruePoses(builder, world.plant, setting.others, 1 / setting.scenario.camera.rate)
-    sight = _add_scene_sight(builder, sensors, setting.others, truths)
+    sight = AddSceneSight(builder, sensors, setting.others, truths)
     true_parameters = builder.AddNamedSystem("truth", TrueParameters(world.truth))
 
     # What commands the robot, as with a real one; it is connected to the simulated arm and gripper.
-    load_sensor = (
-        _add_load_sensor(builder, setting, driver) if setting.scenario.nothing_told else None
-    )
+    load_sensor = AddLoadSensor(builder, setting, driver) if setting.scenario.nothing_told else None
     control = _add_control(
         builder,
         world,
@@ -646,30 +328,6 @@ def MakePushStation(
     )
     station.set_name(name)
     return station
-
-
-def _add_load_sensor(builder: DiagramBuilder, setting: Setting, driver: System) -> ArmLoadSensor:
-    """Adds what tells, with noise, which forces the simulated arm feels."""
-    robot = setting.robot
-    weighing = setting.scenario.weighing
-    sensor: ArmLoadSensor = builder.AddNamedSystem(
-        "load_sensor",
-        ArmLoadSensor(
-            setting.control_plant,
-            robot.finger.tip_frame,
-            None if robot.gripper is None else robot.gripper.grasp_frame,
-            noise=LoadNoise(
-                force=weighing.force_noise,
-                torque=weighing.torque_noise,
-                force_offset=weighing.force_offset,
-                torque_offset=weighing.torque_offset,
-            ),
-            seed=setting.scenario.seed,
-        ),
-    )
-    for port in ("position_measured", "torque_external"):
-        builder.Connect(driver.GetOutputPort(port), sensor.GetInputPort(port))
-    return sensor
 
 
 def _add_control(
@@ -720,29 +378,6 @@ def _add_control(
         logged=logged,
         load=load,
         tip_force=tip_force,
-    )
-
-
-def _add_scene_sight(
-    builder: DiagramBuilder,
-    sensors: Sensors,
-    others: Sequence[OtherObject],
-    truths: Sequence[OutputPort],
-) -> SceneSightPorts | None:
-    """Exports what a camera sees that follows all objects; None for another camera."""
-    camera = sensors.camera
-    if not camera.follows_several:
-        return None
-    seen = [camera.GetPose(number) for number in range(len(others) + 1)]
-    for other, port in zip(others, seen[1:], strict=True):
-        builder.ExportOutput(port, f"{other.name}.pose")
-    ExportOutputs(builder, camera.source, "camera", ("message",))
-    first = sensors.ground_truth.GetOutputPort("object_pose")
-    poses = AddPosesTogether(builder, seen, "scene_poses")
-    return SceneSightPorts(
-        poses=poses,
-        true_poses=AddPosesTogether(builder, [first, *truths], "true_scene_poses"),
-        all_seen=AddAllSeen(builder, poses),
     )
 
 

@@ -9,8 +9,9 @@ from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.scene.separation import MARGIN
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
 from gridpush_drake.station.arm import ArmPosture
-from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
+from gridpush_drake.station.lcm.hardware_link import HardwareLink
 from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation, make_limits
+from gridpush_drake.station.lcm.lcm_address import open_lcm
 from gridpush_drake.station.lcm.robot_messages import (
     ARM_MESSAGES,
     ARM_PERIOD,
@@ -21,9 +22,7 @@ from gridpush_drake.station.robot import find_robot, make_robot_directives
 from gridpush_drake.station.scenario import PartTruth
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.scene_task import SeparateTask
-from gridpush_drake.systems.guard_status import (
-    GuardMode,
-)
+from gridpush_drake.systems.guard_status import GuardMode
 from gridpush_drake.systems.messages import GraspCommand, PushPhase
 from tests.helpers.twin_bench import TwinBench
 

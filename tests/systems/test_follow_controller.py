@@ -20,22 +20,12 @@ from gridpush_drake.planning.feedback import (
     PosePath,
     Sight,
 )
+from gridpush_drake.planning.feedback.follow_calculations import FollowRules, find_places
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.systems.follow_controller import (
-    MAX_BLIND_TIME,
-    FollowController,
-    FollowMode,
-    FollowRules,
-    find_places,
-)
-from gridpush_drake.systems.messages import (
-    PushStatus,
-    SteerCommand,
-    SteerPhase,
-    SteerStatus,
-)
+from gridpush_drake.systems.follow_controller import MAX_BLIND_TIME, FollowController, FollowMode
+from gridpush_drake.systems.messages import PushStatus, SteerCommand, SteerPhase, SteerStatus
 from gridpush_drake.systems.poke_policy import MAX_REPETITION
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.made_logs import make_pushed_block

@@ -17,11 +17,9 @@ clock jumps, the arm is stopped for good, as if the robot were silent. Whatever 
 commands. Until `armed`, no command goes out.
 """
 
-import re
 import traceback
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
 
@@ -35,43 +33,24 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.station.lcm.bus import Bus
 from gridpush_drake.station.lcm.channel import ArrivalClock, Channel, count_reason
 from gridpush_drake.station.lcm.hardware_station import HardwareStation
+from gridpush_drake.station.lcm.link_report import NOTED, LinkReport
 from gridpush_drake.station.lcm.message_forms import FindFault, find_form_fault
 from gridpush_drake.station.lcm.robot_messages import (
     ARM_PERIOD,
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
+    MILLISECONDS,
     find_arm_messages,
     name_object_channels,
 )
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import SafetyConfig
 from gridpush_drake.systems.arm_path import brake
-from gridpush_drake.systems.guard_status import (
-    BY_SILENCE,
-    BY_USER,
-    DONE,
-    GuardMode,
-    GuardStatus,
-)
+from gridpush_drake.systems.guard_status import BY_SILENCE, BY_USER, DONE, GuardMode, GuardStatus
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
-
-DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
-"""The LCM network if no other is named: on this computer only."""
-
-URL = re.compile(r"udpm://(22[4-9]|23\d)\.(\d{1,3})\.(\d{1,3})\.(\d{1,3}):(\d{1,5})(\?ttl=\d+)?")
-"""Form of an LCM network's URL: a multicast address and a port."""
-
-MAX_BYTE = 255
-"""Greatest part of an address."""
-
-MAX_PORT = 65535
-"""Greatest number of a port."""
 
 PATIENCE = 5.0
 """Longest time that the first status, and the first pose of the object, are waited for, s."""
-
-MILLISECONDS = 1e3
-"""Milliseconds in a second."""
 
 LISTENING_TIME = 0.3
 """Time during which statuses come before the first command goes out, s. A driver that has just
@@ -81,18 +60,12 @@ LARGEST_CATCH_UP = ARM_PERIOD
 """Longest time by which the station's time may leap to keep up with the robot's, s. If it is
 further behind, it stays behind."""
 
-LATE_PERIOD = 0.01
-"""A command that goes out longer than this after the last one counts as late, s."""
-
 MAX_POLL_TIME = 0.005
 """Longest time that one poll for LCM messages should take, s. If a poll takes longer, our own
 process was suspended, and the time beyond does not count as the robot's silence."""
 
 SILENCE = 1.0
 """If no status of the robot comes for this long, the arm is stopped for good, s."""
-
-NOTED = 10
-"""The log tells when a pause happened for the first so many of each kind; all are counted."""
 
 STOPPING_TIME = 2.0
 """Time within which any arm has braked, and was measured at rest or not, s; beside the time for
@@ -103,84 +76,6 @@ ROUNDING = 1e-9
 
 HALF = 0.5
 """Share of a period after each status at which the station's time is, see `_receive`."""
-
-
-def open_lcm(url: str) -> DrakeLcm:
-    """Opens an LCM network.
-
-    Raises:
-        StationError: the URL is not one of LCM, or the computer has no network for it.
-    """
-    match = URL.fullmatch(url)
-    good = (
-        match
-        and all(int(part) <= MAX_BYTE for part in match.groups()[1:4])
-        and 0 < int(match[5]) <= MAX_PORT
-    )
-    if not good:
-        raise StationError(
-            f"--lcm: {url!r}; expected udpm://ADDRESS:PORT?ttl=N such as {DEFAULT_URL}"
-        )
-    lcm = DrakeLcm(url)
-    if not lcm.available():
-        raise StationError(f"--lcm: {url}: no network takes multicast; see docs/hardware.md")
-    return lcm
-
-
-@dataclass
-class LinkReport:
-    """An account of how the loop went.
-
-    Attributes:
-        steps: number of commands that were made.
-        worst_period: longest time between two commands, s.
-        late: number of commands that came later than `LATE_PERIOD` after the last one.
-        pauses: number of times that the controller was late by more than a status may be old.
-        silences: number of times that the robot paused for as long, and went on.
-        force: greatest force on the finger's tip, N.
-        left_out: number of messages that could not be used, by the reason.
-        events: the station's time, s, and a text, for whatever happened.
-        causes: what went wrong with the link or the controller, each as a sentence.
-        traces: for each failure of the controller, where in the program it arose.
-    """
-
-    steps: int = 0
-    worst_period: float = 0.0
-    late: int = 0
-    pauses: int = 0
-    silences: int = 0
-    force: float = 0.0
-    left_out: Counter[str] = field(default_factory=Counter)
-    events: list[tuple[float, str]] = field(default_factory=list)
-    causes: list[str] = field(default_factory=list)
-    traces: list[str] = field(default_factory=list)
-
-    @property
-    def late_share(self) -> float:
-        """The share of the commands that came late, 0 to 1."""
-        return self.late / max(self.steps, 1)
-
-    def note_period(self, period: float) -> None:
-        """Counts a command that came a period, s, after the last one."""
-        self.steps += 1
-        self.worst_period = max(self.worst_period, period)
-        self.late += period > LATE_PERIOD
-
-    def describe(self) -> str:
-        """Returns the report in words."""
-        text = (
-            f"{self.steps} commands, "
-            f"the longest period {MILLISECONDS * self.worst_period:.1f} ms, "
-            f"{100 * self.late_share:.2f} % over {MILLISECONDS * LATE_PERIOD:.0f} ms; "
-            f"at most {self.force:.1f} N on the finger's tip"
-        )
-        if self.pauses:
-            text += f"; the controller paused {self.pauses} times"
-        if self.silences:
-            text += f"; the robot paused {self.silences} times"
-        return text + "".join(
-            f"; {count} messages left out: {why}" for why, count in self.left_out.items()
-        )
 
 
 class HardwareLink:

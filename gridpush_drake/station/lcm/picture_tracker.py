@@ -39,6 +39,7 @@ from gridpush_drake.station.lcm.picture_messages import decode_frame
 from gridpush_drake.station.lcm.robot_messages import (
     FROM_OPENING,
     GRIPPER_STATUS,
+    MILLISECONDS,
     PICTURES,
     find_arm_messages,
     name_object_channel,
@@ -51,9 +52,6 @@ from gridpush_drake.station.scene import AddScene
 from gridpush_drake.station.scene_camera import TrackedScene
 from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS, make_status
-
-MILLISECONDS = 1e3
-"""Milliseconds in a second."""
 
 STATUSES = 1000
 """Number of the arm's last statuses that are remembered: some seconds."""

@@ -60,6 +60,9 @@ from gridpush_drake.systems.planar_manipuland_status import (
     PlanarManipulandStatusSender,
 )
 
+MILLISECONDS = 1e3
+"""Milliseconds in a second."""
+
 ARM_PERIOD = 0.005
 """Time between two statuses of an arm, and between two commands, s; drake-iiwa-driver keeps it."""
 

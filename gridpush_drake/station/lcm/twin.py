@@ -21,10 +21,11 @@ from gridpush_drake.station.lcm.robot_messages import (
     find_arm_messages,
 )
 from gridpush_drake.station.others import AddOtherCameras, SetOthersStart
-from gridpush_drake.station.push_station import AddSensors, AddWorld, World
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.sensors import AddSensors
 from gridpush_drake.station.setting import Setting
+from gridpush_drake.station.station_plant import AddWorld, World
 from gridpush_drake.systems.command_ramp import CommandRamp
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 

@@ -22,10 +22,10 @@ from gridpush_drake.station.lcm.bus import Bus
 from gridpush_drake.station.lcm.picture_messages import encode_frame
 from gridpush_drake.station.lcm.robot_messages import PICTURES
 from gridpush_drake.station.others import list_parts
-from gridpush_drake.station.push_station import AddWorld
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario
+from gridpush_drake.station.station_plant import AddWorld
 
 ENDS_WITHIN = 5.0
 """Longest time that the process may take to end once nothing is asked of it any more, s."""
