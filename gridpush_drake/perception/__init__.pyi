@@ -14,6 +14,7 @@ from .hints import ObjectHint as ObjectHint
 from .intrinsics import Intrinsics as Intrinsics
 from .intrinsics import calibrate_intrinsics as calibrate_intrinsics
 from .intrinsics import read_photographs as read_photographs
+from .outline_finder import TrackerOptions as TrackerOptions
 from .scene_tracking import KnownObject as KnownObject
 from .scene_tracking import SceneState as SceneState
 from .scene_tracking import SceneTracker as SceneTracker
@@ -34,6 +35,5 @@ from .tags import find_tag_corners as find_tag_corners
 from .tags import solve_tag_to_body as solve_tag_to_body
 from .tracking import PoseTracker as PoseTracker
 from .tracking import TrackedPose as TrackedPose
-from .tracking import TrackerOptions as TrackerOptions
 from .tracking import TrackerState as TrackerState
 from .tracking import track_object as track_object

@@ -25,13 +25,9 @@ from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.drawing import draw_contours
 from gridpush_drake.perception.frames import Frame, Mask
 from gridpush_drake.perception.look_alikes import Expectation
+from gridpush_drake.perception.outline_finder import TrackerOptions
 from gridpush_drake.perception.picture_reader import Appearance, Picture, PictureReader
-from gridpush_drake.perception.tracking import (
-    PoseTracker,
-    TrackedPose,
-    TrackerOptions,
-    TrackerState,
-)
+from gridpush_drake.perception.tracking import PoseTracker, TrackedPose, TrackerState
 
 MARGIN = 2.0
 """A pixel says nothing of an object if another one is nearer, or farther by less than this, pixels:

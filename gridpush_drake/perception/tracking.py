@@ -1,9 +1,9 @@
 """The pose of a known outline, from frame to frame.
 
-Each picture is told into object and table near the last pose, by what the table looked like in the
-first one (`picture_reader`), and the outline is moved onto the edges between the two
-(`registration`). Where it is not found there, it is searched for everywhere (`pose_search`).
-Several objects in one picture are followed by `scene_tracking`.
+In each picture the outline is looked for near the last pose and, where it is not found there,
+everywhere (`outline_finder`). To that end the picture is divided into object and table by what the
+table looked like in the first one (`picture_reader`), and the outline is moved onto the edges
+between the two (`registration`). Several objects in one picture are followed by `scene_tracking`.
 
 The object's outline and height must be known: `detection` finds them in one photograph. The theory
 is in docs/theory/perception.md, section 3.
@@ -18,7 +18,7 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PerceptionError
-from gridpush_drake.geometry.se2 import Array, compose, wrap_angle
+from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.objects.outline import make_polygon
 from gridpush_drake.perception.answers import (
     Answer,
@@ -30,27 +30,9 @@ from gridpush_drake.perception.answers import (
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.drawing import draw_contours
 from gridpush_drake.perception.frames import Frame, Mask
-from gridpush_drake.perception.look_alikes import (
-    SAME,
-    Expectation,
-    calc_surprise,
-    find_look_alikes,
-)
+from gridpush_drake.perception.look_alikes import Expectation
+from gridpush_drake.perception.outline_finder import OutlineFinder, TrackerOptions
 from gridpush_drake.perception.picture_reader import Appearance, Picture, PictureReader
-from gridpush_drake.perception.pose_search import guess_nearby, guess_poses
-from gridpush_drake.perception.registration import Fit, Registration, View
-
-WINDOW_MARGIN = 30
-"""Room around the part of the picture that can hold the object in the next frame, pixels."""
-
-MIN_INSIDE = 0.6
-"""A fit is refused if less than this share of the points just inside its visible boundary shows the
-object."""
-
-MAX_RMS = 2.0
-"""A fit is refused if the edges found are further than this from its outline, root mean square,
-pixels."""
-
 
 HIDDEN_SPEED = 0.1
 """Speed with which it becomes less sure where an object is that is hidden, m/s."""
@@ -72,34 +54,6 @@ just well enough must not come and go with the noise of each picture."""
 
 NEW_EVIDENCE = 0.1
 """Part of a picture's evidence that the pictures before it did not give."""
-
-
-@dataclass(frozen=True)
-class TrackerOptions:
-    """How the pose is found.
-
-    Attributes:
-        max_step: furthest that the object goes from one frame to the next, m.
-        max_turn: furthest that the object turns from one frame to the next, rad.
-        lost_share: the object is lost where less of its visible outline than this is found.
-        found_share: a search everywhere accepts a pose only where at least this share of its
-            visible outline is found, and where what is visible determines the pose; with less, the
-            edges of the arm, of the table or of another thing would do.
-        pixel_noise: least standard deviation of an edge's place, pixels.
-        max_dilution: the object counts as not seen where what covers it makes its pose less sure by
-            more than this: a ratio of standard deviations, in the worst direction.
-        search_period: least time from one search everywhere to the next, s; it takes several times
-            as long as a look where the object was. With 0 every frame in which the object is not
-            there is searched.
-    """
-
-    max_step: float = 0.03
-    max_turn: float = 0.3
-    lost_share: float = 0.5
-    found_share: float = 0.8
-    pixel_noise: float = 0.1
-    max_dilution: float = 4.0
-    search_period: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,25 +150,13 @@ class PoseTracker:
             raise PerceptionError(
                 f"height is {height!r}; expected 0 to {camera.center[2]:g} m, where the camera is"
             )
-        # Where the object looks alike when it is turned, both answers are weighed after it was
-        # hidden. Its middle stays where it is, wherever the body's origin is.
-        self._look_alikes = find_look_alikes(self.outline)
-        self._middle = np.array(self.outline.centroid.coords[0])
-
-        # All of the registration is done without lens distortion, so that straight sides are
-        # straight in the picture.
-        self._ideal = camera.undistorted
         self._reader = PictureReader(camera, table_top)
-
-        # P of the theory: the information of what can happen between two frames.
-        step_information = self.options.max_step**-2
-        turn_information = self.options.max_turn**-2
-        self._registration = Registration(
+        self._finder = OutlineFinder(
             outline=self.outline,
             height=self.height,
-            camera=self._ideal,
-            prior=np.diag([step_information, step_information, turn_information]),
-            pixel_noise=self.options.pixel_noise,
+            camera=camera,
+            reader=self._reader,
+            options=self.options,
         )
 
     def start(
@@ -267,7 +209,7 @@ class PoseTracker:
         before = None if guess is None else np.array(guess, dtype=np.float64)
         answers: list[Answer] = []
         if before is not None:
-            _, fit = self._find_near(appearance, picture, before)
+            _, fit = self._finder.find_near(appearance, picture, before)
             if fit is not None and fit.share >= (share or 0.0):
                 answers = [Answer(fit, 0.0)]
         if not answers:
@@ -275,7 +217,7 @@ class PoseTracker:
             if before is not None:
                 step = self.options.max_step
                 expected = Expectation(before, step, self.options.max_turn)
-            answers = self._find_anywhere(appearance, picture, expected, share)
+            answers = self._finder.find_anywhere(appearance, picture, expected, share)
         if not answers:
             return None
 
@@ -356,7 +298,7 @@ class PoseTracker:
         )
         gone = doubtful or not answers
         if gone and may_search and self._may_search(searched, picture.t):
-            found = self._find_anywhere(state.appearance, picture, expected)
+            found = self._finder.find_anywhere(state.appearance, picture, expected)
             answers = found or answers
             searched = picture.t
         state = replace(state, lost=not answers, t=picture.t, searched=searched)
@@ -384,7 +326,7 @@ class PoseTracker:
 
     def make_silhouette(self, pose: Array) -> Polygon:
         """Makes the object's silhouette on the table at a pose (3,), W, m."""
-        return self._registration.make_silhouette(pose)
+        return self._finder.make_silhouette(pose)
 
     def _expect(self, state: TrackerState, t: float) -> Expectation:
         """Says where the object is expected by its last pose, and how long ago that was told."""
@@ -408,58 +350,29 @@ class PoseTracker:
             The poses that explain the picture, the likeliest first; none where it is not there.
         """
         for start in starts:
-            view, fit = self._find_near(state.appearance, picture, start)
+            view, fit = self._finder.find_near(state.appearance, picture, start)
             if fit is not None:
                 break
 
         # Edges that are missing in plain view tell of an outline on wrong edges, as where a thin
         # part of the object went further than it is wide.
         if fit is None or fit.share < self.options.found_share:
-            fit = self._look_nearby(view, start) or fit
+            fit = self._finder.look_nearby(view, start) or fit
         if fit is None:
             return []
 
         # After it was hidden, whatever looks alike may be the right answer.
         if state.hidden:
-            return self._weigh_look_alikes(view, fit, expected)
+            return self._finder.weigh_look_alikes(view, fit, expected)
 
         # Else only the answers go on that could not be told apart before. The pictures of a video
         # share most of what is wrong with them, so that each adds a part of its evidence alone.
         answers = [Answer(fit, 0.0)]
         for other in state.others:
-            again = self._registration.register(view, other.pose)
-            if self._accepts(again, self.options.lost_share):
+            again = self._finder.register(view, other.pose)
+            if again is not None:
                 gain = NEW_EVIDENCE * (again.evidence - fit.evidence)
                 answers.append(Answer(again, other.log_odds + gain))
-        return choose_answers(answers)
-
-    def _weigh_look_alikes(
-        self, view: View, fit: Fit, expected: Expectation | None
-    ) -> list[Answer]:
-        """Weighs a registration against those at which the object looks nearly the same.
-
-        Args:
-            view: what is object in the picture.
-            fit: the registration.
-            expected: where the object is expected; None where nothing is known.
-
-        Returns:
-            The answers, the likeliest first.
-        """
-        fits = [fit]
-        for way in self._look_alikes:
-            # Where nothing was seen before, either end may be called the first.
-            if expected is None and way.overlap > SAME:
-                continue
-            again = self._registration.register(view, np.asarray(compose(fit.pose, way.pose)))
-            if self._accepts(again, self.options.lost_share):
-                fits.append(again)
-        answers = []
-        for each in fits:
-            surprise = 0.0
-            if expected is not None:
-                surprise = calc_surprise(expected, each.pose, self._middle)
-            answers.append(Answer(each, each.evidence - surprise))
         return choose_answers(answers)
 
     def _may_search(self, searched: float | None, t: float) -> bool:
@@ -467,94 +380,6 @@ class PoseTracker:
         if searched is None:
             return True
         return not 0 <= t - searched < self.options.search_period
-
-    def _find_near(
-        self, appearance: Appearance, picture: Picture, before: Array
-    ) -> tuple[View, Fit | None]:
-        """Looks for the object near a pose (3,).
-
-        Returns:
-            What is object there, and the fit; None where the object is not there.
-        """
-        window = self._find_window(before)
-        view = self._reader.look(appearance, picture, window, self.height)
-        fit = self._registration.register(view, before)
-        return view, fit if self._accepts(fit, self.options.lost_share) else None
-
-    def _look_nearby(self, view: View, pose: Array) -> Fit | None:
-        """Tries other poses near one that the edges about it do not lead to.
-
-        Args:
-            view: what is object in a part of the picture.
-            pose: (3,) about where the object is, W.
-
-        Returns:
-            The best registration that leaves little open; None where there is none.
-        """
-        reach = (self.options.max_step, self.options.max_turn)
-        guesses = guess_nearby(view, self._registration, self._ideal, self.height, pose, reach)
-        fits = [self._registration.register(view, guess) for guess in guesses]
-        good = [
-            fit
-            for fit in fits
-            if self._accepts(fit, self.options.found_share)
-            and fit.dilution <= self.options.max_dilution
-        ]
-        return max(good, key=lambda fit: fit.evidence, default=None)
-
-    def _find_anywhere(
-        self,
-        appearance: Appearance,
-        picture: Picture,
-        expected: Expectation | None,
-        share: float | None = None,
-    ) -> list[Answer]:
-        """Finds the object in the whole picture.
-
-        Args:
-            appearance: what the table looks like.
-            picture: the picture.
-            expected: where the object is expected; None where nothing is known.
-            share: least share of its visible outline that has to be found; None for the options'.
-
-        Returns:
-            The poses that explain the picture, the likeliest first; none where it is nowhere.
-        """
-        rows, columns = picture.color.shape[:2]
-        everywhere = (slice(0, rows), slice(0, columns))
-        view = self._reader.look(appearance, picture, everywhere, self.height)
-        guesses = guess_poses(view, self._registration, self._ideal, self.height)
-        if expected is not None:
-            guesses.append(expected.pose)
-        fits = [self._registration.register(view, pose) for pose in guesses]
-
-        # Without a last pose to lean on, what is visible has to determine the pose.
-        good = [
-            fit
-            for fit in fits
-            if self._accepts(fit, share or self.options.found_share)
-            and fit.dilution <= self.options.max_dilution
-        ]
-        if not good:
-            return []
-        best = max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS)
-        return self._weigh_look_alikes(view, best, expected)
-
-    def _accepts(self, fit: Fit, share: float) -> bool:
-        """Says whether a fit explains the picture, with at least a share of its edges found."""
-        return fit.share >= share and fit.inside >= MIN_INSIDE and fit.rms <= MAX_RMS
-
-    def _find_window(self, pose: Array) -> tuple[slice, slice]:
-        """Finds the rows and columns in which the object may be in the next frame."""
-        bounds = self._registration.find_bounds(pose)
-        pixels_a_meter = self._ideal.K[0, 0] / (self._ideal.center[2] - self.height)
-        margin = WINDOW_MARGIN + self.options.max_step * pixels_a_meter
-        low = bounds[0] - margin
-        high = bounds[1] + margin
-        last = np.array([self.camera.width, self.camera.height]) - 1
-        left, top = np.clip(low, 0, last).astype(int)
-        right, bottom = np.clip(high, 0, last).astype(int)
-        return slice(top, bottom + 1), slice(left, right + 1)
 
 
 def track_object(

@@ -44,8 +44,9 @@ from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import DetectedObject
+from gridpush_drake.perception.outline_finder import TrackerOptions
 from gridpush_drake.perception.pose_prediction import PushModel
-from gridpush_drake.perception.tracking import PoseTracker, TrackerOptions
+from gridpush_drake.perception.tracking import PoseTracker
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_camera import CameraConfig
 from gridpush_drake.systems.object_detector import Detection, ObjectDetector, ObjectNaming

@@ -9,9 +9,9 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.perception import Camera, Frame, PoseTracker
 from gridpush_drake.perception.look_alikes import Expectation, find_look_alikes
+from gridpush_drake.perception.outline_finder import TrackerOptions
 from gridpush_drake.perception.registration import calc_dilution
 from gridpush_drake.perception.silhouette import make_silhouette
-from gridpush_drake.perception.tracking import TrackerOptions
 from tests.helpers.pictures import cover, make_camera, paint
 
 L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [
