@@ -91,7 +91,7 @@ gym                10.6        12      0     0.0      0     0
 interop            10.4        25      0     0.0      0     0
 multibody           8.7        11      0     0.0      0     0
 objects             9.9        20      0     0.0      0     0
-perception         11.1        60      0     0.0      0     0
+perception         10.9        60      0     0.0      0     0
 pushes             10.2        16      0     0.0      0     0
 report              9.1         6      0     0.0      0     0
 station             8.6        17      2     0.0      0     0

@@ -112,7 +112,7 @@ class OutlineFinder:
         return self._registration.make_silhouette(pose)
 
     def register(self, view: View, pose: Array) -> Fit | None:
-        """Registers the outline about a pose (3,) in a part of a picture; None if it is not there."""
+        """Registers the outline about a pose (3,) in a part of a picture; None if it fails."""
         fit = self._registration.register(view, pose)
         return fit if self._accepts(fit, self._options.lost_share) else None
 

@@ -1,4 +1,7 @@
-"""The simulated world of a station: the plant with robot, table and objects, and their hidden truth."""
+"""The simulated world of a station: the plant with robot, table and objects.
+
+It also knows the hidden truth, the objects' masses and frictions, which the robot is not told.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path

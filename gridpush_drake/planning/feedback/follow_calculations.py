@@ -1,7 +1,7 @@
-"""What a `FollowController` has calculated: a path, who steers along it, where the finger comes down.
+"""The calculations of a `FollowController`: a path, a place for the finger, what to do next.
 
-Each calculation is a function of what was learned and seen so far, and can be made in a worker. When
-each of them is due is the controller's matter.
+Each of them is a function of what was learned and seen so far, and can be made in a worker. When
+each is due is the controller's matter.
 """
 
 from collections.abc import Sequence

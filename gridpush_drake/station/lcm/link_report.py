@@ -1,4 +1,4 @@
-"""`LinkReport`: what a `HardwareLink` noted of a run, such as late periods and messages left out."""
+"""`LinkReport`: what a `HardwareLink` noted of a run, such as late periods and bad messages."""
 
 from collections import Counter
 from dataclasses import dataclass, field
