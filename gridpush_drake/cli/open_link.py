@@ -22,16 +22,14 @@ from gridpush_drake.station.lcm.robot_messages import (
     name_object_channel,
 )
 from gridpush_drake.station.links.link_bus import LinkBus
-from gridpush_drake.station.links.ros2 import (
-    JOINT_STATES,
-    OBJECT_POSE,
-    Ros2Link,
-    Ros2Role,
-    name_object_topic,
-    open_ros2,
-)
+from gridpush_drake.station.links.ros2 import Ros2Link, Ros2Role, open_ros2
 from gridpush_drake.station.links.ros2_pictures import COLOR
 from gridpush_drake.station.links.ros2_robot import MakeRosRobot
+from gridpush_drake.station.links.ros2_topics import (
+    JOINT_STATES,
+    OBJECT_POSE,
+    name_object_topic,
+)
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridpush_drake.station.links import ros2, ros2_pictures
+from gridpush_drake.station.links import ros2_pictures, ros2_topics
 
 EXAMPLES = Path(__file__).parents[2] / "docs/examples"
 
@@ -114,7 +114,7 @@ def test_a_launch_file_renames_topics_that_there_are(arm):
     compile(text, arm, "exec")
     topics = {
         value
-        for name, value in {**vars(ros2), **vars(ros2_pictures)}.items()
+        for name, value in {**vars(ros2_topics), **vars(ros2_pictures)}.items()
         if name.isupper() and isinstance(value, str)
     }
     renamed = re.findall(r'"([\w/]+):=', text)
