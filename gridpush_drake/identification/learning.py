@@ -33,7 +33,11 @@ from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import Screening
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
 from gridpush_drake.identification.prediction import explain_poor_fit
-from gridpush_drake.identification.problem import PushProblem, resolve_physics
+from gridpush_drake.identification.problem import (
+    PushProblem,
+    make_even_parameters,
+    resolve_physics,
+)
 from gridpush_drake.identification.result import (
     FitStart,
     Identification,
@@ -50,10 +54,6 @@ from gridpush_drake.pushes.push_log import PushLog
 
 METHODS = ("default", *SEARCH_METHODS)
 """Names of the methods that `identify` offers."""
-
-MIN_CONTACT_FRICTION = 0.05
-"""Smallest coefficient of contact friction that a fit begins with. A prior's smaller one is raised
-to it, because the logarithm of the coefficient is an unknown, and zero has none."""
 
 
 # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
@@ -133,7 +133,7 @@ def identify(
     # The fit begins from loads that are the same everywhere: the prior mean z_0 (section 3).
     ensemble = ensemble or MapEnsemble()
     patch_ratio = ensemble.choose_patch_ratio(obj) if method == "default" else 1.0
-    uniform = _make_uniform(obj, patch_ratio)
+    uniform = replace(make_even_parameters(obj), patch_ratio=patch_ratio)
     problem = PushProblem(obj, log, uniform, used)
     z0 = problem.unknowns(uniform)
 
@@ -246,7 +246,8 @@ def describe_prior(
         The uniform model, with status "no_usable_pushes".
     """
     ensemble = ensemble or MapEnsemble()
-    uniform = _make_uniform(obj, ensemble.choose_patch_ratio(obj))
+    patch_ratio = ensemble.choose_patch_ratio(obj)
+    uniform = replace(make_even_parameters(obj), patch_ratio=patch_ratio)
     problem = PushProblem(obj, PushLog(()), uniform, physics)
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     fit = ensemble.fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std)
@@ -335,17 +336,6 @@ def _fit_by_search(
         message=message,
     )
     return fit, params
-
-
-def _make_uniform(obj: GridObject, patch_ratio: float) -> CellParameters:
-    """Makes the parameters that are most probable before any push: every cell is like the others.
-
-    The contact friction is that of the prior, but not less than MIN_CONTACT_FRICTION.
-    """
-    contact_friction = max(obj.prior.contact_friction, MIN_CONTACT_FRICTION)
-    return replace(
-        CellParameters.uniform(obj, contact_friction=contact_friction), patch_ratio=patch_ratio
-    )
 
 
 def _choose_starts(obj: GridObject, start: Identification | None) -> tuple[FitStart, ...]:

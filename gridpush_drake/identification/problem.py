@@ -40,6 +40,10 @@ SINGULAR = 1e-6
 """Share of the squared radius of gyration that is added to the cells' spread along both axes, so
 that the loads of a single row of cells can be tilted across the row, too."""
 
+MIN_CONTACT_FRICTION = 0.05
+"""Smallest coefficient of contact friction that a fit begins with. A prior's smaller one is raised
+to it, because the logarithm of the coefficient is an unknown, and zero has none."""
+
 FRICTION_FLOOR = 1e-6
 """Smallest coefficient of contact friction whose logarithm is taken. A smaller one is raised to
 it."""
@@ -128,6 +132,15 @@ def resolve_physics(
     if params is not None:
         return physics.resolve_for(obj, params, fastest)
     return physics.resolve(obj, obj.prior.friction, fastest)
+
+
+def make_even_parameters(obj: GridObject) -> CellParameters:
+    """Makes the parameters that are most probable before any push: every cell is like the others.
+
+    The contact friction is that of the prior, but not less than `MIN_CONTACT_FRICTION`.
+    """
+    contact_friction = max(obj.prior.contact_friction, MIN_CONTACT_FRICTION)
+    return CellParameters.uniform(obj, contact_friction=contact_friction)
 
 
 class PushProblem:

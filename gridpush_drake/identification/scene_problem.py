@@ -14,6 +14,7 @@ from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.dynamics.scene.motion import SceneJacobian
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.problem import make_even_parameters
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
@@ -53,7 +54,7 @@ class SceneProblem:
         self.push_of_block = np.repeat(np.arange(len(log)), [len(seen.t_observed) for seen in log])
         self._noise = noise
         self._physics = physics
-        self._even = [CellParameters.uniform(obj) for obj in objects]
+        self._even = [make_even_parameters(obj) for obj in objects]
         n = len(objects)
         self._pairs = np.triu_indices(n, 1)
         k = [np.log(each.mass * each.friction) for each in self._even]

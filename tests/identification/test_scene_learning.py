@@ -99,6 +99,22 @@ def test_two_objects_are_learned_together():
     assert (np.abs(off) < 4 * found.calc_pair_friction_std()).all()
 
 
+def test_a_pusher_that_is_held_to_slip_can_be_learned_to_rub():
+    """A file may say that the pusher has no friction; its logarithm is an unknown all the same."""
+    truth = make_truth()
+    objects = [
+        replace(obj, prior=replace(obj.prior, contact_friction=0.0)) for obj in truth.objects
+    ]
+    log = SceneLog(tuple(push_scene(truth, seed) for seed in range(3)), ("block 0", "block 1"))
+    found = identify_scene(objects, log, noise=NOISE, amplitudes=(0.3,))
+    assert np.isfinite(found.z).all()
+    # what it begins with is small, and pushes may still raise it
+    begin = identify_scene(objects, log, noise=(10.0, 10.0, 10.0), amplitudes=(0.3,))
+    for before, after in zip(begin.scene.params, found.scene.params, strict=True):
+        assert before.contact_friction == pytest.approx(0.05, rel=0.01)
+        assert after.contact_friction > 0.05
+
+
 def test_what_is_refused():
     truth = make_truth()
     log = SceneLog((push_scene(truth, 0),), ("block 0", "block 1"))
