@@ -1,0 +1,185 @@
+"""The page that `gridpush view` shows a model, an object or pushes on, and how it is served."""
+
+import os
+import sys
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import print_found
+from gridpush_drake.cli.view_log import ViewError, describe_pushes, pick_pushes, predict_pushes
+from gridpush_drake.cli.view_scene import AddModel, AddPushes, describe_colors, make_overlay
+from gridpush_drake.cli.view_scene_log import (
+    AddScenePushes,
+    describe_scene_pushes,
+    make_scene,
+    make_scene_overlay,
+    predict_scene,
+)
+from gridpush_drake.display.cell_colors import Shown
+from gridpush_drake.display.live_page import LivePage
+from gridpush_drake.display.overlay import Overlay
+from gridpush_drake.display.server import PublishOnce
+from gridpush_drake.identification.scene_learning import find_pusher_radius
+from gridpush_drake.pushes.scene_log import SceneLog
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is shown.
+
+    Attributes:
+        page: the page, on which everything has been drawn.
+        overlay: the legend and the captions of the page.
+        found: what is printed with `--json`.
+        lines: what is printed without it.
+    """
+
+    page: LivePage
+    overlay: Overlay
+    found: dict[str, Any]
+    lines: list[str]
+
+
+@dataclass(frozen=True)
+class Look:
+    """How it is shown.
+
+    Attributes:
+        shows: what the colors of the cells stand for.
+        height: height of the object, m; None for its file's, or the default one.
+        port: port of the page; None for the first free one from 7000 on, 0 for any.
+    """
+
+    shows: Shown
+    height: float | None
+    port: int | None
+
+
+def describe_target(target: options.Target) -> dict[str, Any]:
+    """Says for machines what is shown: a learned model, or only an object."""
+    kind = "model" if target.model else "object"
+    return {"kind": kind, "object": target.obj.name}
+
+
+def open_recording(path: Path, open_page: bool, json: bool) -> None:
+    """Opens a recording in the browser, or prints its address; it needs no server."""
+    address = path.resolve().as_uri()
+    opened = open_page and _open(address)
+    line = f"{'Opened' if opened else 'Open this in a browser:'} {address}"
+    found = {"kind": "recording", "url": address, "opened": opened, "written": []}
+    print_found(found, [line], json)
+
+
+def draw_model_page(target: options.Target, look: Look) -> Scene:
+    """Draws a model or an object at rest."""
+    page = LivePage(look.port)
+    AddModel(page.meshcat, target, look.shows, options.choose_height(look.height, target.obj))
+    return Scene(
+        page=page,
+        overlay=make_overlay(target, look.shows),
+        found=describe_target(target),
+        lines=[f"{target.obj.name}: {target.obj.n} cells", describe_colors(look.shows)],
+    )
+
+
+def draw_pushes_page(
+    path: Path, target: options.Target, names: list[str] | None, look: Look
+) -> Scene:
+    """Records a replay of pushes, beside their predictions if there is a learned model.
+
+    Args:
+        path: the push log.
+        target: the model or the object that was pushed.
+        names: names of the pushes to replay; None for all.
+        look: how they are shown.
+
+    Raises:
+        ViewError: the log has no push of a name.
+    """
+    picked = pick_pushes(path, target, names)
+    predictions = predict_pushes(target, picked)
+    page = LivePage(look.port)
+    height = options.choose_height(look.height, target.obj)
+    AddPushes(page.meshcat, target, picked, predictions, look.shows, height)
+
+    found, lines = describe_pushes(target, picked, predictions, look.shows)
+    overlay = make_overlay(target, look.shows, picked, predictions)
+    return Scene(page=page, overlay=overlay, found=found, lines=lines)
+
+
+def draw_scene_log_page(
+    path: Path, named: list[str], names: list[str] | None, look: Look, largest_piece: bool
+) -> Scene:
+    """Records a replay of pushes of several objects, beside their predictions if all are learned.
+
+    Args:
+        path: the log.
+        named: the objects, as NAME=FILE or FILE.
+        names: names of the pushes to replay; None for all.
+        look: how they are shown.
+        largest_piece: as of `options.LargestPiece`.
+
+    Raises:
+        ViewError: the log has other objects, or no push of a name.
+    """
+    targets = {}
+    for text in named:
+        name, file = options.split_name(text)
+        target = options.load_target(file, largest_piece)
+        targets[name or target.obj.name] = target
+    objects = [target.obj for target in targets.values()]
+    log = SceneLog.read_csv(path, find_pusher_radius(objects))
+    options.check_names(path, log, targets)
+    known = [seen.name for seen in log]
+    for name in names or ():
+        if name not in known:
+            raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
+    picked = tuple(seen for seen in log if not names or seen.name in names)
+    log = SceneLog(picked, log.names)
+    options.compile_kernels()
+    believed = make_scene(targets, log)
+    motions = predict_scene(believed, log)
+    page = LivePage(look.port)
+    height = options.choose_height(look.height, objects[0])
+    AddScenePushes(page.meshcat, targets, log, motions, look.shows, height)
+    found, lines = describe_scene_pushes(believed, log)
+    return Scene(page=page, overlay=make_scene_overlay(log, motions), found=found, lines=lines)
+
+
+def serve(scene: Scene, open_page: bool, json: bool) -> None:
+    """Serves a page until the user ends the command."""
+    url = scene.page.url
+    # Whoever reads the address may interrupt at once, so everything from the first line on is
+    # guarded
+    try:
+        PublishOnce(scene.page.meshcat)
+        last = f"The page is at {url} (Enter or Ctrl-C ends it)"
+        found = {**scene.found, "url": url, "written": []}
+        print_found(found, [*scene.lines, last], json)
+        if open_page:
+            _open(url)
+        _wait()
+    except KeyboardInterrupt:
+        pass
+
+
+def _open(address: str) -> bool:
+    """Opens a page in the desktop's browser. Returns False if there is none."""
+    # Without a display Python would start a browser in the terminal itself, if it finds one.
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        return False
+    return webbrowser.open(address)
+
+
+def _wait() -> None:
+    """Waits for Enter at a terminal; without one, until the process is interrupted."""
+    if sys.stdin is not None and sys.stdin.isatty():
+        sys.stdin.readline()
+    else:
+        Event().wait()
