@@ -94,7 +94,7 @@ objects             9.9        20      0     0.0      0     0
 perception         10.9        60      0     0.0      0     0
 pushes             10.2        16      0     0.0      0     0
 report              9.1         6      0     0.0      0     0
-station             8.6        17      2     0.0      0     0
+station             8.5        17      1     0.0      0     0
 systems             9.5        12      0     0.0      0     0
 """
 """The rooms that are not at `AIM` yet, each with a little more than it had when it was last listed.

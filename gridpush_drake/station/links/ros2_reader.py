@@ -169,7 +169,7 @@ class Ros2Reader:
         return self._robot.tip_load.calc_torque(position, force, torque)
 
     def take_wrench(self, message: Any) -> None:
-        """Takes a `WrenchStamped`: the load on the flange, from which the torques are calculated."""
+        """Takes a `WrenchStamped`, the load on the flange; the joints' torques follow from it."""
         frame = message.header.frame_id
         if frame not in ("", self._robot.flange_frame):
             self._leave_out(f"{WRENCH} is in frame {frame}; expected {self._robot.flange_frame}")
