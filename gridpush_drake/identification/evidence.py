@@ -12,6 +12,7 @@ three numbers a push. A draw whose excess is more than that can be is shortened,
 it is not, six times at most (`docs/theory/identification.md`, section 6).
 """
 
+from copy import copy
 from math import sqrt
 
 import numpy as np
@@ -66,6 +67,13 @@ class PushEvidence:
         """Takes the pushes of a log that `found` was learned from; None if the log has none."""
         used = None if log is None else select_learned(found, log)
         return cls(found, used) if used else None
+
+    def relax(self, factor: float) -> "PushEvidence":
+        """The evidence as if all noise were larger by a factor."""
+        relaxed = copy(self)
+        # Losses are squares of residuals over their standard deviations.
+        relaxed.max_excess = factor**2 * self.max_excess
+        return relaxed
 
     def calc_excess(self, dz: Array) -> float:
         """Excess E of the parameters at dz (n+1,) from the posterior's mean."""

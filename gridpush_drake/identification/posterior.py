@@ -150,6 +150,18 @@ class Posterior:
             for share, mu_c in zip(shares, contact_friction, strict=True)
         ]
 
+    def widen(self, factor: float) -> "Posterior":
+        """The posterior as if pushes had shown less: what they showed is less sure by a factor.
+
+        Args:
+            factor: on the standard deviations, 1 or more. No combination of z becomes less sure
+                than it was before the pushes.
+        """
+        ratio, directions, root, _ = compare_covariances(self.prior_covariance, self.covariance)
+        wider = np.maximum(ratio, np.minimum(factor**2 * ratio, 1.0))
+        scaled = root @ directions
+        return replace(self, covariance=(scaled * wider) @ scaled.T)
+
     def calc_share(self) -> Array:
         """Normalized loads x (n,) at the mean: nonnegative, summing to one."""
         return calc_share(self.mean)

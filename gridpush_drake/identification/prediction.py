@@ -205,13 +205,16 @@ def predict_spread(
     return found
 
 
-def calc_end_covariance(model: Identification, J: Array, inputs: Array) -> Array:
+def calc_end_covariance(
+    model: Identification, J: Array, inputs: Array, *, least_scale: float = 0.0
+) -> Array:
     """Calculates the covariance of how far off a push's end is predicted.
 
     Args:
         model: what was learned, with its posterior, and the noise that its pushes showed.
         J: (3, n+1) derivatives of the end's residuals by z.
         inputs: (3, 5) their derivatives by the inputs, see `NoiseModel.calc_covariance`.
+        least_scale: takes the place of the model's `interval_scale` if that is smaller.
 
     Returns:
         (3, 3), m².
@@ -219,7 +222,7 @@ def calc_end_covariance(model: Identification, J: Array, inputs: Array) -> Array
     # kappa² (J S J^T + Sigma)
     left_open = J @ model.posterior.covariance @ J.T
     covariance = left_open + model.noise.calc_covariance(inputs, model.noise_scale)
-    covariance *= model.interval_scale**2
+    covariance *= max(model.interval_scale, least_scale) ** 2
     return np.asarray(covariance)
 
 

@@ -2,7 +2,7 @@
 
 With r = (dx_c, dy_c, rho dtheta) the residual of a push's last pose, the model predicts
 
-    r ~ t(0, kappa² (J S J^T + Sigma))
+    r ~ t(0, max(kappa, LEAST_SCALE)² (J S J^T + Sigma))
 
 (`prediction.calc_end_covariance`). The push is a surprise if |r| is above the quantile of 99 % of
 that distribution. Then the object is not what the model says it is, or something else moved it: its
@@ -36,6 +36,11 @@ MIN_LEARNED = 2
 """Number of pushes that a model must be learned from before it judges another one. After a single
 push the object may be quite different from the most probable one, which the region does not
 know."""
+
+LEAST_SCALE = 0.5
+"""Least factor kappa on the region in which a push is expected to end. The pushes that were learned
+from may be predicted much better than was stated, which makes kappa small; a push of another kind,
+such as a long slide over the edge after a few short pokes, need not be."""
 
 FORGET_AFTER = 2
 """Number of surprises in a row after which what was seen before them is forgotten."""
@@ -106,7 +111,9 @@ def judge_push(
     end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
     problem = PushProblem(model.obj, PushLog((end,), table=table), model.params, model.physics)
     linear = problem.linearize(model.posterior.mean)
-    covariance = calc_end_covariance(model, linear.by_z[0], linear.by_inputs[0])
+    covariance = calc_end_covariance(
+        model, linear.by_z[0], linear.by_inputs[0], least_scale=LEAST_SCALE
+    )
     return Judgment(
         push=seen.name,
         distance=float(np.linalg.norm(linear.residuals[0])),

@@ -15,6 +15,7 @@ poses, and so plans a whole slide as one model predicts it. How a robot carries 
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from shapely import Polygon
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
@@ -49,8 +51,9 @@ from gridpush_drake.planning.pregrasp.grasp_parts import (
 )
 from gridpush_drake.planning.pregrasp.gripper import PadLimit
 from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std, suggest_poke
-from gridpush_drake.planning.pregrasp.slides import plan_slide
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.pregrasp.slides import ROUND_OFF_MARGIN, plan_slide
+from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import check_size
 
@@ -134,6 +137,27 @@ class PreGraspPlanner:
         if flat.action != "fail" or not self.parts:
             return flat
         return replace(flat, reason=f"{decision.reason}; and by the rim, {flat.reason}")
+
+    def is_safe(self, pose: ArrayLike, masses: PlausibleMassSet) -> bool:
+        """Says whether an object stays put, whichever of some masses it has, with the whole margin.
+
+        Args:
+            pose: (3,) where it lies, X_WB, m and rad.
+            masses: that it may have.
+        """
+        options = self.options.slide
+        whole = float(calc_margin_inside(masses.center_of_mass_polygon, hull_of(self.obj.p_BC)))
+        margin = calc_stability_margin(masses, pose, self.surface, options.inset)
+        return margin >= min(options.margin, whole) - ROUND_OFF_MARGIN
+
+    def go_gently(self, length: float) -> "PreGraspPlanner":
+        """Makes a planner whose slides are no longer than a length, m."""
+        gentle = copy(self)
+        slide = self.options.slide
+        shortest, longest = slide.contact.distance_range
+        contact = replace(slide.contact, distance_range=(shortest, min(longest, length)))
+        gentle.options = replace(self.options, slide=replace(slide, contact=contact))
+        return gentle
 
     def suppose_heavier(self) -> "PreGraspPlanner":
         """Makes a planner for an object that withstood a press; itself if it never presses."""

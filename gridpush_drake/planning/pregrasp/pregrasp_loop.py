@@ -17,7 +17,12 @@ is simply taken from where it lies.
 
 After two surprises in a row, or a clear one (`identification.surprise`), the object is another one
 than was learned. The planner then begins anew: it pokes until it knows enough, before it slides on.
-If an object that surprised hangs over the edge, nothing more is done: neither slid nor grasped.
+
+If an object that surprised hangs over the edge, what matters is that it does not fall. After a
+slight surprise, the first one there, the push is learned from, all that was learned is taken as
+less sure, and the stability margin is judged anew. If it still holds, the loop goes on with short
+slides until a push ends as it was predicted. If it does not, or the object surprised clearly, or
+for the second time, nothing more is done: neither slid nor grasped.
 
 It weighs only where its planner does (`weighing_planner`). An object that withstood a press is
 heavier than was supposed, and is pressed where less force would do.
@@ -66,6 +71,18 @@ center of mass where it is estimated)."""
 Infer = Callable[[Identification | None, PushLog], UncertainModel | None]
 """Says what is possible, given what was learned and the pushes so far; returns None where more must
 be seen first."""
+
+
+MAX_EDGE_SURPRISES = 1
+"""Number of slight surprises of an object that hangs over the edge, after which the loop goes on.
+After the next one it gives up."""
+
+DOUBT = 2.0
+"""After a surprise over the edge, the standard deviations of all that was learned are taken so many
+times as large as would have made the push just no surprise."""
+
+CAREFUL_LENGTH = 0.03
+"""Length of the longest slide after a surprise over the edge, m."""
 
 
 class PreGraspMode(StrEnum):
@@ -169,6 +186,7 @@ class PreGraspState(LoopState):
         withstood: number of presses at which the object did not tilt, since the last one at which
             it did.
         failed_presses: number of presses in a row that weighed nothing.
+        edge_surprises: number of surprises so far with which the object came to hang over the edge.
     """
 
     status: PreGraspStatus = field(default_factory=PreGraspStatus)
@@ -182,6 +200,7 @@ class PreGraspState(LoopState):
     press_pose: Pose | None = None
     withstood: int = 0
     failed_presses: int = 0
+    edge_surprises: int = 0
 
     @property
     def shown_press(self) -> PressTarget | None:
@@ -301,7 +320,11 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
     def _end_push(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """The state after a push; the planner begins anew if the object has changed."""
         after = super()._end_push(now, seen)
-        if after.surprises is now.surprises or not after.surprises.is_changed:
+        if after.surprises is now.surprises or after.surprises.last is None:
+            return after
+        if self._hangs_over(seen.log[-1].final_pose):
+            after = replace(after, edge_surprises=after.edge_surprises + 1)
+        if not after.surprises.is_changed:
             return after
         return replace(
             after,
@@ -310,22 +333,22 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             slides_before=after.status.slides,
         )
 
-    def _stop_surprised(self, now: PreGraspState, pose: Array) -> PreGraspState | None:
+    def _hangs_over(self, pose: Array) -> bool:
+        """Whether a part of the object at a pose (3,) hangs over the table's edge."""
+        planner = self.planner
+        return not find_supported(planner.obj, pose, planner.surface).all()
+
+    def _stop_surprised(self, now: PreGraspState, in_doubt: bool) -> PreGraspState | None:
         """The state in which the loop gives up, because pushes surprised; None to go on.
 
         Args:
             now: the state.
-            pose: (3,) where the object lies, X_WB, m and rad.
+            in_doubt: whether the last push surprised, and the object hangs over the edge.
         """
-        last = now.surprises.last
-        planner = self.planner
-        supported = find_supported(planner.obj, pose, planner.surface)
-        if last is not None and not supported.all():
-            reason = (
-                f"The object hangs over the table's edge, and surprised. {last.describe()} "
-                "It is neither slid on nor grasped."
-            )
-            return now.turn_to(FAILED, reason, goal=None)
+        if in_doubt and now.surprises.is_changed:
+            return _give_up_at_edge(now, "so far off that it may be another object")
+        if in_doubt and now.edge_surprises > MAX_EDGE_SURPRISES:
+            return _give_up_at_edge(now, "not for the first time")
         if now.fallbacks > MAX_FALLBACKS:
             reason = "The object goes on moving unlike what was learned of it."
             return now.turn_to(FAILED, reason, goal=None)
@@ -334,12 +357,21 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
     def decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """The state with the next push or grasp asked for, or at the end."""
         pose = now.filter.calc_mean()
-        stopped = self._stop_surprised(now, pose)
+        in_doubt = now.surprises.last is not None and self._hangs_over(pose)
+        stopped = self._stop_surprised(now, in_doubt)
         if stopped is not None:
             return stopped
+        planner = self._choose_planner(now)
         try:
             uncertain = self._infer(seen.identification, seen.log)
-            decision = self._choose_planner(now).decide(
+            if in_doubt and uncertain is not None:
+                # What was learned was just refuted. It is doubted, and what that leaves possible
+                # decides whether the object is still safe.
+                uncertain = uncertain.doubt(_calc_doubt(now))
+                if not planner.is_safe(pose, uncertain.masses):
+                    return _give_up_at_edge(now, "and by what may be true it is no longer safe")
+                planner = planner.go_gently(CAREFUL_LENGTH)
+            decision = planner.decide(
                 pose,
                 uncertain,
                 now.status.pokes - now.pokes_before,
@@ -403,6 +435,8 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             reason += last.describe_outcome(decision.forecast)
         if now.surprises.is_changed:
             reason = f"The last pushes surprised, and the object is learned anew: {reason}"
+        elif now.surprises.last is not None and self._hangs_over(pose):
+            reason = f"The last push surprised, but the object is safe still: {reason}"
         expected_pose = None
         if decision.expected_pose is not None:
             expected_pose = tuple(decision.expected_pose.tolist())
@@ -473,6 +507,23 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         what = f"The grasp was {gripper.outcome}: {gripper.reason}."
         give_up = now.status.grasps >= self.options.max_grasps
         return now.turn_to(FAILED if give_up else WAITING, what, goal=None)
+
+
+def _calc_doubt(now: PreGraspState) -> float:
+    """By how much less sure what was learned is, after a push that surprised over the edge."""
+    last = now.surprises.last
+    assert last is not None
+    return DOUBT * max(last.distance / last.limit, 1.0)
+
+
+def _give_up_at_edge(now: PreGraspState, why: str) -> PreGraspState:
+    """The state in which the loop gives up an object that surprised and hangs over the edge."""
+    assert now.surprises.last is not None
+    reason = (
+        f"The object hangs over the table's edge, and surprised, {why}. "
+        f"{now.surprises.last.describe()} It is neither slid on nor grasped."
+    )
+    return now.turn_to(FAILED, reason, goal=None)
 
 
 def _make_sentence(words: str) -> str:

@@ -19,7 +19,7 @@ by which motions are predicted, with all that says how far it may be wrong. The 
 `docs/theory/planning.md`, section 3.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -301,6 +301,29 @@ class UncertainModel:
     def of_parameters(cls, obj: GridObject, params: CellParameters) -> "UncertainModel":
         """Makes a model whose parameters are taken for granted."""
         return cls(obj, params)
+
+    def doubt(self, factor: float) -> "UncertainModel":
+        """The model with all that was learned less sure, as after a push that surprised.
+
+        Args:
+            factor: on the standard deviations of what pushes, their forces and weighings said, 1 or
+                more.
+        """
+        if self.posterior is None:
+            return self
+        force = self.force
+        if force is not None:
+            force = replace(force, relative_std=factor * force.relative_std)
+        belief = self.belief
+        if belief is not None:
+            belief = replace(belief, covariance=factor**2 * belief.covariance)
+        return replace(
+            self,
+            posterior=self.posterior.widen(factor),
+            force=force,
+            evidence=None if self.evidence is None else self.evidence.relax(factor),
+            belief=belief,
+        )
 
     @property
     def weighed(self) -> AbsoluteEstimate | None:
