@@ -171,7 +171,7 @@ def run_episode(job: EpisodeJob) -> Episode:
         scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
         told = use_object(scenario, job.object)
         scenario.seed = job.seed
-        task = TASKS[job.task].station(resolve(scenario, told=told))
+        task = TASKS[job.task].make_task(resolve(scenario, told=told))
         record = task.run(progress=_watch(task, recorder))
     except GridPushError as error:
         return Episode(

@@ -81,11 +81,15 @@ PNG = expect_ending(".png")
 HTML = expect_ending(".html", ".htm")
 """Callback of an option that names a page to be written."""
 
+MCAP = expect_ending(".mcap")
+"""Callback of an option that names a recording to be written."""
+
 Record = Annotated[
     Path | None,
     typer.Option(
         "--record",
         metavar="FILE.mcap",
+        callback=MCAP,
         help="Write the run as an MCAP file with standard ROS 2 messages, for Foxglove, too.",
     ),
 ]
@@ -396,11 +400,19 @@ def load_target(name: str, largest_piece: bool = False) -> Target:
 
 
 def split_name(text: str) -> tuple[str | None, str]:
-    """Splits NAME=FILE into the name and the file; the name is None where none is given."""
+    """Splits NAME=FILE into the name and the file; the name is None where none is given.
+
+    Raises:
+        OptionError: there is an equals sign, but no name before it or no file after it.
+    """
     name, separator, file = text.partition("=")
-    if separator:
-        return name, file
-    return None, text
+    if not separator:
+        return None, text
+    if not name or not file:
+        raise OptionError(
+            f"{text!r} names no {'file' if name else 'object'}; expected NAME=FILE or FILE"
+        )
+    return name, file
 
 
 def check_names(path: Path, log: SceneLog, given: Iterable[str]) -> None:

@@ -160,7 +160,7 @@ def robot(
         if network.ros is not None and not network.ros.load_known:
             print_notice(UNFELT)
         options.compile_kernels()
-        station_task = chosen.station(
+        station_task = chosen.make_task(
             resolved, make_station=partial(MakeHardwareStation, lcm=link.bus)
         )
         if not go:

@@ -7,7 +7,8 @@ station, its photograph, a twin and a real robot's station all take the record, 
 read, drawn or solved twice. Single pieces are made in `station.scene`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +22,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import ScenarioError, StationError
+from gridpush_drake.errors import PlanningError, ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.grid_object import AddGridObject, GridObjectInPlant
@@ -71,6 +72,7 @@ class ResolvedScenario:
         q_start: (n,) positions of the arm's joints with the tip at `home`, rad.
         scene: the plant that the scenario was checked against. A color and depth camera takes its
             photograph of it.
+        source: name of the scenario's file, for messages; None if it is from no file.
     """
 
     scenario: PushScenario
@@ -85,6 +87,7 @@ class ResolvedScenario:
     control_plant: MultibodyPlant
     q_start: NDArray[np.float64]
     scene: "CheckedScene"
+    source: Path | str | None = None
 
     @cached_property
     def found(self) -> FoundObject | None:
@@ -161,10 +164,20 @@ def resolve(
     """
     if isinstance(scenario, ResolvedScenario):
         return scenario
+    with naming(source):
+        resolved = _resolve(scenario, told)
+    return replace(resolved, source=source)
+
+
+@contextmanager
+def naming(source: Path | str | None) -> Iterator[None]:
+    """Puts the name of a scenario's file, if it is from one, before errors that name its fields."""
     try:
-        return _resolve(scenario, told)
-    except ScenarioError as error:
-        raise ScenarioError(f"{source}: {error}" if source else str(error)) from error
+        yield
+    except (ScenarioError, PlanningError) as error:
+        if source is None:
+            raise
+        raise type(error)(f"{source}: {error}") from error
 
 
 def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenario:
@@ -337,8 +350,8 @@ def _check_others(
         for before_field, before_name, before in placed:
             if before.intersects(outline):
                 raise ScenarioError(
-                    f"{field} is {config.pose}: there the object lies in that of {before_field}: "
-                    f"{other.name} in {before_name}; expected room"
+                    f"{field} is {config.pose}: there {other.name} would lie in {before_name}, "
+                    f"which is at {before_field}; expected room between them"
                 )
         placed.append((field, other.name, outline))
 

@@ -113,7 +113,10 @@ def read_run(path: Path) -> RunRecording:
                 topics.setdefault(connection.topic, []).append((time / NANOSECONDS, message))
     except Exception as error:  # a damaged file makes rosbags raise almost anything
         said = str(error)[:MAX_SHOWN] or type(error).__name__
-        raise RecordingError(f"{path}: cannot be read as a recording (.mcap): {said}") from error
+        raise RecordingError(
+            f"{path}: cannot be read: {said}; expected a recording (.mcap) that gridpush wrote "
+            "with --record"
+        ) from error
     if not topics:
         raise RecordingError(
             f"{path}: holds none of the topics of a run; expected a recording that gridpush wrote "

@@ -31,7 +31,7 @@ from gridpush_drake.pushes.stream import write_stream_csv
 from gridpush_drake.report.page import ReportSummary, make_report
 from gridpush_drake.report.progress import Expectation, calc_progress
 from gridpush_drake.station.camera import calc_pose_age
-from gridpush_drake.station.resolve import ResolvedScenario
+from gridpush_drake.station.resolve import ResolvedScenario, naming
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario, write_scenario
 from gridpush_drake.station.task import ADVANCE, TaskStatus
@@ -115,6 +115,16 @@ class TaskKind:
         """Makes the scenario in which the task is done if none is given."""
         return PushScenario() if self.scenario is None else read_scenario(self.scenario)
 
+    def make_task(self, resolved: ResolvedScenario, *given: Any, **more: Any) -> Any:
+        """Makes the task, a `StationTask`, with what its class takes besides the scenario.
+
+        Raises:
+            ScenarioError: the task cannot be done in the scenario; the message names its file.
+            PlanningError: a goal will not do; the message names the scenario's file.
+        """
+        with naming(resolved.source):
+            return self.station(resolved, *given, **more)
+
     def run(
         self,
         resolved: ResolvedScenario,
@@ -136,7 +146,7 @@ class TaskKind:
         Returns:
             The record of the run.
         """
-        task = self.station(resolved, page.meshcat)
+        task = self.make_task(resolved, page.meshcat)
         task.AimCamera(page.meshcat)
         page.overlay = self.make_overlay(task.station.obj)
         phases = [Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)]

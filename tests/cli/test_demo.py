@@ -392,6 +392,44 @@ def test_says_where_to_watch_only_what_can_begin(refuses, tmp_path):
     )
 
 
+GOAL_ON_A_POST = """
+object: toothpaste_tube
+object_pose: [0.58, -0.30, 1.5708]
+posts: [{position: [0.60, 0.32]}]
+goal: {pose: [0.60, 0.32, 1.5708]}
+"""
+
+ONE_GOAL_FOR_TWO = """
+objects:
+- {object: claw_hammer, pose: [0.56, -0.1, 0.0], goal: [0.5, 0.2, 0]}
+- {object: pliers, pose: [0.55, 0.04, 0.1], goal: [0.5, 0.2, 0]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("task", "text", "says"),
+    [
+        ("follow", GOAL_ON_A_POST, "goal.pose is [0.6, 0.32, 1.5708]: there the object is nearer"),
+        ("separate", "object: pliers\n", "others: empty; expected other objects on the table"),
+        ("rearrange", ONE_GOAL_FOR_TWO, "goals: that of claw_hammer and that of pliers overlap"),
+    ],
+)
+def test_names_the_file_of_a_scenario_in_which_its_task_cannot_be_done(
+    refuses, tmp_path, task, text, says
+):
+    scenario = tmp_path / "mine.yaml"
+    scenario.write_text(text)
+    out = tmp_path / "demo"
+    arguments = ("--task", task, "--scenario", scenario, "--out", out)
+    refuses("demo", *arguments, says=[f"{scenario}: {says}"])
+
+
+def test_refuses_a_recording_by_another_ending(refuses, tmp_path):
+    record = tmp_path / "run.bag"
+    arguments = ("--out", tmp_path / "demo", "--record", record)
+    refuses("demo", *arguments, says=["--record", f"is '{record}'", "ends with .mcap"])
+
+
 def test_refuses_a_port_in_use(gridpush, tmp_path):
     server = StartMeshcatServer(0)
     with socket.socket() as probe:

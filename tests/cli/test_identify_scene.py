@@ -75,6 +75,8 @@ def test_a_replay_shows_all_objects_beside_their_predictions(gridpush, files):
             ["left={0}/left.yaml", "--with", "right={0}/right.yaml", "--method", "paper"],
             "--method: is for one object",
         ),
+        (["left={0}/left.yaml", "--with", "right="], "'right=' names no file; expected NAME=FILE"),
+        (["={0}/left.yaml", "--with", "right={0}/right.yaml"], "names no object; expected NAME="),
     ],
 )
 def test_what_is_refused(gridpush, files, arguments, message):

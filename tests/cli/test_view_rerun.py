@@ -37,9 +37,8 @@ def test_refuses_a_damaged_recording(refuses, tmp_path):
     pytest.importorskip("rosbags", reason="rosbags is not installed")
     run = tmp_path / "run.mcap"
     run.write_bytes(b"\x89MCAP0 but no more")
-    refuses(
-        "view", run, "--rerun", tmp_path / "out.rrd", says=[run, "cannot be read as a recording"]
-    )
+    says = [f"{run}: cannot be read: ", "; expected a recording (.mcap) that gridpush wrote"]
+    refuses("view", run, "--rerun", tmp_path / "out.rrd", says=says)
     assert not list(tmp_path.glob("*.rrd"))
 
 

@@ -102,7 +102,10 @@ def test_a_wrong_list_is_refused_by_the_fields_name(tmp_path, change, message):
 
 def test_objects_in_each_other_are_both_named(tmp_path):
     scenario = read(tmp_path, LIST.replace("[0.6, 0.2, 0.5]", "[0.6, -0.1, 0.5]"))
-    with pytest.raises(ScenarioError, match="pliers in claw_hammer; expected room"):
+    with pytest.raises(
+        ScenarioError,
+        match="pliers would lie in claw_hammer, which is at object_pose; expected room",
+    ):
         resolve(scenario)
 
 
