@@ -6,8 +6,8 @@ import pytest
 
 from gridpush_drake import files
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.station import push_station
 from gridpush_drake.station import resolve as resolving
+from gridpush_drake.station import station_plant
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -33,14 +33,14 @@ def counts(monkeypatch):
 
     for module, name in (
         (resolving, "MakeTruth"),
-        (push_station, "MakeTruth"),
+        (station_plant, "MakeTruth"),
         (resolving, "MakeSupport"),
-        (push_station, "MakeSupport"),
+        (station_plant, "MakeSupport"),
         (resolving, "CalcStartPosture"),
         (resolving, "MakeControlPlant"),
         (resolving, "find_robot"),
         (resolving, "AddScene"),
-        (push_station, "AddScene"),
+        (station_plant, "AddScene"),
     ):
         count(module, name)
     count(files, "open_file", lambda path, *_: f"file {path}")
