@@ -21,8 +21,9 @@ than was learned. The planner then begins anew: it pokes until it knows enough, 
 If an object that surprised hangs over the edge, what matters is that it does not fall. After a
 slight surprise, the first one there, the push is learned from, all that was learned is taken as
 less sure, and the stability margin is judged anew. If it still holds, the loop goes on with short
-slides until a push ends as it was predicted. If it does not, or the object surprised clearly, or
-for the second time, nothing more is done: neither slid nor grasped.
+slides until a push ends as it was predicted. If it does not, or what was learned does not explain
+the push either, or the object surprised clearly, or for the second time, nothing more is done:
+neither slid nor grasped.
 
 It weighs only where its planner does (`weighing_planner`). An object that withstood a press is
 heavier than was supposed, and is pressed where less force would do.
@@ -38,6 +39,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.surprise import judge_push
 from gridpush_drake.planning.closed_loop import (
     FAILED,
     LOST,
@@ -80,6 +82,10 @@ After the next one it gives up."""
 DOUBT = 2.0
 """After a surprise over the edge, the standard deviations of all that was learned are taken so many
 times as large as would have made the push just no surprise."""
+
+MAX_WAITS = 10
+"""Number of times that the object is looked at anew until a push that surprised over the edge is
+learned from. Then the loop gives up."""
 
 CAREFUL_LENGTH = 0.03
 """Length of the longest slide after a surprise over the edge, m."""
@@ -187,6 +193,8 @@ class PreGraspState(LoopState):
             it did.
         failed_presses: number of presses in a row that weighed nothing.
         edge_surprises: number of surprises so far with which the object came to hang over the edge.
+        waits: number of times that the object was looked at anew since the last push, because a
+            push that surprised was not learned from yet.
     """
 
     status: PreGraspStatus = field(default_factory=PreGraspStatus)
@@ -201,6 +209,7 @@ class PreGraspState(LoopState):
     withstood: int = 0
     failed_presses: int = 0
     edge_surprises: int = 0
+    waits: int = 0
 
     @property
     def shown_press(self) -> PressTarget | None:
@@ -319,7 +328,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
 
     def _end_push(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """The state after a push; the planner begins anew if the object has changed."""
-        after = super()._end_push(now, seen)
+        after = replace(super()._end_push(now, seen), waits=0)
         if after.surprises is now.surprises or after.surprises.last is None:
             return after
         if self._hangs_over(seen.log[-1].final_pose):
@@ -363,10 +372,17 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             return stopped
         planner = self._choose_planner(now)
         try:
+            if in_doubt and not _is_learned(seen):
+                if now.waits >= MAX_WAITS:
+                    return _give_up_at_edge(now, "and nothing could be learned from it")
+                return replace(now, filter=now.filter.forget(), waits=now.waits + 1)
             uncertain = self._infer(seen.identification, seen.log)
-            if in_doubt and uncertain is not None:
-                # What was learned was just refuted. It is doubted, and what that leaves possible
-                # decides whether the object is still safe.
+            if in_doubt:
+                # What was learned before was just refuted. What is learned now must explain the
+                # push, and is doubted; what that leaves possible decides whether the object is
+                # still safe.
+                if uncertain is None or not _is_explained(seen):
+                    return _give_up_at_edge(now, "and what is learned now does not explain it")
                 uncertain = uncertain.doubt(_calc_doubt(now))
                 if not planner.is_safe(pose, uncertain.masses):
                     return _give_up_at_edge(now, "and by what may be true it is no longer safe")
@@ -514,6 +530,22 @@ def _calc_doubt(now: PreGraspState) -> float:
     last = now.surprises.last
     assert last is not None
     return DOUBT * max(last.distance / last.limit, 1.0)
+
+
+def _is_learned(seen: Observation) -> bool:
+    """Whether the last push of the log was learned from, or refused as an outlier."""
+    found = seen.identification
+    if found is None:
+        return False
+    name = seen.log[-1].name
+    return name in found.push_names or any(one.push == name for one in found.outliers)
+
+
+def _is_explained(seen: Observation) -> bool:
+    """Whether what was learned explains the last push: by it, the push would be no surprise."""
+    found = seen.identification
+    judgment = None if found is None else judge_push(found, seen.log[-1], seen.log.table)
+    return judgment is not None and not judgment.surprises
 
 
 def _give_up_at_edge(now: PreGraspState, why: str) -> PreGraspState:
