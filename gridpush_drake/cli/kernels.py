@@ -10,8 +10,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from gridpush_drake.dynamics.first_compilation import is_compiled
-from gridpush_drake.dynamics.warm_up import compile_columns, compile_rollouts, make_square
+from gridpush_drake.dynamics.warm_up import (
+    compile_columns,
+    compile_rollouts,
+    is_compiled,
+    make_square,
+)
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact import optimize_contact
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin

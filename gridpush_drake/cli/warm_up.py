@@ -5,9 +5,9 @@ from time import monotonic
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_found
 from gridpush_drake.cli.kernels import compile_all
-from gridpush_drake.dynamics.first_compilation import is_compiled
 from gridpush_drake.dynamics.kernels.compiled import get_cache
 from gridpush_drake.dynamics.kernels.rollout import rollout
+from gridpush_drake.dynamics.warm_up import is_compiled
 
 
 def warm_up(json: options.Json = False) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.cell_pooling import POOLED_FROM, CellPooling
-from gridpush_drake.dynamics.first_compilation import have_rollouts_compiled
 from gridpush_drake.dynamics.kernels.contact import Edges
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.inputs import Body, Load, Pushes, Scheme, Steps, make_record
@@ -67,7 +66,6 @@ def run_kernel(
     Returns:
         The record.
     """
-    have_rollouts_compiled()
     record = make_record(len(dts))
     prepared = prepare_rollout(obj, params, physics, table, ahead)
     if memory is None:
@@ -105,7 +103,6 @@ def run_pushes(
     Returns:
         The poses (rows, 3) that are recorded, and whether the object was touched (P,).
     """
-    have_rollouts_compiled()
     poses = np.empty((rows, 3))
     touched = np.empty(len(pushes.radii), np.bool_)
     prepared = prepare_rollout(obj, params, physics, table, approximate=approximate)

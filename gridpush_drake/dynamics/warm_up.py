@@ -8,10 +8,11 @@ leave it in the cache: the first one finds it there when it gets so far.
 import numba
 import numpy as np
 
-from gridpush_drake.dynamics.kernels.compiled import compile_for
+from gridpush_drake.dynamics.kernels.compiled import compile_for, get_cache
 from gridpush_drake.dynamics.kernels.forward_sensitivity import Columns, step_columns
 from gridpush_drake.dynamics.kernels.inputs import Body
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps
+from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
 from gridpush_drake.dynamics.kernels.step_derivative import StepDerivative
 from gridpush_drake.dynamics.kernels.step_start import StepStart
 from gridpush_drake.dynamics.physics import Physics, Regime
@@ -40,6 +41,11 @@ def make_square() -> GridObject:
     """Makes the smallest object, of one cell."""
     corners = [[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]]
     return GridObject.from_outline(corners, max_cells=1)
+
+
+def is_compiled() -> bool:
+    """Whether the rollouts are in the cache, as it seems by the names of its files."""
+    return all(get_cache(each).list_files() for each in (rollout, rollout_pushes))
 
 
 def compile_rollouts() -> None:

@@ -10,6 +10,8 @@ they are needed. What stands here is not documented, and any version of Numba ma
 * the machine that code is made for (`describe_machine`, `get_codegen`);
 * four options of `njit`: `_nrt`, `no_cpython_wrapper`, `no_cfunc_wrapper` and `forceinline`
   (`make_dispatcher`, `BORROWED`);
+* the library that a compiler fills, and the moment before it is optimized, at which its functions
+  are closed to other files (`make_closed_compiler`);
 * `compile` of a dispatcher (`compile_for`), and `instance_class` of a named tuple's type
   (`get_record_class`).
 
@@ -18,6 +20,7 @@ Whether it still does what is wanted is tested in `tests/dynamics/kernels/test_n
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -49,6 +52,20 @@ INLINED = "forceinline"
 """Option that makes a function's code part of every function that calls it.
 
 A function for which it is not set takes it from whichever function has it compiled first."""
+
+SHARED = "linkonce_odr"
+"""Linkage of a function of which each file that needs it holds a copy. Of all the copies that a
+process has loaded, all callers call the one that was loaded first."""
+
+ENTRY = "external"
+"""Linkage of the functions that a file is there for."""
+
+CLOSED = "internal"
+"""Linkage of a function that only its own file calls."""
+
+RUNTIME = "NRT_"
+"""Beginning of the names of the functions that count references. Numba's optimization knows them by
+their names, and they calculate nothing."""
 
 BORROWED: Any = {NO_REFERENCES: False, INLINED: True}
 """Options of an `overload` that passes on what its caller holds."""
@@ -91,6 +108,9 @@ def make_dispatcher(
 ) -> Callable[..., Any]:
     """Makes a function one that is compiled on its first call.
 
+    What it calculates is the same, to the last bit, whichever process compiled it and whatever else
+    was loaded before, see `make_closed_compiler`.
+
     Args:
         function: the function.
         cache: where what is compiled is kept.
@@ -115,7 +135,7 @@ def make_dispatcher(
         NO_C: True,
         INLINED: inlined,
     }
-    dispatcher: Any = numba.njit(**all_options)(function)
+    dispatcher: Any = numba.njit(pipeline_class=make_closed_compiler(), **all_options)(function)
     if dispatcher is function:
         return dispatcher  # NUMBA_DISABLE_JIT is set: nothing is compiled, nor kept
     its_own = _take(dispatcher, CACHE, "a dispatcher")
@@ -124,6 +144,59 @@ def make_dispatcher(
         raise _complain(f"a dispatcher's cache with {', '.join(sorted(CACHE_MEMBERS))} alone")
     setattr(dispatcher, CACHE, cache)
     return dispatcher
+
+
+@cache
+def make_closed_compiler() -> type:
+    """Makes the class of a compiler whose machine code calls only what stands in the same file.
+
+    Numba compiles each function into a file of its own, with a copy of every function that it
+    calls; of the copies that a process has loaded, the first one is called by all. But each copy
+    was optimized among other code, and where sums may be reordered (`fast_sums`), two copies can
+    differ in the last bit. Results would so depend on what a process happened to load, or to
+    compile, before. Here a file's copies are closed to other files before they are optimized. And
+    what another kernel takes over is the code as it was before, so that there is one copy of each
+    function in a file, and all of it is optimized together.
+
+    Returns:
+        A subclass of Numba's compiler, for `njit(pipeline_class=...)`.
+    """
+    codegen = _import("numba.core.codegen")
+    library_class: Any = _take(codegen, "JITCodeLibrary", "numba.core.codegen")
+    compiler_class: Any = _take(_import("numba.core.compiler"), "Compiler", "numba.core.compiler")
+    for name in ("_optimize_final_module", "_get_module_for_linking", "enable_object_caching"):
+        _take(library_class, name, "numba.core.codegen.JITCodeLibrary")
+    _take(compiler_class, "compile_extra", "numba.core.compiler.Compiler")
+
+    class ClosedLibrary(library_class):
+        """The code of one function and of all that it calls."""
+
+        def _optimize_final_module(self) -> None:
+            """Closes the functions before they are optimized, and keeps them open for linking."""
+            self._shared_module = self._final_module.clone()
+            _change_linkage(self._shared_module, ENTRY, SHARED)
+            _change_linkage(self._final_module, SHARED, CLOSED)
+            super()._optimize_final_module()
+
+    class ClosedCompiler(compiler_class):
+        """A compiler that fills such a library."""
+
+        def compile_extra(self, func: Callable[..., Any]) -> Any:
+            """Compiles a function."""
+            library = ClosedLibrary(self.state.targetctx.codegen(), func.__qualname__)
+            library.enable_object_caching()
+            self.state.library = library
+            return super().compile_extra(func)
+
+    return ClosedCompiler
+
+
+def _change_linkage(module: Any, old: str, new: str) -> None:
+    """Gives the functions of an LLVM module that have one linkage another one."""
+    for function in module.functions:
+        is_runtime = function.name.startswith(RUNTIME)
+        if not (function.is_declaration or is_runtime) and function.linkage.name == old:
+            function.linkage = new
 
 
 def get_cache(dispatcher: Any) -> Any:

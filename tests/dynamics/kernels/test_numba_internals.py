@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from numba.core import compiler, cpu, serialize
+from numba.core import codegen, compiler, cpu, serialize
 
 from gridpush_drake.dynamics.kernels import numba_internals
 from gridpush_drake.dynamics.kernels.contact import Edges
@@ -87,6 +88,47 @@ def test_the_forms_for_python_and_for_c_are_left_out():
     assert "cfunc" not in compile_text(first)
 
 
+def list_closed_and_shared(caller):
+    """The functions in a caller's machine code that are its own alone, and those that may be another one's."""
+    caller(np.ones(8))
+    (text,) = caller.inspect_llvm().values()
+    definitions = re.findall(r"^define (internal|linkonce_odr) .*@(\S+?)\(", text, re.MULTILINE)
+    names = {
+        linkage: {name for kind, name in definitions if kind == linkage}
+        for linkage, _ in definitions
+    }
+    closed, shared = names.get("internal", set()), names.get("linkonce_odr", set())
+    return closed, {name for name in shared if not name.startswith(numba_internals.RUNTIME)}
+
+
+@pytest.mark.parametrize("loaded", [False, True])
+def test_a_kernel_calls_its_own_copies_of_other_kernels_whatever_was_loaded_before(loaded):
+    def sum_terms(x):
+        total = 0.0
+        for value in x:
+            for k in range(1, 9):
+                total += (
+                    np.sin(k * value) * np.exp(-value) / (1 + np.cosh(value) + np.arctan(k + value))
+                )
+        return total
+
+    def sum_twice(x):
+        return sum_terms(x) + sum_terms(x[::-1].copy()) * sum_terms(x + 1.0)
+
+    options = {"counts_references": True, "called_from_python": True}
+    plain, memory = sum_terms, Memory()
+    sum_terms = numba.njit(plain)
+    _, shared = list_closed_and_shared(numba.njit(sum_twice))
+    assert any("sum_terms" in name for name in shared), "what is to be prevented does not happen"
+    sum_terms = make_dispatcher(plain, memory, fastmath={"reassoc"}, **options)
+    if loaded:
+        sum_terms(np.ones(8))
+        sum_terms = make_dispatcher(plain, memory, fastmath={"reassoc"}, **options)
+    closed, shared = list_closed_and_shared(make_dispatcher(sum_twice, Memory(), **options))
+    assert any("sum_terms" in name for name in closed) and not shared
+    assert sum(sum_terms.stats.cache_hits.values()) == loaded
+
+
 def test_the_machine_is_described_by_its_kind_its_processor_and_its_features():
     made = make_dispatcher(first, Memory(), counts_references=True, called_from_python=True)
     codegen = numba_internals.get_codegen(made.targetctx)
@@ -118,11 +160,18 @@ def make():
     return make_dispatcher(first, Memory(), counts_references=True, called_from_python=True)
 
 
+def make_closed_compiler():
+    return numba_internals.make_closed_compiler.__wrapped__()
+
+
 @pytest.mark.parametrize(
     ("owner", "name", "call"),
     [
         (cpu.CPUTargetOptions, "_nrt", make),
         (cpu.CPUTargetOptions, "no_cpython_wrapper", make),
+        (codegen, "JITCodeLibrary", make_closed_compiler),
+        (codegen.JITCodeLibrary, "_optimize_final_module", make_closed_compiler),
+        (compiler, "Compiler", make_closed_compiler),
         (compiler, "CompileResult", lambda: numba_internals.rebuild_result(None, ())),
         (serialize, "dumps", lambda: numba_internals.dump(1)),
     ],
