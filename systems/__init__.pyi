@@ -9,6 +9,7 @@ from .feedback_push_controller import FeedbackPushStatus as FeedbackPushStatus
 from .follow_controller import FollowController as FollowController
 from .follow_controller import FollowControlStatus as FollowControlStatus
 from .follow_controller import FollowRules as FollowRules
+from .frame_times import FrameTimes as FrameTimes
 from .grasp_executor import GraspExecutor as GraspExecutor
 from .grid_identifier import GridIdentifier as GridIdentifier
 from .grid_lcp_step import GridLcpStep as GridLcpStep

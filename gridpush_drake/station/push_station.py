@@ -41,6 +41,7 @@ from gridpush_drake.station.station import (
 from gridpush_drake.station.station_plant import AddWorld, World
 from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor
 from gridpush_drake.systems.contact_force_sensor import ContactForceSensor
+from gridpush_drake.systems.frame_times import FrameTimes
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.true_parameters import TrueParameters
@@ -305,6 +306,7 @@ def MakePushStation(
     )
     if control.grasping is not None:
         _add_gripper(builder, world, control.grasping)
+    builder.AddNamedSystem("frame_times", FrameTimes(MeshcatVisualizerParams().publish_period))
     if meshcat is not None:
         AddMeshcat(builder, world.scene_graph, meshcat, name)
 

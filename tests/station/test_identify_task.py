@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gridpush_drake.display.server import StartMeshcatServer
 from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.identification.learning import identify
@@ -49,6 +50,18 @@ def test_a_second_run_of_the_same_diagram_is_the_same(short):
         np.testing.assert_array_equal(one.push.xy, other.push.xy)
         np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
     np.testing.assert_array_equal(first.estimates[-1].params.mass, second.estimates[-1].params.mass)
+
+
+def test_a_run_that_is_watched_takes_the_same_steps_as_one_that_is_not():
+    contexts = []
+    for meshcat in (None, StartMeshcatServer(0)):
+        task = IdentifyTask(make_scenario(1), meshcat)
+        task.begin(0)
+        task.simulator.AdvanceTo(0.5)
+        contexts.append(task.simulator.get_context())
+    one, other = (context.get_continuous_state_vector().CopyToVector() for context in contexts)
+    assert one.any(), "the filter of the arm's velocity has not begun to move"
+    np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.slow
