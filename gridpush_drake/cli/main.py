@@ -76,6 +76,10 @@ COMMANDS: dict[str, LazyCommand] = {
         "gridpush_drake.cli.plan:plan",
         "Plan pushes that bring an object to a goal pose.",
     ),
+    "slide": LazyCommand(
+        "gridpush_drake.cli.slide:slide",
+        "Plan pushes that bring an object to the table's edge, so that it can be grasped there.",
+    ),
     "export": LazyCommand(
         "gridpush_drake.cli.export:export",
         "Write an object or a learned model as a file for Drake (SDFormat, URDF) or MuJoCo (MJCF).",
@@ -83,10 +87,6 @@ COMMANDS: dict[str, LazyCommand] = {
     "view": LazyCommand(
         "gridpush_drake.cli.view:view",
         "Show a learned model, a log of pushes or a recording in the browser, or in Rerun.",
-    ),
-    "slide": LazyCommand(
-        "gridpush_drake.cli.slide:slide",
-        "Plan pushes that bring an object to the table's edge, so that it can be grasped there.",
     ),
     "object": LazyCommand(
         "gridpush_drake.cli.object:make_object",

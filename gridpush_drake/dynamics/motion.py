@@ -1,4 +1,4 @@
-"""What a simulated push gives back."""
+"""`Motion`, the result of a simulated push, and `Jacobian`, its derivatives."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -32,7 +32,7 @@ class MotionStatus(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Jacobian:
-    """Derivatives of recorded poses, named blocks; R poses (x, y in m; theta in rad) by n cells.
+    """Derivatives of R recorded poses, x and y in m and theta in rad, in blocks with names.
 
     Attributes:
         steps: (R,) the steps the rows belong to.
@@ -92,7 +92,7 @@ class Motion:
         tips: (T,) whether no loads can hold the object: their center would be beyond what is on the
             table.
         iterations: (T,) Newton iterations of each step.
-        physics: by which it was simulated; its regime is never "auto".
+        physics: physics of the simulation; its regime is never "auto".
         jacobian: derivatives of the poses, where asked for.
     """
 

@@ -1,8 +1,8 @@
 """`simulate` and `simulate_batch`: the grid object under a push; and one step by itself.
 
-How objects slide is said by a `Physics`, how a disc moves by a `Push`; what comes of it is a
-`Motion`. Many pushes with ever other parameters, as learning needs them, are `push_batch`'s. The
-model is written out in `docs/theory/model.md`.
+A `Physics` says how objects slide, a `Push` how the pusher moves, and a `Motion` what happened. If
+the same pushes are to be simulated many times with different parameters, as in learning,
+`push_batch` is faster. The model is written out in `docs/theory/model.md`.
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ GRADIENTS = (False, True, "mass", "push", "paper")
 """What `simulate` may be asked to differentiate."""
 
 EXACT = (True, "mass", "push")
-"""Those of them that ask for columns of the exact Jacobian."""
+"""Those of `GRADIENTS` that ask for columns of the exact Jacobian."""
 
 
 class PushSteps(NamedTuple):

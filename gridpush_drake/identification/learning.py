@@ -77,9 +77,9 @@ def identify(
     Args:
         obj: the object.
         log: the training pushes, or the name of their CSV file (`PushLog.read_csv`), with at least
-            one observed pose each after the first. Those during which a part of the object hung
-            over the table's edge are passed over where the log has no table, and by all methods but
-            the default.
+            one observed pose each after the first. Pushes during which a part of the object hung
+            over the table's edge are learned from only if the log has the table's corners, and only
+            by the default method.
         prior: what is known beforehand; `obj.prior` by default.
         method: one of METHODS: "default", the paper's, or a baseline.
         seed: seed of everything random.
@@ -87,13 +87,13 @@ def identify(
             the log's fastest push (`physics.FAST_PUSH`), for all of them.
         physics: friction law, spin, gravity and tolerances of the simulations; `Physics()` by
             default. The default method needs a law with exact gradients.
-        budget: most pushes to be simulated; searches only (DEFAULT_BUDGET_PER_PUSH times the pushes
-            by default).
-        ensemble: the default method with its settings, whose widest prior a search takes for its
-            spread, too.
-        progress: called now and then with what was reached.
-        start: of the same object from fewer pushes, to begin with (default method only); it changes
-            the path, not the answer.
+        budget: largest number of pushes that a search simulates, for methods other than the
+            default; DEFAULT_BUDGET_PER_PUSH times the number of pushes by default.
+        ensemble: settings of the default method; its usual ones by default. A search calculates
+            the spread of its model with the widest prior among them.
+        progress: called now and then with the best model so far.
+        start: a model that was learned of the same object from fewer pushes, with which the
+            default method begins. It changes how long the fit takes, not what it finds.
 
     Returns:
         The model, its spread, and what the log cannot tell. Where it is far off from the very

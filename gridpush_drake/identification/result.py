@@ -1,4 +1,4 @@
-"""What an identification gives back: the model, its spread, and how the search for it went."""
+"""`Identification`, the result of learning: the model, its spread, and how the search went."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -107,13 +107,14 @@ class Identification:
         seed: seed of everything random.
         push_names: names of the training pushes that were used.
         unused_pushes: names of the training pushes in which the pusher never touched the object.
-        outliers: what was refused of the pushes, one entry for each of which something was.
+        outliers: the pushes that were refused, wholly or in part, each with the reason.
         starts: where each of the default method's fits ended, for `identify(start=...)`; empty for
             other methods.
         force: what measured forces say of the friction's scale; None where there are none.
-        interval_scale: factor on predicted intervals, at most 1: how much narrower they are than
-            posterior and noise make them, as pushes like these turn out nearer.
-        noise: what the method took for granted of the noise, at scale one.
+        interval_scale: factor on the widths of predicted intervals, at most 1. It is less where
+            pushes like these end nearer to their predictions than posterior and noise would
+            suggest.
+        noise: the noise that the method assumed, before it was scaled.
         hypotheses: evidence and weight of each hypothesis of how the object bears on the table;
             empty for other methods than the default.
         absolute: mass, center of mass and mean friction of an object that was weighed; None of one

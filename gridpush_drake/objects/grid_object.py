@@ -1,7 +1,8 @@
 """The grid object: square cells, the outline they stand for, and what is known of them beforehand.
 
-The body frame B, said once: for an outline it is the outline's own coordinates; for a mask it is
-the cells' centroid, x to the right and y up in the image.
+All coordinates are in the body frame B. If the object was made of an outline, B is the frame in
+which the outline was given. If it was made of a mask, the origin of B is the cells' centroid, x
+points to the right and y up in the image.
 """
 
 from dataclasses import dataclass, field, replace
@@ -38,13 +39,13 @@ class GridObject(Frozen):
     """A flat rigid object, as n square cells within an outline.
 
     Attributes:
-        name: what to call it.
+        name: name of the object, for messages and files.
         p_BC: (n, 2) cell centers in the body frame, m.
         cell_size: side of a cell, m.
         labels: (n,) the part each cell belongs to, >= 1.
         outline: contour with holes, body frame, m; what the pusher touches.
         prior: what is known of mass and friction beforehand.
-        height: how high it is, m; None where it is not known.
+        height: height above the table, m; None where it is not known.
 
     Raises:
         ObjectError: shapes disagree, or a value is out of range.

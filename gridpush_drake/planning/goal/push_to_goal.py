@@ -48,7 +48,7 @@ class PushStep:
 
 @dataclass(frozen=True, eq=False)
 class PushRun:
-    """What came of pushing to a goal.
+    """The result of pushing an object to a goal.
 
     Attributes:
         goal: (3,) the goal pose, X_WB, m and rad.
@@ -58,7 +58,7 @@ class PushRun:
         reason: the status in a sentence.
         error: mean cell error where the object was last seen at rest, m; NaN where it never was.
         params: the last model.
-        identification: that the last model came from; None where nothing was learned.
+        identification: identification from which `params` came; None where nothing was learned.
         simulations: number of pushes simulated by the planner.
         planning_seconds: wall-clock time of planning, s.
         learning_seconds: wall-clock time of learning, s.
