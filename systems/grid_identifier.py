@@ -9,7 +9,7 @@ than was learned, and what was seen before is not learned from any more.
 
 If the force on the tip is measured, it is in the log, too. If the object is weighed, the estimate
 is made in absolute numbers (`identification.weighed_model`), as `gridpush identify --weighings`
-does.
+does: the frictions that weighings tell are held when the pushes are learned from the next time.
 """
 
 from collections.abc import Callable
@@ -271,7 +271,12 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             cache(lambda: _make_estimate(describe_prior(obj, ensemble, seed, used), None))
         )
 
-    def Learn(self, log: PushLog, start: Identification | None = None) -> Identification:
+    def Learn(
+        self,
+        log: PushLog,
+        start: Identification | None = None,
+        friction: Array | None = None,
+    ) -> Identification:
         """Identifies the object from a log as the system does when a push ends.
 
         It knows nothing of what the system has forgotten.
@@ -279,8 +284,11 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         Args:
             log: the log; only the pushes that `select` takes of it are learned from.
             start: the identification at which learning begins; None for the prior.
+            friction: (n,) friction coefficients that are held, as weighings told them; None for the
+                prior's.
         """
-        return identify(self.obj, self.select(log), start=start, **self._learning)
+        chosen = self.select(log)
+        return identify(self.obj, chosen, start=start, friction=friction, **self._learning)
 
     def select(self, log: PushLog) -> PushLog:
         """Selects the pushes of a log that are learned from."""
@@ -348,7 +356,12 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         before = state.estimate
         state = replace(state, weighings=log)
         estimate = _add_weighings(before.pushed, state.counting_weighings, before)
-        return replace(state, estimate=estimate)
+        state = replace(state, estimate=estimate)
+        if state.request is None and state.considered == len(state.log) > 0:
+            # Over the edge, what pushes tell depends on the frictions that weighings tell. So the
+            # last push, and with it all others, is learned from once more.
+            state = replace(state, considered=state.considered - 1)
+        return state
 
     def _log_push(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
         """Logs a push that has ended; `episode` is None if none has."""
@@ -410,7 +423,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         # What was learned of another object is no place to begin at.
         if start is not None and forgotten and left_out & set(start.push_names):
             start = None
-        return partial(_learn_from, weakly(self.Learn), chosen, start)
+        return partial(_learn_from, weakly(self.Learn), chosen, start, _find_weighed_friction(state))
 
     def _take_answer(self, state: IdentifierState, answer: Answer, asked: float) -> IdentifierState:
         """Returns the state with a new estimate, or with the reason why there is none.
@@ -431,12 +444,24 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         return replace(state, left_out=(*state.left_out, name), message=message)
 
 
+def _find_weighed_friction(state: IdentifierState) -> Array | None:
+    """Finds the friction coefficients (n,) that weighings of the object tell; None without."""
+    if state.estimate is None or not len(state.counting_weighings):
+        return None
+    found = state.estimate.found
+    return None if found.absolute is None else found.params.friction
+
+
 def _learn_from(
-    learn: Callable[..., Identification], log: PushLog, start: Identification | None
+    learn: Callable[..., Identification],
+    log: PushLog,
+    start: Identification | None,
+    friction: Array | None,
 ) -> Estimate | str:
     """Learns from a log; returns the estimate, or what is wrong with the last push."""
+    told = () if friction is None else (friction,)
     try:
-        return _make_estimate(learn(log, start), log)
+        return _make_estimate(learn(log, start, *told), log)
     except UNUSABLE as error:
         return str(error)
 

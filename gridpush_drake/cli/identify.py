@@ -140,6 +140,12 @@ def identify(
         raise PushLogError(explain_no_contact(obj, log))
     if weighed is not None:
         result = weigh_model(result, weighed, seed=seed)
+        if method == "default" and any(seen.overhang for seen in log):
+            # Over the edge, what pushes tell depends on the frictions that weighings tell.
+            again = search(
+                obj, log, seed=seed, regime=regime, start=result, friction=result.params.friction
+            )
+            result = weigh_model(again, weighed, seed=seed)
     write_model(out, result, force)
     if report is not None:
         write_whole(report, make_report(result, log), force)

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
 from gridpush_drake.errors import IdentificationError, ParameterError, PushLogWarning
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
 from gridpush_drake.identification.baselines.search import (
     Bounds,
@@ -71,6 +72,7 @@ def identify(
     ensemble: MapEnsemble | None = None,
     progress: Progress | None = None,
     start: Identification | None = None,
+    friction: Array | None = None,
 ) -> Identification:
     """Learns an object's masses and frictions from pushes.
 
@@ -94,6 +96,9 @@ def identify(
         progress: called now and then with the best model so far.
         start: a model that was learned of the same object from fewer pushes, with which the
             default method begins. It changes how long the fit takes, not what it finds.
+        friction: (n,) friction coefficient of each cell, which is held, as weighings tell it
+            (default method only); by default the prior's. Pushes show the same loads with any of
+            them, except those over a table's edge: there loads shift about the center of mass.
 
     Returns:
         The model, its spread, and what the log cannot tell. Where it is far off from the very
@@ -105,7 +110,8 @@ def identify(
     Raises:
         IdentificationError: the method is unknown, or needs gradients that the friction law does
             not have; the seed is no whole number or negative; the log is empty or lacks
-            observations; or no loads of the cells explain it with what is told of the object.
+            observations; or no loads of the cells explain it with what is told of the object; or
+            the frictions are not one positive number for each cell.
         SimulationError: the regime is unknown, or the friction law does not know it.
         PushLogError: the object hung over the table's edge during every push, or the log cannot be
             true of the object, see `pushes.plausibility`; or its file cannot be read.
@@ -134,6 +140,8 @@ def identify(
     ensemble = ensemble or MapEnsemble()
     patch_ratio = ensemble.choose_patch_ratio(obj) if method == "default" else 1.0
     uniform = replace(make_even_parameters(obj), patch_ratio=patch_ratio)
+    if friction is not None and method == "default":
+        uniform = _hold_friction(uniform, friction)
     problem = PushProblem(obj, log, uniform, used)
     z0 = problem.unknowns(uniform)
 
@@ -202,6 +210,23 @@ def identify(
             f"{log.source}: {doubt}" if log.source else doubt, PushLogWarning, stacklevel=2
         )
     return _note_poor_fit(result, screened.log)
+
+
+def _hold_friction(even: CellParameters, friction: Array) -> CellParameters:
+    """Gives parameters other friction coefficients, and masses with which their loads are as before.
+
+    Args:
+        even: the parameters.
+        friction: (n,) the coefficients.
+    """
+    coefficients = np.asarray(friction, dtype=np.float64)
+    good = np.isfinite(coefficients) & (coefficients > 0)
+    if coefficients.shape != even.friction.shape or not good.all():
+        raise IdentificationError(
+            f"friction is {friction!r}; expected {even.n} positive numbers, one for each cell"
+        )
+    # k_i = mu_i m_i stay as they are.
+    return replace(even, friction=coefficients, mass=even.mass * even.friction / coefficients)
 
 
 def _list_doubts(

@@ -256,6 +256,24 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     return center, _cap(J @ found.posterior.covariance @ J.T, found.obj)
 
 
+def calc_center_of_friction(found: Identification) -> tuple[Array, Array]:
+    """Calculates where the center of friction is, and how surely, to first order.
+
+        c = sum_i x_i p_i,     x_i = k_i / sum k
+
+    It is what pushes show, whatever was weighed.
+
+    Args:
+        found: the identification.
+
+    Returns:
+        The point (2,), m, body frame, and its covariance (2, 2), m².
+    """
+    share = found.posterior.calc_share()
+    J = calc_center_jacobian(share, found.obj.p_BC)
+    return share @ found.obj.p_BC, _cap(J @ found.posterior.covariance @ J.T, found.obj)
+
+
 def _cap(covariance: Array, obj: GridObject) -> Array:
     """Bounds a covariance (2, 2) of a place in the object, m².
 

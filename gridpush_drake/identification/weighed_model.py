@@ -23,7 +23,11 @@ from gridpush_drake.identification.absolute import (
 )
 from gridpush_drake.identification.absolute_masses import make_absolute_parameters, tilt_to_center
 from gridpush_drake.identification.identifiability import calc_identifiability
-from gridpush_drake.identification.result import Identification, calc_center_of_mass
+from gridpush_drake.identification.result import (
+    Identification,
+    calc_center_of_friction,
+    calc_center_of_mass,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.weighings import WeighingLog
@@ -96,8 +100,8 @@ def calc_center_prior(
         p_BBcm (2,), m, body frame, and its covariance (2, 2), m².
     """
     obj = found.obj
-    center, covariance = calc_center_of_mass(found)
     if obj.prior.center_of_mass is None:
+        center, covariance = calc_center_of_friction(found)
         low = obj.prior.friction_min
         high = obj.prior.friction_max
         s = min(gradient, float(np.log(high / low)) / np.sqrt(12))
@@ -105,6 +109,8 @@ def calc_center_prior(
         arm = obj.p_BC - share @ obj.p_BC
         M = (share[:, None] * arm).T @ arm
         covariance = covariance + s**2 / max(float(np.trace(M)), np.finfo(float).tiny) * M @ M
+    else:
+        center, covariance = calc_center_of_mass(found)
     ridge = WHOLE_OBJECT * obj.radius_of_gyration**2
     return center, covariance + ridge * np.eye(2)
 

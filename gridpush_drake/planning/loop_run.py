@@ -52,13 +52,31 @@ class Learner:
         return log.subset([i for i, seen in enumerate(log) if len(seen.t_observed)][-self.memory :])
 
     def __call__(
-        self, obj: GridObject, log: PushLog, before: Identification | None
+        self,
+        obj: GridObject,
+        log: PushLog,
+        before: Identification | None,
+        friction: Array | None = None,
     ) -> Identification | None:
-        """Learns from the latest pushes; returns `before` where the last push shows nothing new."""
+        """Learns from the latest pushes; returns `before` where the last push shows nothing new.
+
+        Args:
+            obj: the object.
+            log: all pushes so far.
+            before: what was learned before.
+            friction: (n,) friction coefficients that are held; None for the prior's.
+        """
         chosen = self.select(log)
         if not len(chosen) or chosen[-1] is not log[-1]:
             return before
-        return identify(obj, chosen, seed=self.seed, regime="quasi_static", start=before)
+        return identify(
+            obj,
+            chosen,
+            seed=self.seed,
+            regime="quasi_static",
+            start=before,
+            friction=friction,
+        )
 
 
 @dataclass(frozen=True, eq=False)

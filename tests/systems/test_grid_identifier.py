@@ -149,6 +149,15 @@ def test_weighings_and_forces_make_the_estimate_absolute(cold):
         np.testing.assert_array_equal(state.estimate.found.absolute.mean, expected.mean)
         np.testing.assert_array_equal(state.estimate.center_of_mass, expected.center_of_mass)
         assert state.estimate.pushed is pushed
+    # What weighings tell of the frictions is held when the pushes are learned from once more.
+    learned = replace(state, considered=len(log), weighings=WeighingLog())
+    due = system._weigh(learned, WeighingLog((press,)))
+    told = due.estimate.found.params.friction
+    assert due.considered == len(log) - 1 and np.ptp(told) > 0
+    again = system._learn(due, 1.0)
+    assert again.considered == len(log)
+    np.testing.assert_array_equal(again.estimate.pushed.params.friction, told)
+    assert again.estimate.found.absolute.presses == 1
     # After the object became another one, what was weighed before does not count.
     changed = replace(state, weighed_before=(1, 1))
     assert not len(changed.counting_weighings)
