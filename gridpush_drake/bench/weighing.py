@@ -34,6 +34,7 @@ from gridpush_drake.objects.object_file import (
 )
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
+from gridpush_drake.planning.pregrasp.grasp_parts import find_grasp_parts
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
@@ -226,9 +227,12 @@ def shorten(options: Options) -> Options:
 def make_jobs(options: Options) -> list[WeighingJob | EdgeJob]:
     """Makes a job for each object and truth.
 
+    To where it can be grasped an object is slid only if it has a graspable part.
+
     Raises:
         ObjectError: an object is not shipped.
-        GridPushError: there is no object, or no truth.
+        GridPushError: there is no object, or no truth; or objects are to be slid to the edge alone,
+            and none has a graspable part.
     """
     if not options.names:
         raise GridPushError("objects: none; expected at least one")
@@ -237,14 +241,28 @@ def make_jobs(options: Options) -> list[WeighingJob | EdgeJob]:
     for name in options.names:
         find_shipped_object(name)
     seeds = range(options.seed, options.seed + options.truths)
+    names = {SCALE: options.names}
+    if options.part != SCALE:
+        names[AT_EDGE] = tuple(name for name in options.names if _has_graspable_part(name))
+        if options.part == AT_EDGE and not names[AT_EDGE]:
+            raise GridPushError(
+                f"objects: {', '.join(options.names)} cannot be grasped; expected at least one with "
+                "a part that is narrower than the gripper opens"
+            )
     kinds: dict[str, type[WeighingJob] | type[EdgeJob]] = {SCALE: WeighingJob, AT_EDGE: EdgeJob}
     return [
         kind(name, seed)
         for part, kind in kinds.items()
         if options.part in ("all", part)
-        for name in options.names
+        for name in names[part]
         for seed in seeds
     ]
+
+
+def _has_graspable_part(name: str) -> bool:
+    """Whether a shipped object has a part that the gripper takes."""
+    obj = GridObject.from_yaml(find_shipped_object(name)).forget()
+    return bool(find_grasp_parts(obj, PreGraspOptions().gripper))
 
 
 def run_job(job: WeighingJob) -> WeighingScore:

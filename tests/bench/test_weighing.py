@@ -186,11 +186,16 @@ def test_errors_differ_from_object_to_object():
 def test_jobs_are_those_that_were_asked_for():
     jobs = make_jobs(Options(objects=("toolbox",), truths=2, seed=5, part="scale"))
     assert jobs == [WeighingJob("toolbox", 5), WeighingJob("toolbox", 6)]
-    assert len(make_jobs(Options())) == 180
+    # Of nine objects, seven have a part that the gripper takes.
+    assert len(make_jobs(Options())) == 90 + 70
+    to_edge = make_jobs(Options(objects=("open_book", "pliers"), truths=1, part="edge"))
+    assert [job.name for job in to_edge] == ["pliers"]
     both = make_jobs(STUDY.shorten(Options()))
     assert both == [WeighingJob("claw_hammer", 0), EdgeJob("claw_hammer", 0)]
     assert TASK.describe(jobs[0]) == "toolbox, truth 5"
     with pytest.raises(ObjectError, match="anvil"):
         make_jobs(Options(objects=("anvil",)))
+    with pytest.raises(GridPushError, match="cannot be grasped"):
+        make_jobs(Options(objects=("open_book",), part="edge"))
     with pytest.raises(GridPushError, match="truths: none"):
         make_jobs(Options(truths=0))
