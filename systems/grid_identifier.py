@@ -423,7 +423,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         # What was learned of another object is no place to begin at.
         if start is not None and forgotten and left_out & set(start.push_names):
             start = None
-        return partial(_learn_from, weakly(self.Learn), chosen, start, _find_weighed_friction(state))
+        return partial(
+            _learn_from, weakly(self.Learn), chosen, start, _find_weighed_friction(state)
+        )
 
     def _take_answer(self, state: IdentifierState, answer: Answer, asked: float) -> IdentifierState:
         """Returns the state with a new estimate, or with the reason why there is none.

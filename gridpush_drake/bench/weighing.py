@@ -246,8 +246,8 @@ def make_jobs(options: Options) -> list[WeighingJob | EdgeJob]:
         names[AT_EDGE] = tuple(name for name in options.names if _has_graspable_part(name))
         if options.part == AT_EDGE and not names[AT_EDGE]:
             raise GridPushError(
-                f"objects: {', '.join(options.names)} cannot be grasped; expected at least one with "
-                "a part that is narrower than the gripper opens"
+                f"objects: {', '.join(options.names)} cannot be grasped; expected at least one "
+                "with a part that is narrower than the gripper opens"
             )
     kinds: dict[str, type[WeighingJob] | type[EdgeJob]] = {SCALE: WeighingJob, AT_EDGE: EdgeJob}
     return [

@@ -91,7 +91,7 @@ class WeighedLearner:
         # What weighings told of the frictions is held: over the edge it matters.
         weighed = before is not None and before.absolute is not None and len(self.log) > 0
         friction = before.params.friction if before is not None and weighed else None
-        found = LEARNER(obj, log, before, friction)
+        found = LEARNER.learn(obj, log, before, friction)
         return found if found is before else self.weigh(found)
 
     def weigh(self, found: Identification | None) -> Identification | None:

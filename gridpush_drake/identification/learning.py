@@ -213,7 +213,7 @@ def identify(
 
 
 def _hold_friction(even: CellParameters, friction: Array) -> CellParameters:
-    """Gives parameters other friction coefficients, and masses with which their loads are as before.
+    """Gives parameters other friction coefficients, and masses that leave their loads as before.
 
     Args:
         even: the parameters.

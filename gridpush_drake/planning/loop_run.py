@@ -52,6 +52,12 @@ class Learner:
         return log.subset([i for i, seen in enumerate(log) if len(seen.t_observed)][-self.memory :])
 
     def __call__(
+        self, obj: GridObject, log: PushLog, before: Identification | None
+    ) -> Identification | None:
+        """Learns from the latest pushes; returns `before` where the last push shows nothing new."""
+        return self.learn(obj, log, before)
+
+    def learn(
         self,
         obj: GridObject,
         log: PushLog,
