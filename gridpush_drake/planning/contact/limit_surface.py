@@ -69,6 +69,9 @@ directions within `NEAR_ANGLE`."""
 NEAR_ANGLE = 0.3
 """Difference of direction below which two pushes may be near one another, rad; see `NEAR_PLACE`."""
 
+BLOCK = 16
+"""Number of pushes that the rules are asked about at once."""
+
 
 @dataclass(frozen=True, eq=False)
 class DistanceTable:
@@ -214,8 +217,8 @@ def screen(runner: TrialRunner) -> Screening:
     poses = predict_roughly(runner.obj, runner.params, start, direction, longest, options.radius)
     costs = _calc_rough_costs(runner, poses)
 
-    def count_allowed(i: int) -> int:
-        return _count_allowed(runner, poses[:, i], start[i], direction[i])
+    def count_allowed(some: NDArray[np.int64]) -> NDArray[np.int64]:
+        return _count_allowed(runner, poses[:, some], start[some], direction[some])
 
     chosen, cost = _pick_apart(runner, s, angle, costs, count_allowed, options.starts)
     return Screening(
@@ -244,23 +247,30 @@ def _calc_rough_costs(runner: TrialRunner, poses: Array) -> Array:
     return np.sqrt((dc**2).sum(axis=-1) + 2 * (1 - np.cos(dtheta)) * rho**2)
 
 
-def _count_allowed(runner: TrialRunner, poses: Array, start: Array, direction: Array) -> int:
-    """Counts the steps of a rough motion that the rules allow, from the first on.
+def _count_allowed(
+    runner: TrialRunner, poses: Array, start: Array, direction: Array
+) -> NDArray[np.int64]:
+    """Counts the steps of rough motions that the rules allow, from the first on.
 
     Args:
         runner: knows the rules.
-        poses: (steps, 3) in the body's first frame, m and rad.
-        start: (2,) of the disc's center, in that frame, m.
-        direction: (2,) of its motion.
+        poses: (steps, N, 3) in the body's first frame, m and rad.
+        start: (N, 2) of the disc's center, in that frame, m.
+        direction: (N, 2) of its motion.
+
+    Returns:
+        (N,).
     """
-    steps = len(poses)
+    steps, count, _ = poses.shape
     if runner.checker.constraints.is_free:
-        return steps
+        return np.full(count, steps)
     traveled = runner.distance_range[1] * np.arange(1, steps + 1) / steps
-    tip = transform(runner.pose, start + traveled[:, None] * direction)
-    world = compose(runner.pose, poses)
+    places = start[:, None] + traveled[:, None] * direction[:, None]
+    tip = transform(runner.pose, places.reshape(-1, 2))
+    world = compose(runner.pose, poses.swapaxes(0, 1)).reshape(-1, 3)
     allowed = runner.checker.allows_finger(tip) & runner.checker.allows_poses(world)
-    return steps if allowed.all() else int(np.argmin(allowed))
+    allowed = allowed.reshape(count, steps)
+    return np.where(allowed.all(axis=1), steps, np.argmin(allowed, axis=1))
 
 
 def _pick_apart(
@@ -268,42 +278,55 @@ def _pick_apart(
     s: Array,
     angle: Array,
     costs: Array,
-    count_allowed: Callable[[int], int],
+    count_allowed: Callable[[NDArray[np.int64]], NDArray[np.int64]],
     count: int,
 ) -> tuple[NDArray[np.int64], Array]:
     """Picks the cheapest pushes, each of them far from the cheaper ones.
 
     What a push costs as far as the rules allow it is at least what it costs without them. So the
-    rules, which take longest, are asked only about those pushes whose turn comes.
+    rules, which take longest, are asked only about those pushes whose turn comes, and about the
+    next cheapest ones together with them.
 
     Args:
         runner: knows the outline.
         s: (N,) arc lengths, m.
         angle: (N,) angles, rad.
         costs: (steps, N) cost after each step, m.
-        count_allowed: says how many steps of a push, given by its index, the rules allow.
+        count_allowed: says how many steps of some pushes, given by their indices, the rules allow.
         count: how many to pick at most.
 
     Returns:
         Their indices and their costs.
     """
     perimeter = runner.reach.perimeter
-    # A queue of (cost, index, whether the rules were asked), cheapest first.
-    queue = [(float(cost), i, False) for i, cost in enumerate(costs.min(axis=0))]
-    heapq.heapify(queue)
     chosen: list[int] = []
     kept: list[float] = []
+
+    # Whether each push is near one that was chosen.
+    near = np.zeros(len(s), dtype=bool)
+    # A queue of (cost, place in the order of costs without rules, whether the rules were asked),
+    # cheapest first.
+    least = costs.min(axis=0)
+    order = np.argsort(least, kind="stable")
+    queue = [(float(least[i]), rank, False) for rank, i in enumerate(order)]
+    allowed_of: dict[int, int] = {}
     while queue and len(chosen) < count:
-        cost, i, asked = heapq.heappop(queue)
-        gap = np.abs(s[chosen] - s[i])
-        near = np.minimum(gap, perimeter - gap) < NEAR_PLACE * perimeter
-        if (near & (np.abs(angle[chosen] - angle[i]) < NEAR_ANGLE)).any():
+        cost, rank, asked = heapq.heappop(queue)
+        i = int(order[rank])
+        if near[i]:
             continue
         if asked:
             chosen.append(i)
             kept.append(cost)
+            gap = np.abs(s - s[i])
+            at_place = np.minimum(gap, perimeter - gap) < NEAR_PLACE * perimeter
+            near |= at_place & (np.abs(angle - angle[i]) < NEAR_ANGLE)
             continue
-        allowed = count_allowed(i)
+        if i not in allowed_of:
+            block = order[rank : rank + 2 * BLOCK]
+            block = block[~near[block]][:BLOCK]
+            allowed_of.update(zip(block.tolist(), count_allowed(block).tolist(), strict=True))
+        allowed = allowed_of[i]
         if allowed:
-            heapq.heappush(queue, (float(costs[:allowed, i].min()), i, True))
+            heapq.heappush(queue, (float(costs[:allowed, i].min()), rank, True))
     return np.array(chosen, dtype=np.int64), np.array(kept)

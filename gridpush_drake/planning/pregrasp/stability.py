@@ -10,20 +10,22 @@ worst,
 
 That hull is found in compiled code, for many poses at once, by the monotone chain (Andrew 1979).
 It needs the points in order of x, then y; the order is the body frame's, and so the same at every
-pose. The theory is in `docs/theory/planning.md`, section 3.
+pose. On a convex table the cells are looked at only in poses in which the object comes near an
+edge; in all others all of them hold it, and the margin is the same. The theory is in
+`docs/theory/planning.md`, section 3.
 """
 
-from math import sqrt
+from math import cos, sin, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.geometry.polygons import hull_of
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
-from gridpush_drake.planning.support_surface import SupportSurface, find_supported
+from gridpush_drake.planning.support_surface import ROUND_OFF, SupportSurface, find_supported
 
 SUPPORT_INSET = 0.002
 """How far inside the edge a cell's center must be to count as supported, m: what a pose may be
@@ -65,13 +67,23 @@ def calc_stability_margins(
         (K,) m; negative where some mass distribution tips.
     """
     obj = masses.obj
-    q = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
-    order = np.lexsort((obj.p_BC[:, 1], obj.p_BC[:, 0]))
-    supported = find_supported(obj, q, surface, inset)[:, order]
+    q = np.array(poses, dtype=np.float64).reshape(-1, 3)
+    points = obj.p_BC[np.lexsort((obj.p_BC[:, 1], obj.p_BC[:, 0]))]
     margins = np.empty(len(q))
-    calc_margins(
-        obj.p_BC[order], np.ascontiguousarray(supported), masses.center_of_mass_polygon, margins
-    )
+    if surface.is_convex:
+        calc_margins_on_convex_table(
+            points=points,
+            reach=float(np.linalg.norm(points, axis=1).max()),
+            poses=q,
+            normals=surface.edge_normals,
+            offsets=surface.edge_offsets,
+            inset=float(inset),
+            inner=masses.center_of_mass_polygon,
+            margins=margins,
+        )
+        return margins
+    supported = surface.contains(transform(q, points), inset)
+    calc_margins(points, supported, masses.center_of_mass_polygon, margins)
     return margins
 
 
@@ -80,6 +92,53 @@ def calc_stability_margin(
 ) -> float:
     """The stability margin at one pose (3,), m; see `calc_stability_margins`."""
     return float(calc_stability_margins(masses, pose, surface, inset)[0])
+
+
+@kernel()
+def calc_margins_on_convex_table(points, reach, poses, normals, offsets, inset, inner, margins):
+    """Calculates how far points stay inside what holds an object on a convex table.
+
+    Args:
+        points: (n, 2) cells' centers in order of x, then y, body frame, m.
+        reach: greatest distance of one of them from the body frame's origin, m.
+        poses: (K, 3) X_WB, m and rad.
+        normals: (E, 2) outward unit normals of the table's edges, W.
+        offsets: (E,) n.p of any point p of each edge, m.
+        inset: how far inside the edge a cell's center must be to hold, m.
+        inner: (V, 2) points that must stay inside the hull, body frame, m.
+        margins: (K,) is filled in: the least distance of `inner` inside the hull's edges, m; -inf
+            where three points do not make a hull.
+    """
+    n = points.shape[0]
+    hull = np.empty((2 * n + 2, 2))
+    supported = np.ones(n, np.bool_)
+    whole = _calc_margin(points, supported, hull, inner)
+    near = np.empty(offsets.shape[0], np.int64)
+    for row in range(poses.shape[0]):
+        x = poses[row, 0]
+        y = poses[row, 1]
+        # The edges that some cell may be too near to, or beyond.
+        count = 0
+        for e in range(offsets.shape[0]):
+            gap = offsets[e] - (x * normals[e, 0] + y * normals[e, 1])
+            if gap < reach + inset + ROUND_OFF:
+                near[count] = e
+                count += 1
+        if count == 0:
+            margins[row] = whole
+            continue
+        c = cos(poses[row, 2])
+        s = sin(poses[row, 2])
+        for i in range(n):
+            cell_x = x + (c * points[i, 0] - s * points[i, 1])
+            cell_y = y + (s * points[i, 0] + c * points[i, 1])
+            supported[i] = True
+            for j in range(count):
+                e = near[j]
+                if offsets[e] - (cell_x * normals[e, 0] + cell_y * normals[e, 1]) < inset:
+                    supported[i] = False
+                    break
+        margins[row] = _calc_margin(points, supported, hull, inner)
 
 
 @kernel()
@@ -93,26 +152,39 @@ def calc_margins(points, supported, inner, margins):
         margins: (K,) is filled in: the least distance of `inner` inside the hull's edges, m; -inf
             where three points do not make a hull.
     """
-    n = points.shape[0]
-    hull = np.empty((2 * n + 2, 2))
+    hull = np.empty((2 * points.shape[0] + 2, 2))
     for row in range(supported.shape[0]):
-        size = _chain(points, supported[row], hull)
-        if size < 3:
-            margins[row] = -np.inf
-            continue
-        least = np.inf
-        for i in range(size):
-            # Edge from corner i to corner j; inside is to its left.
-            j = (i + 1) % size
-            ex = hull[j, 0] - hull[i, 0]
-            ey = hull[j, 1] - hull[i, 1]
-            length = sqrt(ex * ex + ey * ey)
-            for v in range(inner.shape[0]):
-                inside = (
-                    ex * (inner[v, 1] - hull[i, 1]) - ey * (inner[v, 0] - hull[i, 0])
-                ) / length
-                least = min(least, inside)
-        margins[row] = least
+        margins[row] = _calc_margin(points, supported[row], hull, inner)
+
+
+@kernel()
+def _calc_margin(points, supported, hull, inner):
+    """Calculates how far points stay inside one convex hull.
+
+    Args:
+        points: (n, 2) in order of x, then y, m.
+        supported: (n,) which of them make the hull.
+        hull: (2 n + 2, 2) room for the hull's corners.
+        inner: (V, 2) points that must stay inside the hull, m.
+
+    Returns:
+        The least distance of `inner` inside the hull's edges, m; -inf where three points do not
+        make a hull.
+    """
+    size = _chain(points, supported, hull)
+    if size < 3:
+        return -np.inf
+    least = np.inf
+    for i in range(size):
+        # Edge from corner i to corner j; inside is to its left.
+        j = (i + 1) % size
+        ex = hull[j, 0] - hull[i, 0]
+        ey = hull[j, 1] - hull[i, 1]
+        length = sqrt(ex * ex + ey * ey)
+        for v in range(inner.shape[0]):
+            inside = (ex * (inner[v, 1] - hull[i, 1]) - ey * (inner[v, 0] - hull[i, 0])) / length
+            least = min(least, inside)
+    return least
 
 
 @kernel()

@@ -12,6 +12,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact import limit_surface
 from gridpush_drake.planning.contact.contact_kernels import solve_damped_step
 from gridpush_drake.planning.contact.limit_surface import predict_roughly, screen
 from gridpush_drake.planning.contact.optimization import (
@@ -414,3 +415,25 @@ def test_refuses(hammer, arguments, says):
 def test_refuses_options(make, says):
     with pytest.raises(PlanningError, match=says):
         make()
+
+
+def test_asking_the_rules_in_blocks_picks_the_same_pushes(monkeypatch):
+    """With blocks of one push each is asked about when its turn comes."""
+    obj = make_shape("claw_hammer", max_cells=50)
+    surface = SupportSurface.rectangle((0.0, 0.0), (0.6, 0.5))
+    constraints = PushConstraints(surface, edge_margin=0.0)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        pose, goal = rng.uniform(-0.12, 0.12, (2, 3)) * (1, 1, 20)
+        runner = make_runner(
+            obj, CellParameters.random(obj, seed), pose, goal, constraints, ContactOptions()
+        )
+        picked = [screen(runner)]
+        for block in (1, 5):
+            monkeypatch.setattr(limit_surface, "BLOCK", block)
+            picked.append(screen(runner))
+        monkeypatch.undo()
+        assert len(picked[0].arc_length) > 2
+        for other in picked[1:]:
+            for name in ("arc_length", "piece", "angle", "rough_cost"):
+                np.testing.assert_array_equal(getattr(other, name), getattr(picked[0], name))
