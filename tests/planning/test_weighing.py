@@ -12,12 +12,15 @@ from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.weighed_model import believe_before, weigh_model
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.loop_run import LoopRun, run_loop
+from gridpush_drake.planning.pregrasp import weighing_planner
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop
+from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner, list_edges
 from gridpush_drake.planning.robot_status import PressStatus, PressStep, PushStatus
@@ -440,3 +443,29 @@ def test_where_the_arm_cannot_press_nothing_is_planned():
     for pose in ([0.2, 0.0, 0.0], [0.4, 0.0, 0.0]):
         assert planner.decide(np.array(pose), model).action == "fail"
     assert len(asked) > 1
+
+
+def test_slides_go_to_where_the_object_is_stable_before_other_places(monkeypatch):
+    """A slide is cut short of a place at which the object may tip, and would be made in vain."""
+    obj = GridObject.from_yaml(find_shipped_object("claw_hammer")).forget()
+    surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+    found = describe_prior(obj)
+    belief = replace(
+        believe_before(found), covariance=np.diag([0.9, 0.008**2, 0.01**2, 0.1]), presses=1
+    )
+    model = replace(UncertainModel.of_identification(found), belief=belief)
+    planner = WeighingPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
+    pose = np.array([0.03, 0.268, 1.96])
+    goals = planner._list_goals(pose, model, belief)
+    assert len(goals) == 6
+    for goal in goals:
+        assert goal.margin == calc_stability_margin(model.masses, goal.pose, surface)
+        assert goal.margin >= planner.options.slide.margin
+    travels = [goal.travel for goal in goals]
+    assert travels == sorted(travels)
+    # Nearer ones, at which it may tip, come after all that are safe.
+    monkeypatch.setattr(weighing_planner, "MAX_RESTS", 10000)
+    everywhere = planner._list_goals(pose, model, belief)
+    safe = [goal.margin >= planner.options.slide.margin for goal in everywhere]
+    assert safe == sorted(safe, reverse=True)
+    assert min(goal.travel for goal in everywhere[sum(safe) :]) < travels[-1]

@@ -24,7 +24,9 @@ from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.pregrasp.slides import calc_kept_margin
+from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.plan import (
     Edge,
@@ -191,8 +193,14 @@ class WeighingPlanner(PreGraspPlanner):
     def _list_goals(
         self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate
     ) -> list[PreGraspGoal]:
-        """Lists poses at the edge at which a press tells much, the nearest first."""
-        centers = model.masses.center_of_mass_polygon
+        """Lists poses at the edge at which a press tells much.
+
+        Those at which the object is stable at the worst go first, the nearest ones before others. A
+        slide is cut short of all others, so that the object would be pushed about before them.
+        """
+        masses = model.masses
+        slide = self.options.slide
+        kept = calc_kept_margin(masses, pose, self.surface, slide.margin, slide.inset)
         rules = self._make_rules(belief)
         middle = pose[:2]
         found: list[tuple[PreGraspGoal, PressTarget]] = []
@@ -203,26 +211,35 @@ class WeighingPlanner(PreGraspPlanner):
                 # Of the headings that are full turns apart, the nearest one is meant.
                 theta = float(pose[2] + wrap_angle(heading - pose[2]))
                 rests = list_rests(
-                    self.obj, centers, theta, edge.line, self._top, rules, along=along
+                    self.obj,
+                    masses.center_of_mass_polygon,
+                    theta,
+                    edge.line,
+                    self._top,
+                    rules,
+                    along=along,
                 )
                 for planned in rests:
                     if self._calc_gain(belief, planned) < self.weighing.min_gain:
                         continue
                     if self._hangs_over_only(edge, planned.pose):
-                        found.append((self._make_goal(pose, planned), planned.target))
+                        found.append((self._make_goal(pose, planned, masses), planned.target))
         # The arm is asked last, for that takes longest.
-        found.sort(key=lambda one: one[0].travel)
+        found.sort(key=lambda one: (one[0].margin < kept, one[0].travel))
         reached = (goal for goal, target in found if self._can_press(target, goal.pose))
         return list(islice(reached, MAX_RESTS))
 
-    def _make_goal(self, pose: Array, planned: PlannedPress) -> PreGraspGoal:
+    def _make_goal(
+        self, pose: Array, planned: PlannedPress, masses: PlausibleMassSet
+    ) -> PreGraspGoal:
         """Makes a goal of a slide of where an object is to be pressed."""
         target = planned.target
+        inset = self.options.slide.inset
         return PreGraspGoal(
             pose=planned.pose,
             part=(*self.parts, *self.flat_parts)[0],
             overhang=target.calc_arm(np.array(target.place)),
-            margin=planned.inside,
+            margin=calc_stability_margin(masses, planned.pose, self.surface, inset),
             travel=float(calc_goal_error(self.obj, pose, planned.pose)),
             weakest=np.array([1.0, 0.0]),
         )
