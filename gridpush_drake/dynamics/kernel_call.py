@@ -5,6 +5,7 @@ This is the one place where an object, its parameters and a `Physics` become the
 come here.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -108,6 +109,46 @@ def run_pushes(
     prepared = prepare_rollout(obj, params, physics, table, approximate=approximate)
     rollout_pushes(*prepared, pushes, row_of_step, poses, touched, J)
     return poses, touched
+
+
+def run_models(
+    obj: GridObject,
+    models: Sequence[CellParameters],
+    physics: Physics,
+    *,
+    pose: Array,
+    dts: Array,
+    load: Load,
+    table: Array | None = None,
+    approximate: bool = False,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Simulates T steps with each of M models, of an object that is at rest before them.
+
+    The arguments are those of `run_kernel` and `prepare_rollout`.
+
+    Returns:
+        The poses (M, T+1, 3), m and rad, and whether the object tips in each step, (M, T).
+    """
+    count = len(dts)
+    poses = np.empty((len(models), count + 1, 3))
+    tips = np.empty((len(models), count), np.bool_)
+    record = make_record(count)
+    row_of_step = np.full(count + 1, -1)
+    for m, params in enumerate(models):
+        rollout(
+            *prepare_rollout(obj, params, physics, table, approximate=approximate),
+            load=load,
+            pose=pose,
+            velocity=np.zeros(3),
+            dts=dts,
+            row_of_step=row_of_step,
+            record=record,
+            J=np.empty((0, 3, 0)),
+            memory=make_memory(),
+        )
+        poses[m] = record.poses
+        tips[m] = record.tips
+    return poses, tips
 
 
 def prepare_rollout(

@@ -12,8 +12,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
+from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, calc_overhangs
-from gridpush_drake.planning.pregrasp.slides import simulate_near_edge
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.fetching import CLEAR, FetchLearning, FetchOptions, FetchPlanner
 from gridpush_drake.planning.scene.loop import SceneAction, SceneStep, run_scene_task

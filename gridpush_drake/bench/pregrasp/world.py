@@ -24,6 +24,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.loop_run import Learn, Learner, run_loop
+from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
@@ -33,7 +34,6 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     PreGraspMode,
     PreGraspState,
 )
-from gridpush_drake.planning.pregrasp.slides import simulate_near_edge
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.planning.world import (

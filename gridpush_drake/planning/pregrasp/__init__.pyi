@@ -17,9 +17,9 @@ from .pregrasp_loop import PreGraspMode as PreGraspMode
 from .pregrasp_loop import PreGraspStatus as PreGraspStatus
 from .pregrasp_plan import PreGraspPlan as PreGraspPlan
 from .pregrasp_plan import plan_pregrasp as plan_pregrasp
+from .push_monitor import PushMonitor as PushMonitor
 from .side_grasp import SideGrasp as SideGrasp
 from .side_grasp import find_side_grasps as find_side_grasps
-from .slides import PushMonitor as PushMonitor
 from .slides import SlideOptions as SlideOptions
 from .slides import plan_slide as plan_slide
 from .stability import calc_stability_margin as calc_stability_margin

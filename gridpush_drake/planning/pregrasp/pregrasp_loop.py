@@ -55,8 +55,8 @@ from gridpush_drake.planning.pregrasp.decision import PokeForecast, PreGraspDeci
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.push_monitor import PushMonitor
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
-from gridpush_drake.planning.pregrasp.slides import PushMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, PressStatus, PushPhase
 from gridpush_drake.planning.support_surface import find_supported

@@ -1,46 +1,39 @@
 """The next push of a slide to the table's edge: towards one of several goals, safe all the way.
 
 `plan_slide` chooses it. Contact-point optimization proposes pushes towards each goal, forbidden to
-pass poses whose stability margin is too thin. Each proposal is then simulated with a few samples of
-the model, with the loads that an overhanging object has (`dynamics.kernels.support_loads`), and
-cut short before the first pose in which the margin is too thin by any of them. If what is left of
-it looks better than the best one known, it is weighed with all samples: cut before the first pose
-in which the margin is too thin by more than a small share of them, or in which the object falls by
-any. The proposal is taken that, so cut, ends nearest to its goal on the average of the samples.
+pass poses whose stability margin is too thin. What a proposal does is then followed by samples of
+the model, with the loads that an overhanging object has (`edge_motion`), and the push is cut before
+the first pose in which the margin is too thin by more than a small share of the samples, or in
+which the object falls by any. The proposal is taken that, so cut, ends nearest to its goal on the
+average of the samples.
 
-`PushMonitor` watches a push under way: whether the object stays as safe as was planned, and clear
-of other things on the table.
+That takes long with all samples, so it is done for as few proposals as possible. A few samples sift
+them: what these leave of a push, and how near it comes to its goal by them, decides when its turn
+comes, the most promising one first. The others are asked block by block, only as far as the push
+goes by those asked before, and no more once too many of them leave nothing of it. The search ends
+where the next proposal promises no more than the best one keeps.
 
-A push is planned so that the worst-case stability margin m(q) stays at m0 or above, where m0 is
-what was asked for, or less where the margin was thinner at the beginning. An observed pose is wrong
-by up to e, so that nothing is known to be amiss until
-
-    m_e(q) < m0 - e,
-
-where m_e also counts as held those cells that only just seem to be beyond the edge, by e or less.
-If that happens, something else happened than was planned: the object slipped, or somebody moved it.
+How a push under way is watched is in `push_monitor`. The theory is in `docs/theory/planning.md`,
+section 4.
 """
 
+import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
-from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
-from gridpush_drake.dynamics.push import Push, make_path_times
-from gridpush_drake.dynamics.simulation import calc_loads, simulate
+from gridpush_drake.dynamics.push import DEFAULT_TIP_STEP, Push
 from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
-from gridpush_drake.geometry.se2 import Array, transform_shape
-from gridpush_drake.notebook import MM
-from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, calc_goal_error
 from gridpush_drake.planning.model_rollouts import count_agreed, count_exceptions, count_kept
+from gridpush_drake.planning.pregrasp.edge_motion import COMPARED_TIP_STEP, follow_near_edge
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
 from gridpush_drake.planning.pregrasp.stability import (
     SUPPORT_INSET,
@@ -51,18 +44,14 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import (
     CHECK_EVERY,
     PoseRule,
+    PushChecker,
     PushConstraints,
-    make_body,
 )
 from gridpush_drake.planning.support_surface import SupportSurface
 
 OBSTACLE_MARGIN = 0.025
 """Least distance of object and finger from other things on the table that pushes are planned with,
 m: a push never ends quite where it is predicted to."""
-
-BREAK_OFF_DISTANCE = 0.015
-"""Distance between the object and another thing below which a push under way is broken off, m. Two
-pictures may pass before the finger stops, in which it moves by less."""
 
 FREE_OVERHANG = 1.0
 """How far cells may hang over the edge as far as the push search is concerned, m. What limits the
@@ -71,63 +60,8 @@ overhang is the stability margin."""
 ROUND_OFF_MARGIN = 1e-4
 """By how much a margin that is thin already may become thinner, m, for round-off."""
 
-
-@dataclass(frozen=True, eq=False)
-class EdgeMotion:
-    """What became of an object pushed near the edge.
-
-    Attributes:
-        poses: (K, 3) X_WB along the push, the first before it, m and rad; the last one is where the
-            object fell, if it did.
-        traveled: (K,) length of the pusher's path up to each pose, m.
-        fell: whether the object fell off the table.
-    """
-
-    poses: Array
-    traveled: Array
-    fell: bool
-
-    @property
-    def final_pose(self) -> Array:
-        """(3,) the last pose."""
-        return self.poses[-1]
-
-
-def simulate_near_edge(
-    obj: GridObject,
-    params: CellParameters,
-    push: Push,
-    pose: ArrayLike,
-    surface: SupportSurface,
-    physics: Physics = QUASI_STATIC,
-) -> EdgeMotion:
-    """Simulates a slow push of an object that may hang over the edge, up to where it falls.
-
-    Args:
-        obj: the object.
-        params: its masses and frictions.
-        push: the push.
-        pose: (3,) where it lies, X_WB, m and rad.
-        surface: the table.
-        physics: of the simulation, quasi-static.
-
-    Returns:
-        The motion.
-    """
-    q = np.asarray(pose, dtype=np.float64)
-    gravity = physics.gravity
-    # Without loads that bear it, the object falls where it lies.
-    if calc_loads(obj, params, q, surface.corners, gravity) is None:
-        return EdgeMotion(poses=q[None].copy(), traveled=np.zeros(1), fell=True)
-    times = make_path_times(push, physics.regime)
-    traveled = push.distance_at(times)
-    motion = simulate(obj, params, push, q, times=times, physics=physics, table=surface.corners)
-    fell = bool(motion.tips.any())
-    # The simulation says of every step whether the object tips in it, but not of the last pose.
-    if not fell and calc_loads(obj, params, motion.final_pose, surface.corners, gravity) is None:
-        return EdgeMotion(poses=motion.poses, traveled=traveled, fell=True)
-    count = int(np.argmax(motion.tips)) + 1 if fell else len(times)
-    return EdgeMotion(poses=motion.poses[:count], traveled=traveled[:count], fell=fell)
+BLOCK = 24
+"""Number of samples that are followed before it is looked how much of a push they leave."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +73,7 @@ class SlideOptions:
         inset: how far inside the edge a cell's center must be to hold, m.
         goals: number of goals, the best ones, that pushes are sought towards.
         proposals: number of proposed pushes that are tried on the samples, over all goals.
-        few: number of samples with which a proposal is tried before it is weighed with all.
+        few: number of samples with which proposals are sifted before any is weighed with all.
         confidence: share of the samples that must keep the margin; all of them where they are few.
         min_gain: by how much a push must bring the object nearer to its goal to be worth making,
             mean of the cells, m.
@@ -255,7 +189,8 @@ def plan_slide(
     options = options or SlideOptions()
     options = replace(options, contact=replace(options.contact, physics=physics))
     q = np.asarray(pose, dtype=np.float64)
-    # What a push must keep to: by the model in the search, and by every sample afterwards.
+    # What a push must keep to: by the model in the search, and by nearly all samples afterwards.
+    kept = calc_kept_margin(masses, q, surface, options.margin, options.inset)
     rule = make_stability_rule(masses, q, surface, options.margin, options.inset)
     constraints = PushConstraints(
         surface,
@@ -267,11 +202,6 @@ def plan_slide(
         finger_region=limits.finger_region,
         push_rule=limits.can_push,
     )
-    checker = constraints.start_at(masses.obj, q, options.contact.radius)
-
-    def allows(poses: Array) -> NDArray[np.bool_]:
-        return rule(poses) & checker.clears_obstacles(poses)
-
     # Proposals towards every goal, those first that the model has end nearest to their goal.
     proposals: list[tuple[PlannedPush, PreGraspGoal]] = []
     for goal in goals[: options.goals]:
@@ -281,184 +211,274 @@ def plan_slide(
         enough = plan.start_cost - options.min_gain
         proposals += [(push, goal) for push in plan.candidates if push.cost < enough]
     proposals.sort(key=lambda proposal: proposal[0].cost)
-    # The best proposal, once cut short.
+    weighing = _SlideWeighing(
+        masses=masses,
+        models=(params, *draws),
+        pose=q,
+        surface=surface,
+        kept_margin=kept - ROUND_OFF_MARGIN,
+        checker=constraints.start_at(masses.obj, q, options.contact.radius),
+        options=options,
+    )
+    return _choose_best(proposals[: options.proposals], weighing, constraints)
+
+
+def _choose_best(
+    proposals: Sequence[tuple[PlannedPush, PreGraspGoal]],
+    weighing: "_SlideWeighing",
+    constraints: PushConstraints,
+) -> Slide | None:
+    """Chooses the proposal that ends nearest to its goal by all samples.
+
+    Args:
+        proposals: pushes, and the goals that they go to.
+        weighing: says what the samples leave of a push.
+        constraints: say whether the arm can make a push.
+
+    Returns:
+        What is left of it; None where of none anything useful is.
+    """
+    # A queue of (how near to its goal a push is expected to end, its number, what few samples left
+    # of it), the nearest first. By more samples, and cut short, a push would hardly end nearer.
+    queue: list[tuple[float, int, _Sifted | None]] = [
+        (planned.cost, i, None) for i, (planned, _) in enumerate(proposals)
+    ]
+    heapq.heapify(queue)
     best: Slide | None = None
-    for planned, goal in proposals[: options.proposals]:
-        # By the samples, and cut short, a push would hardly end nearer than by the model alone.
-        if best is not None and planned.cost >= best.planned.cost:
+    while queue:
+        cost, i, sifted = heapq.heappop(queue)
+        if best is not None and cost >= best.planned.cost:
             break
-        # First with a few samples; what they leave of it then with all.
-        slide: Slide | None = None
-        for models in ((params, *draws[: options.few]), (params, *draws)):
-            slide = _cut_short(
-                planned=planned if slide is None else slide.planned,
-                goal=goal,
-                masses=masses,
-                models=models,
-                pose=q,
-                surface=surface,
-                rule=allows,
-                options=options,
-            )
-            if slide is None or (best is not None and slide.planned.cost >= best.planned.cost):
-                slide = None
-                break
-        if slide is not None and constraints.allows_push(slide.planned.push):
+        if sifted is None:
+            sifted = weighing.sift(*proposals[i])
+            if sifted is not None:
+                heapq.heappush(queue, (sifted.cost, i, sifted))
+            continue
+        slide = weighing.weigh(sifted)
+        if slide is None or (best is not None and slide.planned.cost >= best.planned.cost):
+            continue
+        if constraints.allows_push(slide.planned.push):
             best = slide
     return best
 
 
-def _cut_short(
-    planned: PlannedPush,
-    goal: PreGraspGoal,
-    masses: PlausibleMassSet,
-    models: Sequence[CellParameters],
-    pose: Array,
-    surface: SupportSurface,
-    rule: PoseRule,
-    options: SlideOptions,
-) -> Slide | None:
-    """Cuts a push to what is safe by the models, and of that to what ends nearest.
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """What a push does by some models, at C places where it may be cut.
 
-    Args:
-        planned: the push.
-        goal: that it goes to.
-        masses: that the object may have.
-        models: M models that the push is simulated with, the estimate first.
-        pose: (3,) where the object lies.
-        surface: the table.
-        rule: which poses are allowed, whichever model is true.
-        options: what is worth pushing for.
-
-    Returns:
-        The part; None where nothing useful is left of the push.
+    Attributes:
+        poses: (M, C, 3) X_WB, m and rad.
+        margins: (M, C) stability margins there, m.
+        upright: (M,) number of places, from the first on, at which the object has not fallen.
+        kept: (M,) number of places, from the first on, at which the rules are kept.
     """
-    obj = masses.obj
-    shortest = options.contact.distance_range[0]
-    # Distances, every few millimeters, at which the push may be cut.
-    cuts = np.unique(np.append(np.arange(0.0, planned.distance, CHECK_EVERY), planned.distance))
-    paths = np.empty((len(models), len(cuts), 3))
-    for m, model in enumerate(models):
-        motion = simulate_near_edge(
-            obj, model, planned.push, pose, surface, options.contact.physics
+
+    poses: Array
+    margins: Array
+    upright: IntArray
+    kept: IntArray
+
+    def add(self, other: "_Followed") -> "_Followed":
+        """Adds further models; all are looked at where these are."""
+        C = other.poses.shape[1]
+        return _Followed(
+            poses=np.concatenate([self.poses[:, :C], other.poses]),
+            margins=np.concatenate([self.margins[:, :C], other.margins]),
+            upright=np.minimum(np.concatenate([self.upright, other.upright]), C),
+            kept=np.minimum(np.concatenate([self.kept, other.kept]), C),
         )
-        for i in range(3):
-            paths[m, :, i] = np.interp(cuts, motion.traveled, motion.poses[:, i])
-        # By no model may the object fall.
-        if motion.fell:
-            cuts = cuts[cuts < motion.traveled[-1]]
-            paths = paths[:, : len(cuts)]
-        if not (cuts >= shortest).any():
-            return None
-    # The estimate, and nearly all of the other models, keep the rule up to the cut.
-    held = rule(paths.reshape(-1, 3)).reshape(paths.shape[:2])
-    cuts = cuts[: count_agreed(count_kept(held), options.confidence)]
-    if not (cuts >= shortest).any():
-        return None
-    # Of the cuts that are left, the one that ends nearest to the goal on the models' average.
-    ends = paths[:, : len(cuts)]
-    mean_costs = calc_goal_error(obj, ends, goal.pose).mean(axis=0)
-    costs = np.where(cuts >= shortest, mean_costs, np.inf)
-    best = int(np.argmin(costs))
-    start_cost = float(calc_goal_error(obj, pose, goal.pose))
-    if costs[best] > start_cost - options.min_gain:
-        return None
-    distance = float(cuts[best])
-    push = Push.on_outline(
-        obj,
-        planned.arc_length,
-        planned.angle,
-        distance,
-        radius=planned.push.radius,
-        speed=planned.push.length / planned.push.duration,
-        pose=pose,
-        clearance=options.contact.clearance,
-    )
-    cells = obj.cells_at(ends[:, best])
-    spread = float(np.sqrt(((cells - cells.mean(axis=0)) ** 2).sum(axis=2).mean()))
-    on_the_way = ends[:, : best + 1].reshape(-1, 3)
-    margins = calc_stability_margins(masses, on_the_way, surface, options.inset)
-    by_models = np.sort(margins.reshape(len(models), -1).min(axis=1))
-    exceptions = count_exceptions(len(models) - 1, options.confidence)
-    cut = replace(
-        planned, distance=distance, push=push, pose=ends[0, best], cost=float(costs[best])
-    )
-    return Slide(planned=cut, goal=goal, margin=float(by_models[exceptions]), spread=spread)
 
 
 @dataclass(frozen=True, eq=False)
-class PushMonitor:
-    """Watches one push, by what it was planned with.
+class _Sifted:
+    """A proposal as a few samples see it.
+
+    Attributes:
+        planned: the push.
+        goal: that it goes to.
+        cuts: (C,) lengths at which it may be cut, up to the best one by these samples, m.
+        followed: what it does by the estimate and these samples.
+        cost: how far from the goal the cells are there on their average, m.
+    """
+
+    planned: PlannedPush
+    goal: PreGraspGoal
+    cuts: Array
+    followed: _Followed
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class _SlideWeighing:
+    """Says what models leave of a push.
 
     Attributes:
         masses: that the object may have.
+        models: the estimate, then the samples.
+        pose: (3,) where the object lies, X_WB, m and rad.
         surface: the table.
-        margin: m0, the stability margin that the push was planned to keep, m.
-        inset: how far inside the edge a cell's center must be to hold, m.
-        error: e, by how much an observed pose may be wrong, m.
-        obstacles: other things on the table, as one shape in W; None for none.
-        room: least distance from them that the object keeps, m.
+        kept_margin: least stability margin, m.
+        checker: of the obstacles.
+        options: what is worth pushing for, and what must hold.
     """
 
     masses: PlausibleMassSet
+    models: Sequence[CellParameters]
+    pose: Array
     surface: SupportSurface
-    margin: float
-    inset: float
-    error: float
-    obstacles: BaseGeometry | None = None
-    room: float = 0.0
+    kept_margin: float
+    checker: PushChecker
+    options: SlideOptions
 
-    @classmethod
-    def of_push(
-        cls,
-        masses: PlausibleMassSet,
-        surface: SupportSurface,
-        pose: Array,
-        options: SlideOptions,
-        error: float,
-        obstacles: Sequence[Polygon] = (),
-    ) -> "PushMonitor":
-        """Makes the monitor of a push that was planned with `options`.
+    def sift(self, planned: PlannedPush, goal: PreGraspGoal) -> _Sifted | None:
+        """Cuts a push to what is safe by a few samples, and of that to what ends nearest.
 
         Args:
-            masses: that the object may have.
-            surface: the table.
-            pose: (3,) where the push begins, X_WB, m and rad.
-            options: that the push was planned with.
-            error: by how much an observed pose may be wrong, m.
-            obstacles: what else lies on the table, polygons in W, m. Where the object begins nearer
-                to one than pushes are broken off at, it must not come nearer still.
-        """
-        others = None
-        room = 0.0
-        if obstacles:
-            others = shapely.union_all(list(obstacles))
-            at_start = transform_shape(pose, make_body(masses.obj)).distance(others)
-            room = min(BREAK_OFF_DISTANCE, at_start - error)
-        return cls(
-            masses=masses,
-            surface=surface,
-            margin=calc_kept_margin(masses, pose, surface, options.margin, options.inset),
-            inset=options.inset,
-            error=error,
-            obstacles=others,
-            room=room,
-        )
-
-    def find_fault(self, pose: Array) -> str | None:
-        """Says why the push should not go on.
-
-        Args:
-            pose: (3,) where the object is seen, X_WB, m and rad.
+            planned: the push.
+            goal: that it goes to.
 
         Returns:
-            The reason in half a sentence; None where the push may go on.
+            What is left; None where nothing useful is.
         """
-        if self.obstacles is not None:
-            gap = transform_shape(pose, make_body(self.masses.obj)).distance(self.obstacles)
-            if gap < self.room:
-                return f"the object is {gap * MM:.0f} mm from another one"
-        margin = calc_stability_margin(self.masses, pose, self.surface, self.inset - self.error)
-        if margin >= self.margin - self.error:
+        # Distances, every few millimeters, at which the push may be cut.
+        cuts = np.unique(np.append(np.arange(0.0, planned.distance, CHECK_EVERY), planned.distance))
+        # The estimate in steps as short as ever, for it says where the object is expected.
+        estimate = self._follow(self.models[:1], planned, cuts, DEFAULT_TIP_STEP)
+        few = self.models[1 : 1 + self.options.few]
+        followed = estimate.add(self._follow(few, planned, cuts, COMPARED_TIP_STEP))
+        best = self._find_best_cut(followed, goal, cuts, len(few))
+        if best is None:
             return None
-        return f"the object might fall, its stability margin is {margin * MM:.0f} mm at the worst"
+        end, cost = best
+        return _Sifted(planned, goal, cuts=cuts[:end], followed=followed, cost=cost)
+
+    def weigh(self, sifted: _Sifted) -> Slide | None:
+        """Cuts to what is safe by all samples, and of that to what ends nearest.
+
+        Args:
+            sifted: what a few samples left of a push.
+
+        Returns:
+            What is left; None where nothing useful is.
+        """
+        cuts = sifted.cuts
+        draws = len(self.models) - 1
+        followed = sifted.followed
+        rest = self.models[len(followed.poses) :]
+        for begin in range(0, len(rest), BLOCK):
+            block = rest[begin : begin + BLOCK]
+            followed = followed.add(self._follow(block, sifted.planned, cuts, COMPARED_TIP_STEP))
+            cuts = cuts[: self._count_safe(followed, draws)]
+            if not self._are_long_enough(cuts).any():
+                return None
+        best = self._find_best_cut(followed, sifted.goal, cuts, draws)
+        return (
+            None if best is None else self._make_slide(sifted, followed, cuts[: best[0]], best[1])
+        )
+
+    def _follow(
+        self,
+        models: Sequence[CellParameters],
+        planned: PlannedPush,
+        cuts: Array,
+        tip_step: float,
+    ) -> _Followed:
+        """Follows a push up to its last cut by some models; there may be none."""
+        motions = follow_near_edge(
+            obj=self.masses.obj,
+            models=models,
+            push=self._make_push(planned, float(cuts[-1])),
+            pose=self.pose,
+            surface=self.surface,
+            places=cuts,
+            physics=self.options.contact.physics,
+            tip_step=tip_step,
+        )
+        flat = motions.poses.reshape(-1, 3)
+        margins = calc_stability_margins(self.masses, flat, self.surface, self.options.inset)
+        held = (margins >= self.kept_margin) & self.checker.clears_obstacles(flat)
+        shape = motions.poses.shape[:2]
+        return _Followed(
+            poses=motions.poses,
+            margins=margins.reshape(shape),
+            upright=motions.counts,
+            kept=count_kept(held.reshape(shape)),
+        )
+
+    def _make_push(self, planned: PlannedPush, distance: float) -> Push:
+        """Makes the first part of a push, of a distance, m."""
+        return Push.on_outline(
+            self.masses.obj,
+            planned.arc_length,
+            planned.angle,
+            distance,
+            radius=planned.push.radius,
+            speed=planned.push.length / planned.push.duration,
+            pose=self.pose,
+            clearance=self.options.contact.clearance,
+        )
+
+    def _are_long_enough(self, cuts: Array) -> NDArray[np.bool_]:
+        """Whether a push cut there is long enough to be made."""
+        return np.asarray(cuts >= self.options.contact.distance_range[0])
+
+    def _count_safe(self, followed: _Followed, draws: int) -> int:
+        """Counts the cuts that are safe by the models followed so far.
+
+        By no model may the object fall; the estimate, and nearly all of the others, keep the rules.
+
+        Args:
+            followed: what the push does by the estimate and some samples.
+            draws: number of samples that there will be; those not followed yet allow all.
+        """
+        kept = np.full(1 + draws, followed.poses.shape[1])
+        kept[: len(followed.kept)] = followed.kept
+        return min(int(followed.upright.min()), count_agreed(kept, self.options.confidence))
+
+    def _find_best_cut(
+        self, followed: _Followed, goal: PreGraspGoal, cuts: Array, draws: int
+    ) -> tuple[int, float] | None:
+        """Finds the safe cut that ends nearest to the goal on the models' average.
+
+        Args:
+            followed: what the push does by the models.
+            goal: that it goes to.
+            cuts: (C,) where it may be cut, m.
+            draws: number of samples among the models.
+
+        Returns:
+            Number of cuts up to that one, and how far from the goal the cells are there, m; None
+            where none is worth a push.
+        """
+        obj = self.masses.obj
+        cuts = cuts[: self._count_safe(followed, draws)]
+        useful = self._are_long_enough(cuts)
+        if not useful.any():
+            return None
+        mean_costs = calc_goal_error(obj, followed.poses[:, : len(cuts)], goal.pose).mean(axis=0)
+        costs = np.where(useful, mean_costs, np.inf)
+        best = int(np.argmin(costs))
+        start_cost = float(calc_goal_error(obj, self.pose, goal.pose))
+        if costs[best] > start_cost - self.options.min_gain:
+            return None
+        return best + 1, float(costs[best])
+
+    def _make_slide(self, sifted: _Sifted, followed: _Followed, cuts: Array, cost: float) -> Slide:
+        """Makes the push that goes up to the last of some cuts, (C,), m."""
+        count = len(cuts)
+        ends = followed.poses[:, count - 1]
+        cells = self.masses.obj.cells_at(ends)
+        spread = float(np.sqrt(((cells - cells.mean(axis=0)) ** 2).sum(axis=2).mean()))
+        by_models = np.sort(followed.margins[:, :count].min(axis=1))
+        exceptions = count_exceptions(len(self.models) - 1, self.options.confidence)
+        distance = float(cuts[-1])
+        planned = replace(
+            sifted.planned,
+            distance=distance,
+            push=self._make_push(sifted.planned, distance),
+            pose=ends[0].copy(),
+            cost=cost,
+        )
+        return Slide(
+            planned=planned, goal=sifted.goal, margin=float(by_models[exceptions]), spread=spread
+        )

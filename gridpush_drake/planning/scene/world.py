@@ -6,8 +6,8 @@ which is lifted between pushes and travels over the objects.
 
 An object falls where its center of mass leaves the convex hull of what lies on the table. If it is
 pushed alone, with a part over the edge, its loads shift as they do there
-(`planning.pregrasp.slides.simulate_near_edge`); where objects push each other, the support presses
-as if there were no edge. A fallen object is not seen any more, and touches nothing.
+(`planning.pregrasp.edge_motion.simulate_near_edge`); where objects push each other, the support
+presses as if there were no edge. A fallen object is not seen any more, and touches nothing.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.planning.pregrasp.slides import simulate_near_edge
+from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import OBSERVATIONS, REGIME, CenterOfMassSupport
 from gridpush_drake.pushes.scene_log import ObservedScenePush

@@ -12,6 +12,7 @@ from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.decision import PokeForecast, PreGraspOptions
+from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import (
     GOAL_ROOM,
     ArmLimits,
@@ -25,13 +26,12 @@ from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std, suggest_poke
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlanStatus, plan_pregrasp
+from gridpush_drake.planning.pregrasp.push_monitor import PushMonitor
 from gridpush_drake.planning.pregrasp.slides import (
     OBSTACLE_MARGIN,
-    PushMonitor,
     SlideOptions,
     make_stability_rule,
     plan_slide,
-    simulate_near_edge,
 )
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin, calc_stability_margins
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
