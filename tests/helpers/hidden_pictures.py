@@ -1,18 +1,33 @@
 """Pictures of objects that a tip pushes while an arm hides them."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 
+from gridpush_drake.perception import Frame
 from tests.helpers.pictures import make_camera, paint
 
 HEIGHT, PERIOD, ARM = 0.03, 0.1, 7
 WIDTH, ROWS = 640, 480
 HIDDEN = (0.05, 1.65)
 """When the arm hides everything, s."""
+
+
+@lru_cache(maxsize=64)
+def paint_prisms(prisms: tuple[tuple[bytes, bytes], ...], seed: int) -> Frame:
+    """Paints objects (outline, pose), each as the bytes of its numbers; each picture only once.
+
+    Color and depth are of one picture, and several runs show the same pictures.
+    """
+    painted = [
+        (np.frombuffer(outline).reshape(-1, 2), np.frombuffer(pose), HEIGHT, (150, 120, 80))
+        for outline, pose in prisms
+    ]
+    return paint(make_camera(), painted, seed=seed)
 
 
 class HiddenPictures(LeafSystem):
@@ -39,11 +54,11 @@ class HiddenPictures(LeafSystem):
 
     def _take(self, context: Context):
         time = context.get_time()
-        prisms = [
-            (outline, pose, HEIGHT, (150, 120, 80))
+        prisms = tuple(
+            (outline.tobytes(), np.asarray(pose).tobytes())
             for outline, pose in zip(self._outlines, self._calc_poses(time), strict=True)
-        ]
-        return paint(make_camera(), prisms, seed=round(time / PERIOD))
+        )
+        return paint_prisms(prisms, round(time / PERIOD))
 
     def _show_color(self, context: Context, output) -> None:
         image = ImageRgba8U(WIDTH, ROWS)
