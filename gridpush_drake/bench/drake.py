@@ -429,7 +429,7 @@ STATION = Task(
 
 STUDY = Study(
     name="drake",
-    help="Set Drake's plant beside the grid LCP, time the LCP system, and let the whole "
+    help="Compare Drake's plant with the grid LCP, time the LCP system, and let the whole "
     "station learn.",
     options=Options,
     shorten=shorten,

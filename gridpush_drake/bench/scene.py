@@ -264,8 +264,8 @@ def shorten(options: Options) -> Options:
 
 STUDY = Study(
     name="scene",
-    help="Set Drake's plant and MuJoCo beside the model of objects that push each other, learn "
-    "them together, and time their pushes.",
+    help="Compare the model of objects that push each other with Drake's plant and MuJoCo, learn "
+    "such objects together, and time their pushes.",
     options=Options,
     measure=measure_scenes,
     tasks=(

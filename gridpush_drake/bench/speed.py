@@ -421,8 +421,8 @@ def _row(name: str, timing: Timing, ratio: float) -> list[Value]:
 
 STUDY = Study(
     name="speed",
-    help="Time a push, its gradient, MuJoCo beside, the cost against the number of cells, "
-    "identification, decisions and start-up.",
+    help="Time a push and its gradient, the same push in MuJoCo, pushes of ever more cells, "
+    "identifications, decisions and start-up.",
     options=Options,
     measure=measure_all,
 )

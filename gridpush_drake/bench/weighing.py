@@ -45,7 +45,7 @@ from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, 
 from gridpush_drake.pushes.weighings import WeighingLog
 
 SCALE = "scale"
-"""Name of the part that weighs an object at rest after rest."""
+"""Name of the part that weighs an object in one place at the edge after another."""
 
 AT_EDGE = "edge"
 """Name of the part that weighs an object on the way to where it can be grasped."""
@@ -209,8 +209,8 @@ class Options(StudyOptions):
     truths: int = option(TRUTHS, "Hidden truths of each object.", least=1)
     part: Literal["all", "scale", "edge"] = option(
         "all",
-        "Which part to measure: scale weighs an object at rest after rest, edge weighs it on the "
-        "way to where it can be grasped.",
+        "Which part to measure: scale weighs an object in one place at the edge after another; "
+        "edge weighs it on the way to where it can be grasped.",
     )
 
     @property

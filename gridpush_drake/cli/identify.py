@@ -74,8 +74,8 @@ def identify(
             help="Another object that is in the log, too; may be repeated. All are learned "
             "together from pushes in which one pushes another, and each gets a model file of its "
             "own, MODEL_NAME.yaml. The log has the columns NAME_x, NAME_y and NAME_theta for each; "
-            "NAME= may be left out if it is the object's own name, and stands before OBJECT.yaml "
-            "alike.",
+            "NAME= may be left out if it is the object's own name. The first object's name may "
+            "stand before OBJECT.yaml in the same way.",
         ),
     ] = None,
     method: Annotated[

@@ -87,7 +87,7 @@ Sheet = Annotated[
         metavar="NAME",
         help="A blank sheet of paper that lies flat on the table: a3, a4, a5 or letter. The object "
         "lies beside it or on it. It tells the scale and where the camera is, so that a phone's "
-        "photograph does, taken at a slant of 20 to 50 degrees.",
+        "photograph is enough, if it is taken at a slant of 20 to 50 degrees.",
         show_default=False,
     ),
 ]
@@ -129,8 +129,8 @@ def make_object(
         typer.Option(
             min=1e-4,
             metavar="M",
-            help="Height of the object above the table, m. Needed without --depth, for the top of "
-            "a high object seems larger than its foot.",
+            help="Height of the object above the table, m. Needed without --depth, because the "
+            "top of a high object is nearer to the camera and looks larger than its foot.",
             show_default="as --depth shows it",
         ),
     ] = None,
@@ -198,8 +198,8 @@ def make_object(
 ) -> None:
     """Find the object in a photograph, and write an object file for it.
 
-    The file holds the object's outline, its cells and its height. The object is told from the table
-    by its color and, with --depth, by its height.
+    The file holds the object's outline, its cells and its height. The object is distinguished from
+    the table by its color and, with --depth, by its height.
 
     Example: gridpush object photo.png --depth depth.png --camera camera.yaml --out object.yaml
     """

@@ -79,8 +79,8 @@ def view(
         typer.Option(
             "--with",
             metavar="\\[NAME=]MODEL.yaml|OBJECT",
-            help="An object of a log of several, by the name that its columns begin with; to be "
-            "repeated for each of them, with its model or only the object.",
+            help="For a log of several objects: the model or the object file of one of them, after "
+            "the name with which its columns in the log begin. The option is repeated for each.",
         ),
     ] = None,
     shows: Annotated[

@@ -13,8 +13,8 @@ from gridpush_drake.cli.lazy_group import LazyCommand, LazyGroup, make_single
 BENCHES: dict[str, LazyCommand] = {
     "speed": LazyCommand(
         "gridpush_drake.bench.speed:STUDY",
-        "Time a push, its gradient, MuJoCo beside, the cost against the number of cells, "
-        "identification, decisions and start-up.",
+        "Time a push and its gradient, the same push in MuJoCo, pushes of ever more cells, "
+        "identifications, decisions and start-up.",
     ),
     "paper": LazyCommand(
         "gridpush_drake.bench.paper_figures:STUDY",
@@ -60,13 +60,13 @@ BENCHES: dict[str, LazyCommand] = {
     ),
     "drake": LazyCommand(
         "gridpush_drake.bench.drake:STUDY",
-        "Set Drake's plant beside the grid LCP, time the LCP system, and let the whole "
+        "Compare Drake's plant with the grid LCP, time the LCP system, and let the whole "
         "station learn.",
     ),
     "scene": LazyCommand(
         "gridpush_drake.bench.scene:STUDY",
-        "Set Drake's plant and MuJoCo beside the model of objects that push each other, learn them "
-        "together, and time their pushes.",
+        "Compare the model of objects that push each other with Drake's plant and MuJoCo, learn "
+        "such objects together, and time their pushes.",
     ),
     "scene-tasks": LazyCommand(
         "gridpush_drake.bench.scene_tasks:STUDY",
