@@ -1,3 +1,5 @@
+from functools import lru_cache
+
 import cv2
 import numpy as np
 import pytest
@@ -38,6 +40,12 @@ def detect(prisms, options=None, camera=None, use_depth=True, **painting):
     camera = camera or make_camera()
     frame = paint(camera, prisms, depth=use_depth, **painting)
     return detect_object(frame.color, frame.depth, camera, options)
+
+
+@lru_cache(maxsize=1)
+def find_plain():
+    """What is found of the L alone, by color and depth."""
+    return detect([(L_SHAPE, POSE, HEIGHT, BROWN)])
 
 
 @pytest.mark.parametrize("use_depth", [True, False], ids=["depth", "color"])
@@ -138,7 +146,7 @@ def test_without_X_WC_depth_gives_the_world():
 
 
 def test_cells_fill_the_outline_in_the_body_frame():
-    found = detect([(L_SHAPE, POSE, HEIGHT, BROWN)])
+    found = find_plain()
     obj = found.make_grid_object(0.01, "l_shape")
     assert abs(obj.cell_size / 0.01 - 1) < 0.2
     assert obj.height == found.height
@@ -168,7 +176,7 @@ def test_parts_are_told_apart_by_color():
 
 
 def test_cells_too_small_to_be_counted_are_refused():
-    found = detect([(L_SHAPE, POSE, HEIGHT, BROWN)])
+    found = find_plain()
     with pytest.raises(
         ObjectError,
         match=r"^plate: cells of 0\.0001 m are .*; expected at most 10000, so of at least",
