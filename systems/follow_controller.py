@@ -2,8 +2,9 @@
 
 It waits until the object was poked and learned, plans a path around whatever stands on the table,
 has the finger come down beside the object, and steers it ten times a second. How it steers is
-decided by `planning.feedback.PushFollower`. The pokes are another system's affair (`PokePolicy`),
-and so is how the finger comes down and moves (`SteerExecutor`).
+decided by `planning.feedback.PushFollower`, and what takes long is calculated by the functions of
+`planning.feedback.follow_calculations`. The pokes are another system's affair (`PokePolicy`), and
+so is how the finger comes down and moves (`SteerExecutor`).
 
 `FeedbackPushController` is the bare follower between ports, for a finger that is on the table
 already and calculations that take no time.

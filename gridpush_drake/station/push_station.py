@@ -2,7 +2,8 @@
 
 The robot knows the object's outline. The true masses and frictions of the object's cells go to the
 plant alone. All other systems know the object through its camera, and the finger's tip through the
-arm's joints. What a simulated and a real station share is in `station.station`.
+arm's joints. The plant with the truth is made in `station.station_plant`, the sensors in
+`station.sensors`. What a simulated and a real station share is in `station.station`.
 """
 
 import numpy as np

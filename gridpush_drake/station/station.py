@@ -2,8 +2,9 @@
 
 `AddRobotControl` adds the part of a station that is the same for both: the executors of pushes and
 grasps, the inverse kinematics and the identifier. Its inputs say where the tip and the object are;
-its outputs say where the arm's joints and the gripper should be. The simulated station is in
-`station.push_station`, the real one in `station.lcm.hardware_station`.
+its outputs say where the arm's joints and the gripper should be. What a station knows of robot and
+table is in `station.setting`, and where its finger may be in `station.finger_region`. The simulated
+station is in `station.push_station`, the real one in `station.lcm.hardware_station`.
 """
 
 from collections.abc import Callable

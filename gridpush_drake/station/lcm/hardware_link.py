@@ -14,7 +14,7 @@ Messages in both directions pass through here. What comes in passes a `Channel`:
 cannot be used is left out and counted, so that the station's systems never see one. If the robot's
 clock jumps, the arm is stopped for good, as if the robot were silent. Whatever fails in the loop,
 `finish` brings the arm to rest: by the guard if that still works, else by itself from the last
-commands. Until `armed`, no command goes out.
+commands. Until `armed`, no command goes out. A `LinkReport` says how a run went.
 """
 
 import traceback

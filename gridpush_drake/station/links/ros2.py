@@ -17,7 +17,8 @@ Topics are relative names, so that namespaces and remapping work as ROS users ex
 
 Statuses are received by best effort, which takes both kinds of publishers, and images reliably
 where their publisher offers it. Commands are sent reliably, as ros2_control's controllers want
-them. Nothing of ROS is imported before a link is made.
+them. Nothing of ROS is imported before a link is made. The names of topics stand in `ros2_topics`;
+messages are read by `ros2_reader` and written by `ros2_writer`, and this file has the node itself.
 """
 
 from collections.abc import Callable, Sequence
