@@ -19,6 +19,7 @@ from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.finger_region import make_steer_region
+from gridpush_drake.station.goal_check import check_place
 from gridpush_drake.station.identify_task import make_policy
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.push_task import EDGE_MARGIN, AddGoal
@@ -308,18 +309,7 @@ def check_way(obj: GridObject, rules: FollowRules) -> None:
     if rules.path is not None:
         places = {f"follow.path[{at}]": pose for at, pose in enumerate(rules.path.poses)}
     for name, pose in places.items():
-        x, y, theta = pose.tolist()
-        on_table, blocked = rules.constraints.allow_pose(obj, pose)
-        if not on_table:
-            raise ScenarioError(
-                f"{name} is [{x:g}, {y:g}, {theta:g}]: there the object is nearer than "
-                f"{rules.constraints.edge_margin:g} m to the table's edge; expected it farther in"
-            )
-        if blocked:
-            raise ScenarioError(
-                f"{name} is [{x:g}, {y:g}, {theta:g}]: there the object is nearer than "
-                f"{rules.constraints.obstacle_margin:g} m to an obstacle; expected room"
-            )
+        check_place(name, obj, pose, rules.constraints)
 
 
 def calc_shown_age(scenario: PushScenario) -> float:

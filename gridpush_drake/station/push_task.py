@@ -15,6 +15,7 @@ from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.finger_region import MakeFingerRegion
+from gridpush_drake.station.goal_check import check_place, check_reach
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -105,7 +106,7 @@ class PushTask(StationTask[PushTaskRecord]):
             make_station: makes the station; a simulated one by default.
 
         Raises:
-            ScenarioError: the scenario makes no sense.
+            ScenarioError: the scenario makes no sense, or the object cannot be brought to its goal.
             StationError: nothing can be rendered on this computer; or see `MakeHardwareStation`.
         """
         resolved = resolve(scenario)
@@ -115,12 +116,15 @@ class PushTask(StationTask[PushTaskRecord]):
             make_station(resolved, meshcat, show_object=False, learning=Learning())
         )
         self.surface = make_surface(station.table_top)
+        rules = make_rules(station, self.surface)
+        # A goal that no push can reach is refused before the robot begins.
+        check_goal(station.obj, np.array(scenario.goal.pose), rules)
         goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))
         self.controller = builder.AddNamedSystem(
             "controller",
             ContactPointController(
                 station.obj,
-                make_rules(station, self.surface),
+                rules,
                 answer_delay=scenario.simulation.answer_delay,
             ),
         )
@@ -188,6 +192,25 @@ def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
     return GoalRules(
         constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes
     )
+
+
+def check_goal(obj: GridObject, goal: Array, rules: GoalRules) -> None:
+    """Checks what can be known of a goal before the robot begins.
+
+    Args:
+        obj: the object.
+        goal: (3,) X_WB, m and rad.
+        rules: by which it is pushed.
+
+    Raises:
+        ScenarioError: at the goal the object would hang over the table's edge or be near to it,
+            touch an obstacle, or lie where the finger does not come to it.
+    """
+    check_place("goal.pose", obj, goal, rules.constraints)
+    # Without a region the finger comes everywhere.
+    if rules.constraints.finger_region is not None:
+        region = rules.constraints.finger_region
+        check_reach("goal.pose", obj, goal, region, rules.contact.radius)
 
 
 def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float) -> None:

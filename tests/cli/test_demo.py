@@ -399,6 +399,11 @@ posts: [{position: [0.60, 0.32]}]
 goal: {pose: [0.60, 0.32, 1.5708]}
 """
 
+GOAL_OFF_THE_TABLE = """
+object: pliers
+goal: {pose: [3.0, 0.0, 0.0]}
+"""
+
 ONE_GOAL_FOR_TWO = """
 objects:
 - {object: claw_hammer, pose: [0.56, -0.1, 0.0], goal: [0.5, 0.2, 0]}
@@ -410,6 +415,8 @@ objects:
     ("task", "text", "says"),
     [
         ("follow", GOAL_ON_A_POST, "goal.pose is [0.6, 0.32, 1.5708]: there the object is nearer"),
+        ("push", GOAL_OFF_THE_TABLE, "goal.pose is [3, 0, 0]: there the object is nearer"),
+        ("follow", GOAL_OFF_THE_TABLE, "goal.pose is [3, 0, 0]: there the object is nearer"),
         ("separate", "object: pliers\n", "others: empty; expected other objects on the table"),
         ("rearrange", ONE_GOAL_FOR_TWO, "goals: that of claw_hammer and that of pliers overlap"),
     ],

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 
+from gridpush_drake.errors import ScenarioError
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.station.push_task import PushTask
-from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario import PostConfig, PushScenario
 from gridpush_drake.station.task import TaskStatus
 
 
@@ -76,14 +77,26 @@ def test_ends_when_the_object_falls_and_when_nobody_waits():
 
 
 @pytest.mark.parametrize(
-    ("goal", "cause"),
-    [([0.6, 0.58, 0.0], "goal_off_table"), ([0.6, -0.5, 0.0], "goal_out_of_reach")],
+    ("goal", "says"),
+    [
+        (
+            [0.6, 0.58, 0.0],
+            r"0.58, 0\]: there the object is nearer than 0.03 m to the table's edge",
+        ),
+        ([3.0, 0.0, 0.0], r"goal.pose is \[3, 0, 0\].*or beyond it; expected \[x, y, theta\]"),
+        ([0.6, -0.5, 0.0], "there the finger does not come to the object; .* the robot's reach"),
+    ],
 )
-def test_says_why_a_goal_is_out_of_the_question(goal, cause):
+def test_refuses_a_goal_that_is_out_of_the_question(goal, says):
     scenario = make_scenario(object="pliers")
     scenario.goal.pose = goal
-    record = PushTask(scenario).run()
-    assert (record.status, record.last.cause, record.pushes) == (TaskStatus.FAILED, cause, 0), (
-        record.message
-    )
-    assert record.duration < 2.0
+    with pytest.raises(ScenarioError, match=says):
+        PushTask(scenario)
+
+
+def test_refuses_a_goal_on_a_post():
+    scenario = make_scenario(object="pliers")
+    scenario.posts = [PostConfig(position=[0.6, 0.2])]
+    scenario.goal.pose = [0.6, 0.2, 0.0]
+    with pytest.raises(ScenarioError, match=r"to an obstacle; expected .* clear of all of them"):
+        PushTask(scenario)
