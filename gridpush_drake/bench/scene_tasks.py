@@ -49,7 +49,7 @@ from gridpush_drake.planning.scene.loop import (
 )
 from gridpush_drake.planning.scene.random_scenes import FRICTION_RANGE, heap_up, hide, scatter
 from gridpush_drake.planning.scene.rearrangement import FINE, RearrangeOptions, RearrangePlanner
-from gridpush_drake.planning.scene.search import SceneRules
+from gridpush_drake.planning.scene.rules import SceneRules
 from gridpush_drake.planning.scene.separation import MARGIN, SeparatePlanner, calc_clearances
 from gridpush_drake.planning.scene.world import SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface

@@ -24,7 +24,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.scene.random_scenes import hide, scatter
 from gridpush_drake.planning.scene.rearrangement import RearrangePlanner
-from gridpush_drake.planning.scene.search import place_outlines
+from gridpush_drake.planning.scene.rules import place_outlines
 from gridpush_drake.planning.scene.world import SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
 

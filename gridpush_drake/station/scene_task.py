@@ -33,13 +33,14 @@ from gridpush_drake.planning.scene.loop import (
     ScenePlanner,
 )
 from gridpush_drake.planning.scene.rearrangement import RearrangeOptions, RearrangePlanner
+from gridpush_drake.planning.scene.rules import SceneRules
 from gridpush_drake.planning.scene.scene_loop import (
     FindSceneGrasp,
     SceneLoop,
     SceneMode,
     SceneStatus,
 )
-from gridpush_drake.planning.scene.search import SceneRules, SceneSearchOptions
+from gridpush_drake.planning.scene.search import SceneSearchOptions
 from gridpush_drake.planning.scene.separation import SeparatePlanner, calc_clearances
 from gridpush_drake.pushes.scene_log import ObservedScenePush
 from gridpush_drake.station.finger_region import MakeFingerRegion

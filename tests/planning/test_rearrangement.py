@@ -18,7 +18,8 @@ from gridpush_drake.planning.scene.rearrangement import (
     RearrangePlanner,
 )
 from gridpush_drake.planning.scene.rollouts import SceneRollouts
-from gridpush_drake.planning.scene.search import SceneRules, SceneSearch, SceneSearchOptions
+from gridpush_drake.planning.scene.rules import SceneRules
+from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 from gridpush_drake.planning.scene.world import SceneWorld, SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.random_pushes import make_random_contents

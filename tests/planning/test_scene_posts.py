@@ -13,14 +13,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import SceneAction, run_scene_task
 from gridpush_drake.planning.scene.rearrangement import RearrangeOptions, RearrangePlanner
-from gridpush_drake.planning.scene.search import (
-    POST_LEEWAY,
-    POST_MARGIN,
-    SceneRules,
-    SceneSearch,
-    SceneSearchOptions,
-    place_outlines,
-)
+from gridpush_drake.planning.scene.rules import POST_LEEWAY, POST_MARGIN, SceneRules, place_outlines
+from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 from gridpush_drake.planning.scene.separation import SeparatePlanner
 from gridpush_drake.planning.scene.world import SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface

@@ -10,7 +10,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.loop import SceneAction, run_scene_task
-from gridpush_drake.planning.scene.search import SceneRules
+from gridpush_drake.planning.scene.rules import SceneRules
 from gridpush_drake.planning.scene.separation import (
     SeparatePlanner,
     SeparationOptions,

@@ -21,13 +21,13 @@ from .rearrangement import RearrangePlanner as RearrangePlanner
 from .rearrangement import check_goals as check_goals
 from .rollouts import Rollout as Rollout
 from .rollouts import SceneRollouts as SceneRollouts
+from .rules import SceneRules as SceneRules
 from .scene_loop import SceneLoop as SceneLoop
 from .scene_loop import SceneLoopState as SceneLoopState
 from .scene_loop import SceneMode as SceneMode
 from .scene_loop import SceneObservation as SceneObservation
 from .scene_loop import SceneStatus as SceneStatus
-from .search import ScenePush as ScenePush
-from .search import SceneRules as SceneRules
+from .scene_push import ScenePush as ScenePush
 from .search import SceneSearch as SceneSearch
 from .search import SceneSearchOptions as SceneSearchOptions
 from .separation import SeparatePlanner as SeparatePlanner

@@ -37,12 +37,8 @@ from gridpush_drake.planning.scene.loop import (
     SceneStep,
     describe_no_room,
 )
-from gridpush_drake.planning.scene.search import (
-    SceneRules,
-    SceneSearch,
-    SceneSearchOptions,
-    place_outlines,
-)
+from gridpush_drake.planning.scene.rules import SceneRules, place_outlines
+from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.pushes.scene_log import ObservedScenePush
@@ -270,7 +266,7 @@ class FetchPlanner:
             left = self.options.per_length * missing.sum(axis=1)
             left += self.options.base * (missing > self.options.spare).sum(axis=1)
             # near the edge everything is in the way sooner or later
-            outward = np.maximum(SHORE - search.calc_edge_distances(some[rows]), 0.0)
+            outward = np.maximum(SHORE - search.room.calc_edge_distances(some[rows]), 0.0)
             left += SHORE_SHARE * self.options.per_length * outward.sum(axis=1)
             # the wanted object should stay where it is
             moved = np.linalg.norm(some[rows, self.wanted, :2] - start[:2], axis=1)

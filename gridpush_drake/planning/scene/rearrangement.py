@@ -49,14 +49,8 @@ from gridpush_drake.planning.scene.loop import (
     SceneStep,
     describe_no_room,
 )
-from gridpush_drake.planning.scene.search import (
-    ANYWHERE,
-    POST_MARGIN,
-    SceneRules,
-    SceneSearch,
-    SceneSearchOptions,
-    place_outlines,
-)
+from gridpush_drake.planning.scene.rules import ANYWHERE, POST_MARGIN, SceneRules, place_outlines
+from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 
 GOAL_GAP = 0.002
 """An object that is nearer than this to another one's goal lies in it, m."""

@@ -10,53 +10,40 @@ and of the best after that it is asked what a second push would bring. At last t
 simulated with further models, and the one is made that costs least on the average. Contact with
 other objects is not forbidden: it is weighed by where all of them end.
 
-What no push may do is in `SceneRules`: push an object near the table's edge or against a post, or
-begin where the finger does not fit. The theory is in `docs/theory/planning.md`, section 6.
+What no push may do is in `rules`: push an object near the table's edge or against a post, or begin
+where the finger does not fit. The theory is in `docs/theory/planning.md`, section 6.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import shapely
-from numpy.typing import NDArray
-from shapely import Polygon
-from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError, require_positive
-from gridpush_drake.geometry.polygons import hull_of
-from gridpush_drake.geometry.se2 import Array, transform, transform_shape
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.push_constraints import PushRule, make_body
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.rollouts import Rollout, SceneRollouts, roll_models
-from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.scene.rules import ANYWHERE, SLACK, RoomLimits, SceneRoom, SceneRules
+from gridpush_drake.planning.scene.scene_push import PushStop, ScenePush, cut_push
 
 CostToGo = Callable[[Array], Array]
 """Takes poses (K, N, 3), m and rad, and returns what each state of the scene costs, (K,) s."""
 
-FREE = 1e-4
-"""Distance of the pusher from every outline, beyond its clearance, where a push begins, m."""
-
-SLACK = 1e-6
-"""By how much a rule may be broken, m, for round-off."""
-
-NEARER = 0.01
-"""By how much nearer to the table's edge a push may bring an object that is near it already, m. It
-could hardly be turned otherwise."""
-
-LEAST_MARGIN = 0.012
-"""Distance from the table's edge below which no push brings an object nearer to it, m."""
-
-POST_MARGIN = 0.01
-"""Least distance of every object from an obstacle that is fixed on the table, m."""
-
-POST_LEEWAY = 0.006
-"""By how much nearer to such an obstacle an object may come by a further model, m."""
-
 DRAWS_A_PLACE = 3
 """Pushes that are drawn for each one that is simulated: the pusher does not fit everywhere."""
+
+STOPS_A_STEP = 6
+"""Places between two steps of a simulation at which a push may stop: every 0.5 mm."""
+
+PLACE_SPREAD = 0.03
+"""Standard deviation of the place of a push that is varied, as a share of the perimeter."""
+
+ANGLE_SPREAD = 0.15
+"""Standard deviation of the angle of a push that is varied, rad."""
+
+FINER = 3
+"""The later half of the variations is finer by 1 + FINER."""
 
 
 @dataclass(frozen=True)
@@ -116,77 +103,6 @@ class SceneSearchOptions:
                 raise PlanningError(f"{name} is {value!r}; expected a number >= 0")
 
 
-@dataclass(frozen=True, eq=False)
-class SceneRules:
-    """What a push of a scene may not do.
-
-    Attributes:
-        surface: the table; None for one without end.
-        edge_margin: how far inside the table's edge every object must stay, m. One that is nearer
-            already may come nearer still by `NEARER`, but not nearer than `LEAST_MARGIN`. While all
-            of an object is over the table, it stays whatever its masses are.
-        leeway: by how much nearer to the edge an object may come by a further model, m.
-        finger_overhang: how far beyond the edge the finger's center may be, m.
-        finger_region: where the finger's center may be, W; None for anywhere.
-        posts: what is fixed on the table, polygons in W, m: every object stays `POST_MARGIN` away
-            from it, or no nearer than it is. The finger keeps clear of it by `finger_region`.
-        push_rule: asked last, of a push that is about to be chosen: whether a robot can carry it
-            out; None allows all.
-    """
-
-    surface: SupportSurface | None = None
-    edge_margin: float = 0.03
-    leeway: float = 0.01
-    finger_overhang: float = 0.03
-    finger_region: BaseGeometry | None = None
-    posts: tuple[Polygon, ...] = ()
-    push_rule: PushRule | None = None
-
-    def allows_push(self, push: Push) -> bool:
-        """Whether a robot can carry a push out."""
-        return self.push_rule is None or self.push_rule(push)
-
-
-ANYWHERE = SceneRules()
-"""The rules of a table without end and a finger that comes everywhere."""
-
-
-@dataclass(frozen=True, eq=False)
-class RoomLimits:
-    """What the objects must keep in a push.
-
-    Attributes:
-        edge: (N,) least distances inside the table's edge, m.
-        posts: (N,) least distances from what is fixed on the table, m.
-    """
-
-    edge: Array
-    posts: Array
-
-
-@dataclass(frozen=True, eq=False)
-class ScenePush:
-    """A push that was tried, cut to its best length.
-
-    Attributes:
-        body: number of the object on whose outline it begins.
-        arc_length: where on its exterior outline, m; see `Push.on_outline`.
-        angle: of the motion from the inward normal there, rad.
-        push: the push.
-        poses: (N, 3) where the best model leaves the objects, m and rad.
-        cost: time of the push and what is left then, s.
-        left: what is left alone, s.
-    """
-
-    body: int
-    arc_length: float
-    angle: float
-    push: Push
-    poses: Array
-    cost: float
-    left: float
-
-
 class SceneSearch:
     """Searches for pushes of the objects of a scene.
 
@@ -194,6 +110,7 @@ class SceneSearch:
         belief: what is believed of the objects.
         rules: what no push may do.
         options: how it searches.
+        room: says where objects and finger may be by the rules.
     """
 
     def __init__(
@@ -209,9 +126,7 @@ class SceneSearch:
         workers = self.options.workers
         self._best = SceneRollouts(belief.scene, workers=workers)
         self._others = [SceneRollouts(scene, workers=workers) for scene in belief.draws]
-        self._corners = [np.array(make_body(obj).exterior.coords)[:-1] for obj in belief.objects]
-        self._hulls = [hull_of(corners) for corners in self._corners]
-        self._posts = shapely.union_all(list(self.rules.posts)) if self.rules.posts else None
+        self.room = SceneRoom(belief.objects, rules)
 
     @property
     def simulations(self) -> int:
@@ -279,38 +194,6 @@ class SceneSearch:
         scored.sort(key=lambda pair: pair[0])
         return self._compare(poses, cost, scored)
 
-    def calc_edge_distances(self, poses: Array) -> Array:
-        """Calculates how far inside the table's edge each object is, (K, N) m; inf without a table.
-
-        Args:
-            poses: (K, N, 3), m and rad.
-        """
-        surface = self.rules.surface
-        if surface is None:
-            return np.full(poses.shape[:2], np.inf)
-        distances = []
-        for b, hull in enumerate(self._hulls):
-            corners = transform(poses[:, b], hull)
-            if surface.is_convex:
-                inside = surface.edge_offsets - corners @ surface.edge_normals.T
-                distances.append(inside.min(axis=(1, 2)))
-            else:
-                distances.append(surface.signed_distances(corners).min(axis=1))
-        return np.stack(distances, axis=1)
-
-    def calc_post_distances(self, poses: Array) -> Array:
-        """Calculates how far each object is from what is fixed on the table, (K, N) m; inf without.
-
-        Args:
-            poses: (K, N, 3), m and rad.
-        """
-        distances = np.full(poses.shape[:2], np.inf)
-        if self._posts is not None:
-            for b, corners in enumerate(self._corners):
-                placed = shapely.polygons(transform(poses[:, b], corners))
-                distances[:, b] = shapely.distance(placed, self._posts)
-        return distances
-
     def _draw(
         self,
         poses: Array,
@@ -374,22 +257,8 @@ class SceneSearch:
         if not made:
             return []
         starts = np.array([each[3].start for each in made])
-        fits = self._fits(poses, starts)
+        fits = self.room.fits_finger(poses, starts, options.radius)
         return [each for each, fit in zip(made, fits.tolist(), strict=True) if fit]
-
-    def _fits(self, poses: Array, starts: Array) -> NDArray[np.bool_]:
-        """Says where the finger can come down, of places (K, 2)."""
-        room = self.options.radius + FREE
-        fits = np.ones(len(starts), dtype=bool)
-        points = shapely.points(starts)
-        for pose, obj in zip(poses, self.belief.objects, strict=True):
-            outline = transform_shape(pose, obj.outline)
-            fits &= shapely.distance(outline, points) > room
-        if self.rules.finger_region is not None:
-            fits &= shapely.contains_xy(self.rules.finger_region, starts[:, 0], starts[:, 1])
-        if self.rules.surface is not None:
-            fits &= self.rules.surface.contains(starts, -self.rules.finger_overhang)
-        return fits
 
     def _cut(
         self,
@@ -399,7 +268,7 @@ class SceneSearch:
         rolled: Sequence[Rollout],
     ) -> list[ScenePush]:
         """Cuts pushes, as the best model has them, each to its best length; some are left out."""
-        limits = self._make_limits(poses)
+        limits = self.room.make_limits(poses)
         found = []
         for (body, place, angle, push), rollout in zip(drawn, rolled, strict=True):
             if not (rollout.touched and rollout.solved):
@@ -422,12 +291,12 @@ class SceneSearch:
 
     def _find_stop(
         self, push: Push, rollout: Rollout, cost: CostToGo, limits: RoomLimits
-    ) -> "_Stop | None":
+    ) -> PushStop | None:
         """Finds where to stop in a rollout; None where it may not even begin."""
         last = len(rollout.traveled)
         # up to where a rule is broken
-        inside = self._keeps_room(rollout.poses, limits)
-        ends = self._allows_finger(push.tip_at(rollout.traveled / self.options.speed))
+        inside = self.room.keeps_room(rollout.poses, limits)
+        ends = self.room.allows_finger(push.tip_at(rollout.traveled / self.options.speed))
         allowed_rows = inside & ends
         if not allowed_rows.all():
             last = int(np.argmin(allowed_rows))
@@ -444,48 +313,13 @@ class SceneSearch:
         values, left = self._rate(rollout, places, cost)
         at = int(np.argmin(values))
         traveled, poses = rollout.interpolate(places[at : at + 1])
-        return _Stop(float(traveled[0]), poses[0], float(left[at]))
+        return PushStop(traveled=float(traveled[0]), poses=poses[0], left=float(left[at]))
 
     def _rate(self, rollout: Rollout, places: Array, cost: CostToGo) -> tuple[Array, Array]:
         """Calculates the cost of stopping after so many steps (K,), and what is left then, s."""
         traveled, poses = rollout.interpolate(places)
         left = cost(poses)
         return left + traveled / self.options.speed, left
-
-    def _allows_finger(self, tips: Array) -> NDArray[np.bool_]:
-        """Says where the finger may be, of places (K, 2) along a push."""
-        allowed = np.ones(len(tips), dtype=bool)
-        if self.rules.finger_region is not None:
-            allowed &= shapely.contains_xy(self.rules.finger_region, tips[:, 0], tips[:, 1])
-        if self.rules.surface is not None:
-            allowed &= self.rules.surface.contains(tips, -self.rules.finger_overhang)
-        return allowed
-
-    def _make_limits(self, poses: Array, further: bool = False) -> RoomLimits:
-        """Makes what the objects must keep in a push from poses (N, 3).
-
-        Args:
-            poses: where they lie, m and rad.
-            further: whether the push is simulated by a further model, by which they may come a
-                little nearer.
-        """
-        # The table's edge: whoever is near it already may come a little nearer.
-        inside = self.calc_edge_distances(poses[None])[0]
-        near = np.maximum(inside - NEARER, np.minimum(inside, LEAST_MARGIN))
-        edge = np.minimum(near, self.rules.edge_margin) - SLACK
-        # Posts: whoever is near one already may come no nearer.
-        posts = np.minimum(self.calc_post_distances(poses[None])[0], POST_MARGIN) - SLACK
-        if further:
-            edge -= self.rules.leeway
-            posts -= POST_LEEWAY
-        return RoomLimits(edge=edge, posts=posts)
-
-    def _keeps_room(self, poses: Array, limits: RoomLimits) -> NDArray[np.bool_]:
-        """Says which states (K, N, 3) keep the objects off the table's edge and the posts, (K,)."""
-        kept = (self.calc_edge_distances(poses) >= limits.edge).all(axis=1)
-        if self._posts is not None:
-            kept &= (self.calc_post_distances(poses) >= limits.posts).all(axis=1)
-        return np.asarray(kept)
 
     def _compare(
         self, poses: Array, cost: CostToGo, scored: Sequence[tuple[float, ScenePush]]
@@ -497,7 +331,7 @@ class SceneSearch:
             cost: what a state costs.
             scored: pushes with what they cost by the best model, the best first.
         """
-        limits = self._make_limits(poses, further=True)
+        limits = self.room.make_limits(poses, further=True)
         compared: list[tuple[float, ScenePush]] = []
         seen: set[int] = set()
         for score, each in scored:
@@ -522,50 +356,10 @@ class SceneSearch:
         """Averages what is left after a push over all models, s; None where one breaks a rule."""
         left = [each.left]
         for rollout in roll_models(self._others, each.push, poses, self.options.workers):
-            if not self._keeps_room(rollout.poses, limits).all():
+            if not self.room.keeps_room(rollout.poses, limits).all():
                 return None
             left.append(float(cost(rollout.poses[-1:])[0]))
         return float(np.mean(left))
-
-
-@dataclass(frozen=True, eq=False)
-class _Stop:
-    """Where a push is cut.
-
-    Attributes:
-        traveled: length of the pusher's path until then, m.
-        poses: (N, 3) the objects then, m and rad.
-        left: what is left then, s.
-    """
-
-    traveled: float
-    poses: Array
-    left: float
-
-
-STOPS_A_STEP = 6
-"""Places between two steps of a simulation at which a push may stop: every 0.5 mm."""
-
-PLACE_SPREAD = 0.03
-"""Standard deviation of the place of a push that is varied, as a share of the perimeter."""
-
-ANGLE_SPREAD = 0.15
-"""Standard deviation of the angle of a push that is varied, rad."""
-
-FINER = 3
-"""The later half of the variations is finer by 1 + FINER."""
-
-
-def cut_push(push: Push, distance: float) -> Push:
-    """Returns the beginning of a straight push, up to a distance, m."""
-    share = min(distance / push.length, 1.0)
-    return Push(
-        start=push.start,
-        velocity=push.velocity,
-        duration=push.duration * share,
-        radius=push.radius,
-        start_tangent=push.start_tangent,
-    )
 
 
 def _pick_different(tried: Sequence[ScenePush], count: int) -> list[ScenePush]:
@@ -579,9 +373,3 @@ def _pick_different(tried: Sequence[ScenePush], count: int) -> list[ScenePush]:
         if len(picked) == count:
             break
     return picked
-
-
-def place_outlines(objects: Sequence[GridObject], poses: Array) -> NDArray[np.object_]:
-    """Places the outlines of N objects at poses (N, 3), in W: (N,) polygons."""
-    placed = [transform_shape(pose, obj.outline) for obj, pose in zip(objects, poses, strict=True)]
-    return np.array(placed, dtype=object)

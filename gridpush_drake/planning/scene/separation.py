@@ -31,13 +31,9 @@ from gridpush_drake.planning.scene.loop import (
     SceneStep,
     describe_no_room,
 )
-from gridpush_drake.planning.scene.search import (
-    ANYWHERE,
-    ScenePush,
-    SceneRules,
-    SceneSearch,
-    SceneSearchOptions,
-)
+from gridpush_drake.planning.scene.rules import ANYWHERE, SceneRules
+from gridpush_drake.planning.scene.scene_push import ScenePush
+from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 
 MARGIN = 0.03
 """Room that every object should have around it, m."""
