@@ -79,7 +79,7 @@ def test_its_tables():
     score = Score(
         2, moved=0.05, last_moved=0.02, drake=0.001, mujoco=0.002, between=0.003, solved=True
     )
-    learned = LearnScore(2, "model", even=0.01, learned=0.001, held=1.0)
+    learned = LearnScore(2, "model", even=0.01, learned=0.001, true=0.0, held=1.0)
     compared, learning = STUDY.tabulate(
         options, Done([(Job(2, 0), score), (LearnJob(2, 0, "model"), learned)])
     )
