@@ -430,7 +430,9 @@ def local_campaign(tmp_path_factory):
     assert (process.returncode, "Traceback" in err) == (130, False)
     assert not (folder / "out" / "table.md").exists()
     before = (folder / "out" / "episodes.jsonl").read_bytes()
-    out, err = start_campaign(folder).communicate(timeout=ENDS_WITHIN)
+    process = start_campaign(folder)
+    out, err = process.communicate(timeout=ENDS_WITHIN)
+    assert process.returncode == 0, err
     after = (folder / "out" / "episodes.jsonl").read_bytes()
     assert after.startswith(before)
     jobs = [json.dumps(json.loads(line)["job"]) for line in after.splitlines()[1:]]
