@@ -220,6 +220,40 @@ def test_a_force_along_the_normal_counts_by_its_moment():
     assert state.forces == pytest.approx((10.0 - 2.0 * 0.03 / 0.05,))
 
 
+def test_a_heavy_object_is_pressed_where_it_is_expected_to_tilt():
+    # Two kilograms would not tilt everywhere with its center at the region's far end.
+    wide = CENTERS * [3.0, 1.0]
+    rules = PressRules(mass=2.0)
+    options = SequenceOptions(rules=rules)
+    headings = calc_headings(BAR, EDGE).tolist()
+    assert not [
+        one
+        for heading in headings
+        for one in list_rests(BAR, wide, heading, EDGE, TOP, rules)
+        if rules.mass * GRAVITY * _calc_farthest(one, wide) > rules.max_force * _calc_arm(one)
+    ]
+    heavier = replace(rules, mass=3.0)
+    assert not [
+        one for heading in headings for one in list_rests(BAR, wide, heading, EDGE, TOP, heavier)
+    ]
+    found = describe_prior(BAR)
+    planned = plan_next_press(found, wide, EDGE, TOP, options=replace(options, rules=heavier))
+    middle = -EDGE.calc_beyond(transform(planned.pose, wide)).mean()
+    assert heavier.mass * GRAVITY * middle <= heavier.max_force * _calc_arm(planned)
+    # What is safe does not depend on how heavy it is.
+    assert planned.inside > TOP * np.tan(rules.max_tilt) + rules.pose_error
+
+
+def _calc_farthest(planned, centers):
+    """How far inside the edge the center of mass is at most, m."""
+    return -EDGE.calc_beyond(transform(planned.pose, centers)).min()
+
+
+def _calc_arm(planned):
+    """How far beyond the edge it is pressed, m."""
+    return EDGE.calc_beyond(np.array(planned.target.place))
+
+
 def test_the_next_press_is_the_one_expected_to_tell_most():
     found = describe_prior(BAR)
     options = SequenceOptions()

@@ -126,6 +126,7 @@ def plan_press(
     edge: Edge,
     top: float,
     rules: PressRules | None = None,
+    surely: bool = True,
 ) -> PlannedPress | None:
     """Plans a press on an object where it lies.
 
@@ -136,6 +137,8 @@ def plan_press(
         edge: the edge over which it hangs.
         top: height of its top above the table, m.
         rules: what the press must keep to.
+        surely: whether the greatest force must tilt an object of the supposed mass wherever in the
+            region its center of mass is, and not only with it in the middle.
 
     Returns:
         The press; None where none is safe.
@@ -161,7 +164,8 @@ def plan_press(
     low, high = crossing
     slack = np.minimum(together - low, high - together).min(axis=1)
     middle = float(b.mean())
-    light = rules.mass * GRAVITY * float(b.max()) <= rules.max_force * a[:, 0]
+    farthest = float(b.max()) if surely else middle
+    light = rules.mass * GRAVITY * farthest <= rules.max_force * a[:, 0]
     safe = (slack > rules.pose_error) & light
     if not safe.any():
         return None
@@ -193,6 +197,7 @@ def list_rests(
     top: float,
     rules: PressRules | None = None,
     along: float = 0.0,
+    surely: bool = True,
 ) -> list[PlannedPress]:
     """Lists how far an object may hang over an edge, with a press on it for each overhang.
 
@@ -204,6 +209,7 @@ def list_rests(
         top: height of the object's top above the table, m.
         rules: what the presses must keep to.
         along: where the middle of the object is along the edge, from the edge's point, m.
+        surely: see `plan_press`.
 
     Returns:
         A press for each overhang at which one is safe.
@@ -219,7 +225,8 @@ def list_rests(
     for overhang in overhangs:
         beyond = overhang - reach.max()
         p = np.array(edge.point) + beyond * edge.normal + sideways * edge.tangent
-        planned = plan_press(obj, centers, np.array([*p, heading]), edge, top, rules)
+        pose = np.array([*p, heading])
+        planned = plan_press(obj, centers, pose, edge, top, rules, surely)
         if planned is not None:
             found.append(planned)
     return found

@@ -131,13 +131,19 @@ def plan_next_press(
 
     best: PlannedPress | None = None
     least = (1 - options.min_gain) * calc_open(belief.covariance, options)
-    for heading in calc_headings(found.obj, edge).tolist():
-        for planned in list_rests(found.obj, region, heading, edge, top, rules):
-            left = calc_left_open(belief, planned, rules, options)
-            if left < least:
-                best = planned
-                least = left
-    return None if best is None else with_sure_force(best, belief, rules)
+    # A heavy object may lie still wherever its center of mass is farthest from the edge. If there
+    # is no other press, one is made that tilts it with the center where it is expected.
+    for surely in (True, False):
+        for heading in calc_headings(found.obj, edge).tolist():
+            rests = list_rests(found.obj, region, heading, edge, top, rules, surely=surely)
+            for planned in rests:
+                left = calc_left_open(belief, planned, rules, options)
+                if left < least:
+                    best = planned
+                    least = left
+        if best is not None:
+            return with_sure_force(best, belief, rules)
+    return None
 
 
 def with_sure_force(
