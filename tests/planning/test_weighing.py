@@ -362,6 +362,31 @@ def test_a_planner_weighs_where_the_other_gives_up():
     assert weighing.decide(at_edge, tired).action == "fail"
 
 
+def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():
+    """No press would tilt it wherever its center of mass may be; one with the center in the middle."""
+    surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+    obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
+    found = describe_prior(obj)
+    planner = WeighingPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
+    inside = np.array([0.2, 0.0, 0.0])
+    before = believe_before(found)
+    expected = {
+        2.0: (True, True, "slide"),
+        5.0: (False, True, "slide"),
+        7.0: (False, False, "fail"),
+    }
+    for mass, outcome in expected.items():
+        belief = replace(
+            before,
+            mean=np.array([np.log(mass), *before.mean[1:]]),
+            covariance=np.diag([0.9, 0.018**2, 0.006**2, 0.1]),
+            presses=1,
+        )
+        model = replace(UncertainModel.of_identification(found), belief=belief)
+        goals = [planner._list_goals(inside, model, belief, surely) for surely in (True, False)]
+        assert (*map(bool, goals), planner.decide(inside, model).action) == outcome
+
+
 def test_a_weighed_model_leaves_the_center_of_mass_where_it_was_weighed():
     obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
     found = describe_prior(obj)

@@ -113,13 +113,17 @@ class WeighingPlanner(PreGraspPlanner):
         if calc_open(model.belief.covariance, self.weighing.sequence) <= ENOUGH:
             return decision
         q = np.asarray(pose, dtype=np.float64)
-        belief = model.belief
-        centers = model.masses.center_of_mass_polygon
-        here = self._find_press(q, centers, belief)
-        if here is not None:
-            reason = f"{decision.reason}; it is weighed where it lies"
-            return PreGraspDecision("weigh", reason, press=here.target)
-        return self._slide_to_weigh(q, model, belief) or decision
+        # A heavy object may lie still wherever its center of mass is farthest from the edge. If
+        # there is no other press, one is made that tilts it with the center where it is expected.
+        for surely in (True, False):
+            here = self._find_press(q, model, model.belief, surely)
+            if here is not None:
+                reason = f"{decision.reason}; it is weighed where it lies"
+                return PreGraspDecision("weigh", reason, press=here.target)
+            slide = self._slide_to_weigh(q, model, model.belief, surely)
+            if slide is not None:
+                return slide
+        return decision
 
     def suppose_heavier(self) -> "WeighingPlanner":
         """Makes a planner that presses where less force would do.
@@ -150,14 +154,18 @@ class WeighingPlanner(PreGraspPlanner):
         return 1 - calc_left_open(belief, planned, self._make_rules(belief), options) / now
 
     def _find_press(
-        self, pose: Array, centers: Array, belief: AbsoluteEstimate
+        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, surely: bool
     ) -> PlannedPress | None:
-        """Finds a press where the object lies now (3,); None where none is safe and tells much."""
+        """Finds a press where the object lies now (3,); None where none is safe and tells much.
+
+        What `surely` means, `plan_press` says.
+        """
+        centers = model.masses.center_of_mass_polygon
         rules = self._make_rules(belief)
         for edge in list_edges(self.surface):
             if not self._hangs_over_only(edge, pose):
                 continue
-            planned = plan_press(self.obj, centers, pose, edge.line, self._top, rules)
+            planned = plan_press(self.obj, centers, pose, edge.line, self._top, rules, surely)
             if planned is None or self._calc_gain(belief, planned) < self.weighing.min_gain:
                 continue
             if self._can_press(planned.target, pose):
@@ -182,16 +190,16 @@ class WeighingPlanner(PreGraspPlanner):
         return bool(along.min() >= room and along.max() <= edge.length - room)
 
     def _slide_to_weigh(
-        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate
+        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, surely: bool
     ) -> PreGraspDecision | None:
         """Decides on a push towards where the object can be weighed; None where there is none."""
-        goals = self._list_goals(pose, model, belief)
+        goals = self._list_goals(pose, model, belief, surely)
         if not goals:
             return None
         return self._slide(pose, model, goals, "where it can be weighed")
 
     def _list_goals(
-        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate
+        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, surely: bool = True
     ) -> list[PreGraspGoal]:
         """Lists poses at the edge at which a press tells much.
 
@@ -218,6 +226,7 @@ class WeighingPlanner(PreGraspPlanner):
                     self._top,
                     rules,
                     along=along,
+                    surely=surely,
                 )
                 for planned in rests:
                     if self._calc_gain(belief, planned) < self.weighing.min_gain:
