@@ -8,8 +8,8 @@ After two surprises in a row, or a clear one (`identification.surprise`), the ob
 than was learned, and what was seen before is not learned from any more.
 
 If the force on the tip is measured, it is in the log, too. If the object is weighed, the estimate
-is made in absolute numbers (`identification.weighed_model`), as `gridpush identify --weighings`
-does: the frictions that weighings tell are held when the pushes are learned from the next time.
+is made in absolute numbers at once, and then all pushes are learned from once more with the
+weighings (`identification.weighed_learning`), as `gridpush identify --weighings` does.
 """
 
 from collections.abc import Callable
@@ -33,6 +33,7 @@ from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
 from gridpush_drake.identification.surprise import SurpriseRecord
+from gridpush_drake.identification.weighed_learning import learn_with_weighings
 from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
@@ -94,6 +95,7 @@ class IdentifierState(Unchanging):
             was not meant to be.
         surprises: what surprises there were among the pushes of the log.
         weighings: what weighings there were when they were looked at last.
+        learned_with: number of them that there were when it was last learned from the pushes.
         weighed_before: number of presses and of lifts before the object became another one, which
             do not count any more.
     """
@@ -108,7 +110,14 @@ class IdentifierState(Unchanging):
     message: str = ""
     surprises: SurpriseRecord = field(default_factory=SurpriseRecord)
     weighings: WeighingLog = field(default_factory=WeighingLog)
+    learned_with: int = 0
     weighed_before: tuple[int, int] = (0, 0)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether there is a push that was not learned from yet, or a weighing since the last."""
+        weighed_since = self.estimate is not None and self.learned_with < len(self.weighings)
+        return self.considered < len(self.log) or (weighed_since and len(self.log) > 0)
 
     @property
     def counting_weighings(self) -> WeighingLog:
@@ -290,6 +299,24 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         chosen = self.select(log)
         return identify(self.obj, chosen, start=start, friction=friction, **self._learning)
 
+    def LearnAll(self, context: Context) -> Identification | None:
+        """Learns from all pushes and weighings so far, at once, and leaves the outputs alone.
+
+        A run may end before the last push, or what was weighed last, was learned from.
+
+        Args:
+            context: of this system.
+
+        Returns:
+            What the output `identification` would come to show; None while it shows the prior.
+        """
+        state = replace(self._get_state(context), request=None)
+        while state.is_behind:
+            state, work = self._find_work(state)
+            if work is not None:
+                state = self._take_answer(state, Answer(work()), context.get_time())
+        return None if state.estimate is None else state.estimate.found
+
     def select(self, log: PushLog) -> PushLog:
         """Selects the pushes of a log that are learned from."""
         return log[: self.max_learning_pushes]
@@ -356,12 +383,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         before = state.estimate
         state = replace(state, weighings=log)
         estimate = _add_weighings(before.pushed, state.counting_weighings, before)
-        state = replace(state, estimate=estimate)
-        if state.request is None and state.considered == len(state.log) > 0:
-            # Over the edge, what pushes tell depends on the frictions that weighings tell. So the
-            # last push, and with it all others, is learned from once more.
-            state = replace(state, considered=state.considered - 1)
-        return state
+        return replace(state, estimate=estimate)
 
     def _log_push(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
         """Logs a push that has ended; `episode` is None if none has."""
@@ -393,23 +415,31 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
                 return state
             state = self._take_answer(state, answer, state.request.time)
         # One push after another, so that the estimates do not depend on how fast learning is.
-        while state.considered < len(state.log):
-            work = self._find_work(state)
+        while state.is_behind:
+            state, work = self._find_work(state)
             if work is None:
-                state = replace(state, considered=state.considered + 1)
-            elif self._worker is not None:
+                continue
+            if self._worker is not None:
                 return replace(state, request=self._worker.ask(work, time))
-            else:
-                state = self._take_answer(state, Answer(work()), time)
+            state = self._take_answer(state, Answer(work()), time)
         return state
 
-    def _find_work(self, state: IdentifierState) -> Callable[[], Estimate | str] | None:
+    def _find_work(
+        self, state: IdentifierState
+    ) -> tuple[IdentifierState, Callable[[], Estimate | str] | None]:
         """Finds what is to be calculated because of the first push that was not considered yet.
 
+        If all pushes were, something was weighed since: what pushes tell depends on the frictions
+        that weighings tell. So the last push, and with it all others, is considered once more.
+
         Returns:
-            A function that returns an estimate, or what is wrong with the push; None if nothing is
-            to be learned from it.
+            The state after this look; and a function that returns an estimate, or what is wrong
+            with the push, or None if nothing is to be learned from it.
         """
+        again = state.considered == len(state.log)
+        if again:
+            state = replace(state, considered=state.considered - 1)
+        state = replace(state, learned_with=len(state.weighings))
         # Neither pushes from before the object changed, nor those that could not be used.
         log = state.log[: state.considered + 1]
         forgotten = state.surprises.forgotten
@@ -417,14 +447,14 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         chosen = self.select(log)
         chosen = chosen.subset([i for i, seen in enumerate(chosen) if seen.name not in left_out])
         # If the last push is not among them, the estimate would be the one that is there.
-        if not len(chosen) or chosen[-1] is not log[-1]:
-            return None
+        if not len(chosen) or (chosen[-1] is not log[-1] and not again):
+            return replace(state, considered=state.considered + 1), None
         start = state.estimate.pushed if state.estimate is not None and self.warm_start else None
         # What was learned of another object is no place to begin at.
         if start is not None and forgotten and left_out & set(start.push_names):
             start = None
-        return partial(
-            _learn_from, weakly(self.Learn), chosen, start, _find_weighed_friction(state)
+        return state, partial(
+            _learn_from, weakly(self.Learn), chosen, start, state.counting_weighings
         )
 
     def _take_answer(self, state: IdentifierState, answer: Answer, asked: float) -> IdentifierState:
@@ -446,24 +476,16 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         return replace(state, left_out=(*state.left_out, name), message=message)
 
 
-def _find_weighed_friction(state: IdentifierState) -> Array | None:
-    """Finds the friction coefficients (n,) that weighings of the object tell; None without."""
-    if state.estimate is None or not len(state.counting_weighings):
-        return None
-    found = state.estimate.found
-    return None if found.absolute is None else found.params.friction
-
-
 def _learn_from(
     learn: Callable[..., Identification],
     log: PushLog,
     start: Identification | None,
-    friction: Array | None,
+    weighings: WeighingLog,
 ) -> Estimate | str:
     """Learns from a log; returns the estimate, or what is wrong with the last push."""
-    told = () if friction is None else (friction,)
     try:
-        return _make_estimate(learn(log, start, *told), log)
+        pushed, _ = learn_with_weighings(learn, log, weighings, start=start)
+        return _make_estimate(pushed, log)
     except UNUSABLE as error:
         return str(error)
 

@@ -11,10 +11,12 @@ from gridpush_drake.cli.console import MM, count_noun, print_found, search_progr
 from gridpush_drake.cli.identify_scene import identify_together
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify as search
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.prediction import calc_training_errors, doubt_center, doubt_fit
 from gridpush_drake.identification.result import Identification, IdentificationStatus
+from gridpush_drake.identification.weighed_learning import learn_with_weighings
 from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.pushes.misplaced import explain_no_contact
 from gridpush_drake.pushes.push_log import PushLog
@@ -133,19 +135,29 @@ def identify(
     weighed = None if weighings is None else WeighingLog.read_csv(weighings)
     options.compile_kernels()
     with search_progress(f"identifying {obj.name}", budget) as progress:
-        result = search(
-            obj, log, method=method, seed=seed, regime=regime, budget=budget, progress=progress
-        )
-    if not result.push_names:
-        raise PushLogError(explain_no_contact(obj, log))
-    if weighed is not None:
-        result = weigh_model(result, weighed, seed=seed)
-        if method == "default" and any(seen.overhang for seen in log):
-            # Over the edge, what pushes tell depends on the frictions that weighings tell.
-            again = search(
-                obj, log, seed=seed, regime=regime, start=result, friction=result.params.friction
+
+        def learn(
+            log: PushLog, start: Identification | None = None, friction: Array | None = None
+        ) -> Identification:
+            return search(
+                obj,
+                log,
+                method=method,
+                seed=seed,
+                regime=regime,
+                budget=budget,
+                progress=progress,
+                start=start,
+                friction=friction,
             )
-            result = weigh_model(again, weighed, seed=seed)
+
+        if weighed is not None and method == "default":
+            pushed, result = learn_with_weighings(learn, log, weighed, seed=seed)
+        else:
+            pushed = learn(log)
+            result = pushed if weighed is None else weigh_model(pushed, weighed, seed=seed)
+    if not pushed.push_names:
+        raise PushLogError(explain_no_contact(obj, log))
     write_model(out, result, force)
     if report is not None:
         write_whole(report, make_report(result, log), force)

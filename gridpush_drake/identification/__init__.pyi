@@ -23,4 +23,5 @@ from .result import IdentificationStatus as IdentificationStatus
 from .scene_learning import SceneIdentification as SceneIdentification
 from .scene_learning import identify_scene as identify_scene
 from .scene_models import make_object_models as make_object_models
+from .weighed_learning import learn_with_weighings as learn_with_weighings
 from .weighed_model import weigh_model as weigh_model

@@ -299,6 +299,8 @@ class PreGraspTask(StationTask[PreGraspRecord]):
     def finish(self, record: PreGraspRecord) -> None:
         """Marks the pushes in which a part hung over the edge, and cuts what was seen in the grasp.
 
+        If anything was weighed, the last estimate is learned from all pushes and weighings.
+
         While the gripper holds the object it does not lie on the table, and what the camera says of
         its pose there means nothing.
         """
@@ -312,6 +314,13 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             for seen in record.log
         )
         record.log = replace(record.log, pushes=pushes)
+        if len(record.weighings):
+            identifier = self.station.identifier
+            context = identifier.GetMyContextFromRoot(self.simulator.get_context())
+            learned = identifier.LearnAll(context)
+            known = any(learned is one for one in record.estimates[-1:])
+            if learned is not None and learned.push_names and not known:
+                record.estimates.append(learned)
 
     def calc_raised(self) -> float:
         """Calculates the height of the object's lowest corner above the table now, m."""

@@ -10,7 +10,9 @@ from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.absolute_masses import tilt_to_center
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.result import calc_center_of_mass
+from gridpush_drake.identification.weighed_learning import learn_with_weighings
 from gridpush_drake.identification.weighed_model import calc_center_prior, weigh_model
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import WeighingLog
 from gridpush_drake.report.page import list_numbers
 from tests.helpers.weighed_objects import Truth, make_problem
@@ -133,6 +135,18 @@ def test_without_forces_the_friction_stays_as_supposed(learned, weighed):
     supposed = learned.params.mass @ learned.params.friction / learned.params.total_mass
     assert params.mass @ params.friction / params.total_mass == pytest.approx(supposed)
     assert "forces of no push were measured" in unmoved.identifiability.statements[0]
+
+
+def test_without_weighings_the_pushes_are_learned_from_once(learned):
+    asked = []
+
+    def learn(log, start=None, friction=None):
+        asked.append((log, start, friction))
+        return learned
+
+    log = PushLog(())
+    assert learn_with_weighings(learn, log, WeighingLog(), start=learned) == (learned, learned)
+    assert asked == [(log, learned, None)]
 
 
 def test_no_weighing_is_refused(learned):

@@ -11,6 +11,7 @@ from gridpush_drake.errors import IdentificationError, SimulationError
 from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.weighed_learning import learn_with_weighings
 from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -149,15 +150,28 @@ def test_weighings_and_forces_make_the_estimate_absolute(cold):
         np.testing.assert_array_equal(state.estimate.found.absolute.mean, expected.mean)
         np.testing.assert_array_equal(state.estimate.center_of_mass, expected.center_of_mass)
         assert state.estimate.pushed is pushed
-    # What weighings tell of the frictions is held when the pushes are learned from once more.
-    learned = replace(state, considered=len(log), weighings=WeighingLog())
-    due = system._weigh(learned, WeighingLog((press,)))
-    told = due.estimate.found.params.friction
-    assert due.considered == len(log) - 1 and np.ptp(told) > 0
+    # Then the pushes are learned from once more, as from the files afterwards.
+    system = GridIdentifier(obj, seed=1, warm_start=False)
+    weighings = WeighingLog((press,), (lift,))
+    learned = replace(state, considered=len(log), weighings=WeighingLog(), learned_with=0)
+    assert not learned.is_behind
+    due = system._weigh(learned, weighings)
+    assert due.is_behind
     again = system._learn(due, 1.0)
-    assert again.considered == len(log)
-    np.testing.assert_array_equal(again.estimate.pushed.params.friction, told)
-    assert again.estimate.found.absolute.presses == 1
+    assert again.considered == len(log) and not again.is_behind
+
+    def learn(log, start=None, friction=None):
+        return identify(obj, log, seed=1, start=start, friction=friction)
+
+    offline, found = learn_with_weighings(learn, log, weighings)
+    assert np.ptp(offline.params.friction) > 0
+    np.testing.assert_array_equal(again.estimate.pushed.params.friction, offline.params.friction)
+    np.testing.assert_array_equal(again.estimate.found.params.mass, found.params.mass)
+    np.testing.assert_array_equal(again.estimate.found.absolute.mean, found.absolute.mean)
+    # A push that nothing could be learned from does not keep the others from being learned anew.
+    without = replace(due, left_out=(log[-1].name,))
+    again = system._learn(without, 1.0)
+    assert not again.is_behind and again.estimate.pushed.push_names == offline.push_names[:-1]
     # After the object became another one, what was weighed before does not count.
     changed = replace(state, weighed_before=(1, 1))
     assert not len(changed.counting_weighings)
