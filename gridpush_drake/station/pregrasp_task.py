@@ -315,9 +315,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         )
         record.log = replace(record.log, pushes=pushes)
         if len(record.weighings):
-            identifier = self.station.identifier
-            context = identifier.GetMyContextFromRoot(self.simulator.get_context())
-            learned = identifier.LearnAll(context)
+            learned = self.station.LearnAll(self.simulator.get_context())
             known = any(learned is one for one in record.estimates[-1:])
             if learned is not None and learned.push_names and not known:
                 record.estimates.append(learned)

@@ -21,6 +21,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -571,6 +572,16 @@ class Station(Diagram):
         t, tip = self._find_log(root_context, PUSHER_LOG)
         _, poses = self._find_log(root_context, POSE_LOG)
         return make_samples(t, tip[:, :3], tip[:, 3:], poses)
+
+    def LearnAll(self, root_context: Context) -> Identification | None:
+        """Learns from all that the identifier has read in a Context; see `GridIdentifier.LearnAll`.
+
+        Args:
+            root_context: Context of the station, or of the Diagram that the station is part of.
+        """
+        identifier = self.GetSubsystemByName("identifier")
+        assert isinstance(identifier, GridIdentifier)
+        return identifier.LearnAll(identifier.GetMyContextFromRoot(root_context))
 
     def FindSight(self, root_context: Context) -> Sight | None:
         """Returns what a color and depth camera saw in a Context, and its errors.
