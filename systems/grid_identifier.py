@@ -453,8 +453,10 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         # What was learned of another object is no place to begin at.
         if start is not None and forgotten and left_out & set(start.push_names):
             start = None
+        holds_friction = self._learning["method"] == "default"
+        weighings = state.counting_weighings
         return state, partial(
-            _learn_from, weakly(self.Learn), chosen, start, state.counting_weighings
+            _learn_from, weakly(self.Learn), chosen, start, weighings, holds_friction
         )
 
     def _take_answer(self, state: IdentifierState, answer: Answer, asked: float) -> IdentifierState:
@@ -481,10 +483,13 @@ def _learn_from(
     log: PushLog,
     start: Identification | None,
     weighings: WeighingLog,
+    holds_friction: bool,
 ) -> Estimate | str:
     """Learns from a log; returns the estimate, or what is wrong with the last push."""
     try:
-        pushed, _ = learn_with_weighings(learn, log, weighings, start=start)
+        pushed, _ = learn_with_weighings(
+            learn, log, weighings, start=start, holds_friction=holds_friction
+        )
         return _make_estimate(pushed, log)
     except UNUSABLE as error:
         return str(error)

@@ -17,7 +17,6 @@ from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.prediction import calc_training_errors, doubt_center, doubt_fit
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.identification.weighed_learning import learn_with_weighings
-from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.pushes.misplaced import explain_no_contact
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import WeighingLog
@@ -132,7 +131,7 @@ def identify(
     obj = options.load_object(object_file, largest_piece)
     full = options.load_log(pushes, obj)
     log = full.supported
-    weighed = None if weighings is None else WeighingLog.read_csv(weighings)
+    weighed = WeighingLog() if weighings is None else WeighingLog.read_csv(weighings)
     options.compile_kernels()
     with search_progress(f"identifying {obj.name}", budget) as progress:
 
@@ -151,11 +150,9 @@ def identify(
                 friction=friction,
             )
 
-        if weighed is not None and method == "default":
-            pushed, result = learn_with_weighings(learn, log, weighed, seed=seed)
-        else:
-            pushed = learn(log)
-            result = pushed if weighed is None else weigh_model(pushed, weighed, seed=seed)
+        pushed, result = learn_with_weighings(
+            learn, log, weighed, seed=seed, holds_friction=method == "default"
+        )
     if not pushed.push_names:
         raise PushLogError(explain_no_contact(obj, log))
     write_model(out, result, force)

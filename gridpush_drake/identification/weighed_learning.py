@@ -39,15 +39,18 @@ def learn_with_weighings(
     *,
     start: Identification | None = None,
     seed: int = 0,
+    holds_friction: bool = True,
 ) -> tuple[Identification, Identification]:
     """Learns an object from pushes and weighings.
 
     Args:
-        learn: learns from pushes alone, by a method that can hold frictions.
+        learn: learns from pushes alone.
         log: the pushes.
         weighings: the weighings; there may be none.
         start: where learning from the pushes begins; see `identify`.
         seed: see `weigh_model`.
+        holds_friction: whether `learn` can hold frictions. Otherwise the pushes are learned from
+            only once.
 
     Returns:
         What the pushes tell with the weighed frictions held, and the same with the weighings. Both
@@ -60,5 +63,7 @@ def learn_with_weighings(
     if not len(weighings):
         return pushed, pushed
     found = weigh_model(pushed, weighings, seed=seed)
+    if not holds_friction:
+        return pushed, found
     pushed = learn(log, found, found.params.friction)
     return pushed, weigh_model(pushed, weighings, seed=seed)

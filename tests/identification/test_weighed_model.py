@@ -13,7 +13,7 @@ from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.identification.weighed_learning import learn_with_weighings
 from gridpush_drake.identification.weighed_model import calc_center_prior, weigh_model
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import WeighingLog
+from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
 from gridpush_drake.report.page import list_numbers
 from tests.helpers.weighed_objects import Truth, make_problem
 from tests.identification.test_force_scale import MASS, learn, make_case
@@ -147,6 +147,21 @@ def test_without_weighings_the_pushes_are_learned_from_once(learned):
     log = PushLog(())
     assert learn_with_weighings(learn, log, WeighingLog(), start=learned) == (learned, learned)
     assert asked == [(log, learned, None)]
+
+
+def test_a_method_that_cannot_hold_frictions_learns_from_the_pushes_once(learned):
+    asked = []
+
+    def learn(log, start=None, friction=None):
+        asked.append(friction)
+        return learned
+
+    press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
+    weighings = WeighingLog((press,))
+    pushed, found = learn_with_weighings(learn, PushLog(()), weighings, holds_friction=False)
+    assert asked == [None] and pushed is learned and found.absolute.presses == 1
+    learn_with_weighings(learn, PushLog(()), weighings)
+    assert asked[1] is None and asked[2] is not None
 
 
 def test_no_weighing_is_refused(learned):

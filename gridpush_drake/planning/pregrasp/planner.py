@@ -24,7 +24,6 @@ from shapely import Polygon
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
@@ -51,7 +50,11 @@ from gridpush_drake.planning.pregrasp.grasp_parts import (
 )
 from gridpush_drake.planning.pregrasp.gripper import PadLimit
 from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std, suggest_poke
-from gridpush_drake.planning.pregrasp.slides import ROUND_OFF_MARGIN, plan_slide
+from gridpush_drake.planning.pregrasp.slides import (
+    ROUND_OFF_MARGIN,
+    calc_whole_margin,
+    plan_slide,
+)
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -146,9 +149,8 @@ class PreGraspPlanner:
             masses: that it may have.
         """
         options = self.options.slide
-        whole = float(calc_margin_inside(masses.center_of_mass_polygon, hull_of(self.obj.p_BC)))
         margin = calc_stability_margin(masses, pose, self.surface, options.inset)
-        return margin >= min(options.margin, whole) - ROUND_OFF_MARGIN
+        return margin >= calc_whole_margin(masses, options.margin) - ROUND_OFF_MARGIN
 
     def go_gently(self, length: float) -> "PreGraspPlanner":
         """Makes a planner whose slides are no longer than a length, m."""

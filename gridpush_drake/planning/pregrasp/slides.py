@@ -150,8 +150,15 @@ def calc_kept_margin(
         `margin`, or less where it is thinner at `pose` already, or would be with the object wholly
         on the table, m.
     """
+    return min(
+        calc_whole_margin(masses, margin), calc_stability_margin(masses, pose, surface, inset)
+    )
+
+
+def calc_whole_margin(masses: PlausibleMassSet, margin: float) -> float:
+    """Returns `margin`, or less where it is thinner with the object wholly on the table, m."""
     whole = calc_margin_inside(masses.center_of_mass_polygon, hull_of(masses.obj.p_BC))
-    return min(margin, float(whole), calc_stability_margin(masses, pose, surface, inset))
+    return min(margin, float(whole))
 
 
 def plan_slide(
