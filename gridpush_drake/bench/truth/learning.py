@@ -1,9 +1,10 @@
 """`gridpush bench truth`: how well bodies are learned that do not obey the model.
 
 Each hidden body of `bench.truth.sets` is learned from the first few of its pushes by the default
-method. It is judged by its held-out pushes, by its true center of mass, and by whether both are
-where the identification says. Bodies that hang over a table's edge are measured in
-`bench.truth.overhang`.
+method: of pushes that were drawn at random, or of those that `bench.truth.design` chooses. It is
+judged by its held-out pushes, by its true center of mass, and by whether both are where the
+identification says. The held-out pushes of a body are the same, and random, whatever it was learned
+from. Bodies that hang over a table's edge are measured in `bench.truth.overhang`.
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from gridpush_drake.bench.jobs import check_known
 from gridpush_drake.bench.study import OBJECTS, Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, PERCENT, Table, Value, calc_interval
 from gridpush_drake.bench.truth import overhang
+from gridpush_drake.bench.truth.design import find_designed_pushes
 from gridpush_drake.bench.truth.overhang import OVERHANG, TIPPED_BODIES
 from gridpush_drake.bench.truth.sets import (
     KINDS,
@@ -68,6 +70,15 @@ LEARNED = "learned"
 ORDER = {UNIFORM: 0, MASSES: 1, LOADS: 2, SHIFTING: 3, LEARNED: 4}
 """Order of the models in the table."""
 
+RANDOM = "random"
+"""Way of choosing the pushes to learn from: place, direction and speed are drawn."""
+
+DESIGN = "design"
+"""Way of choosing them by what tells most, one after another (`bench.truth.design`)."""
+
+WAYS = (RANDOM, DESIGN)
+"""Ways of choosing the pushes to learn from, in the order of the table."""
+
 CHI_SQUARE = 5.991
 """Value that 95 % of chi squares of two degrees of freedom stay below."""
 
@@ -84,6 +95,7 @@ class Options(StudyOptions):
         objects: names of shipped objects whose outlines the bodies have; OUTLINES where None.
         sets: number of bodies of each kind and outline; the first one has the seed `seed`.
         pushes: numbers of pushes to learn from.
+        chosen: ways of choosing these pushes, of WAYS; RANDOM where None.
         out: folder of sets, each in KIND/OUTLINE_SEED. Those that are there are read, others are
             made and left there.
         force: whether sets that are there are made anew, and replaced.
@@ -104,6 +116,14 @@ class Options(StudyOptions):
         "How many pushes to learn from; may be repeated.",
         least=1,
         shown=", ".join(map(str, COUNTS)),
+    )
+    chosen: tuple[str, ...] | None = option(
+        None,
+        "How the pushes to learn from are chosen: random, or design, each by what tells most after "
+        "the ones before; may be repeated, for both from the same bodies.",
+        name="--chosen",
+        metavar="WAY",
+        shown=RANDOM,
     )
     out: Path | None = option(
         None,
@@ -130,6 +150,11 @@ class Options(StudyOptions):
         """The numbers of pushes to learn from, each once and in order."""
         return tuple(sorted(set(COUNTS if self.pushes is None else self.pushes)))
 
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """The ways of choosing the pushes to learn from, in the order of WAYS."""
+        return (RANDOM,) if self.chosen is None else tuple(w for w in WAYS if w in self.chosen)
+
 
 @dataclass(frozen=True)
 class Job:
@@ -140,6 +165,7 @@ class Job:
         name: name of the outline.
         seed: seed of the body and its pushes.
         counts: numbers of pushes to learn from.
+        ways: ways of choosing these pushes, of WAYS.
         out: folder of sets, where this one is looked up, and left if it has to be made; None keeps
             none.
         anew: whether to make it even if it is there.
@@ -149,6 +175,7 @@ class Job:
     name: str
     seed: int
     counts: tuple[int, ...]
+    ways: tuple[str, ...] = (RANDOM,)
     out: Path | None = None
     anew: bool = False
 
@@ -169,6 +196,8 @@ class TruthScore:
         within: share of the held-out pushes whose final pose is as near to the predicted one as
             said; None where nothing was learned.
         region: radius of a circle as large as the 95 % region, m; None where nothing was learned.
+        chosen: way in which the pushes that were learned from were chosen, of WAYS; None where
+            nothing was learned.
     """
 
     kind: str
@@ -181,6 +210,7 @@ class TruthScore:
     covered: bool | None = None
     within: float | None = None
     region: float | None = None
+    chosen: str | None = None
 
 
 def shorten(options: Options) -> Options:
@@ -199,6 +229,8 @@ def make_jobs(options: Options) -> list[Job | overhang.OverhangJob | overhang.Ti
     check_known("kind", options.chosen_kinds, (*KINDS, OVERHANG))
     if options.sets < 1:
         raise GridPushError(f"sets: {options.sets}; expected at least 1")
+    if options.chosen is not None:
+        check_known("chosen", options.chosen, WAYS)
     counts = options.counts
     if not counts or not 1 <= counts[0] <= counts[-1] <= TRAINING:
         given = ", ".join(map(str, counts)) or "none"
@@ -213,6 +245,7 @@ def make_jobs(options: Options) -> list[Job | overhang.OverhangJob | overhang.Ti
             name=name,
             seed=options.seed + i,
             counts=counts,
+            ways=options.ways,
             out=folder,
             anew=options.force,
         )
@@ -231,7 +264,7 @@ def run_job(job: Job) -> list[TruthScore]:
     """Makes or reads one set, and learns from it.
 
     Raises:
-        GridPushError: the set cannot be made or read, or has too few pushes.
+        GridPushError: a set cannot be made or read, or has too few pushes.
         ObjectError: the outline's object is not shipped.
         OutputError: a file exists and may not be replaced, or cannot be written.
     """
@@ -260,9 +293,14 @@ def run_job(job: Job) -> list[TruthScore]:
         SHIFTING: replace(loads, push_height=made.push_height),
     }
     scores = [_score(made, model, 0, params) for model, params in known.items()]
-    for count in job.counts:
-        found = identify(made.obj, made.training[:count])
-        scores.append(_score(made, LEARNED, count, found.params, found))
+    for way in job.ways:
+        log = made.training
+        if way == DESIGN:
+            log = find_designed_pushes(made, job.counts[-1], folder, job.anew)
+        for count in job.counts:
+            found = identify(made.obj, log[:count])
+            score = _score(made, LEARNED, count, found.params, found)
+            scores.append(replace(score, chosen=way))
     return scores
 
 
@@ -322,6 +360,8 @@ def tabulate(options: Options, done: Done) -> list[Table]:
     """Tabulates the bodies by kind and model, and what is measured at an edge."""
     scores = [score for scores in done.of(TASK) for score in scores]
     tables = [tabulate_scores(scores)] if scores else []
+    if scores and len(options.ways) > 1:
+        tables.append(tabulate_difference(scores))
     pushed = [score for scores in done.of(overhang.PUSHED) for score in scores]
     if pushed:
         tables.append(overhang.tabulate_pushes(pushed))
@@ -333,14 +373,13 @@ def tabulate_scores(scores: Sequence[TruthScore]) -> Table:
     """Sums up scores by kind and model."""
     rows: list[list[Value]] = []
     for kind in dict.fromkeys(score.kind for score in scores):
-        models = sorted(
-            {(score.pushes, score.model) for score in scores},
-            key=lambda each: (each[0], ORDER[each[1]]),
-        )
-        for pushes, model in models:
-            chosen = [s for s in scores if (s.kind, s.model, s.pushes) == (kind, model, pushes)]
-            name = f"{pushes} pushes" if model == LEARNED else model
-            rows.append([kind, name, *_sum_up(chosen)])
+        groups: dict[tuple[int, int, str], list[TruthScore]] = {}
+        for score in scores:
+            if score.kind == kind:
+                key = (score.pushes, ORDER[score.model], _name_model(score))
+                groups.setdefault(key, []).append(score)
+        # A name that is longer, as that of pushes by design, comes after.
+        rows += [[kind, key[2], *_sum_up(groups[key])] for key in sorted(groups)]
     notes = (
         "Mean final cell error of held-out pushes, and the 95 % bootstrap interval of its mean "
         "over the bodies.",
@@ -366,6 +405,42 @@ def tabulate_scores(scores: Sequence[TruthScore]) -> Table:
     )
     title = "Bodies that do not obey the model, in MuJoCo"
     return Table(title, columns, rows, notes, keys=2)
+
+
+def _name_model(score: TruthScore) -> str:
+    """Names what a score is of, as the table says it."""
+    if score.model != LEARNED:
+        return score.model
+    return f"{score.pushes} pushes{' by design' if score.chosen == DESIGN else ''}"
+
+
+def tabulate_difference(scores: Sequence[TruthScore]) -> Table:
+    """Compares what pushes by design and random ones taught of the same bodies."""
+    learned = [score for score in scores if score.model == LEARNED]
+    rows: list[list[Value]] = []
+    for kind, pushes in dict.fromkeys((score.kind, score.pushes) for score in learned):
+        error = {
+            (score.name, score.seed, score.chosen): score.error
+            for score in learned
+            if (score.kind, score.pushes) == (kind, pushes)
+        }
+        less = [
+            error[name, seed, RANDOM] - value
+            for (name, seed, chosen), value in error.items()
+            if chosen == DESIGN
+        ]
+        gain = calc_interval(less)
+        better = PERCENT * float(np.mean([value > 0 for value in less]))
+        figures = [MM * value for value in (gain.mean, gain.low, gain.high)]
+        rows.append([kind, pushes, len(less), *figures, better])
+    notes = (
+        "Less: by how much the held-out error after pushes by design is less than after random "
+        "pushes of the same body,",
+        "and the 95 % bootstrap interval of its mean over the bodies; better: bodies for which it "
+        "is less.",
+    )
+    columns = ("truth", "pushes", "bodies", "less, mm", "from", "to", "better, %")
+    return Table("Pushes by design against random ones", columns, rows, notes, keys=2)
 
 
 def _sum_up(scores: Sequence[TruthScore]) -> list[Value]:

@@ -114,6 +114,9 @@ PUSHES = "pushes.csv"
 HELD_OUT_PUSHES = "heldout.csv"
 """File of a set that has the pushes that are held out."""
 
+DESIGNED_PUSHES = "designed.csv"
+"""File of a set that has pushes chosen by what tells most; see `bench.truth.design`."""
+
 TRUTH = "truth.json"
 """File of a set that has the truth."""
 
@@ -175,26 +178,46 @@ def make_set(
             installed.
         ObjectError: no shipped object has this name.
     """
-    rng = np.random.default_rng([seed, crc32(name.encode())])
-    obj, params = draw_masses(name, rng)
-    body = make_body(kind, obj, params, rng)
-    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    obj = replace(
-        obj, prior=replace(obj.prior, pusher_radius=radius, push_height=body.push_height or None)
-    )
-    world = MujocoWorld(body, radius, observations=OBSERVATIONS)
+    obj, world, rng = draw_world(kind, name, seed)
     pushes = [draw_push(world, f"push_{i + 1}", rng) for i in range(training + held_out)]
     return TruthSet(
         kind=kind,
         name=name,
         seed=seed,
         obj=obj,
-        params=params,
+        params=world.params,
         loads=world.loads,
-        push_height=body.push_height,
+        push_height=world.body.push_height,
         training=PushLog(tuple(pushes[:training])),
         held_out=PushLog(tuple(pushes[training:])),
     )
+
+
+def draw_world(
+    kind: str, name: str, seed: int
+) -> tuple[GridObject, MujocoWorld, np.random.Generator]:
+    """Draws a hidden body, and puts it on a table without edges.
+
+    Args:
+        kind: one of KINDS.
+        name: name of a shipped object.
+        seed: seed of all that is drawn; masses are the same for every kind.
+
+    Returns:
+        The object as whoever learns sees it, the world in which the body is pushed, and the
+        generator that drew the body and is to draw its pushes.
+
+    Raises:
+        GridPushError: the kind is not known, or MuJoCo is not installed.
+        ObjectError: no shipped object has this name.
+    """
+    rng = np.random.default_rng([seed, crc32(name.encode())])
+    obj, params = draw_masses(name, rng)
+    body = make_body(kind, obj, params, rng)
+    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    told = replace(obj.prior, pusher_radius=radius, push_height=body.push_height or None)
+    world = MujocoWorld(body, radius, observations=OBSERVATIONS)
+    return replace(obj, prior=told), world, rng
 
 
 def draw_masses(name: str, rng: np.random.Generator) -> tuple[GridObject, CellParameters]:
