@@ -25,7 +25,7 @@ from gridpush_drake.station.run_recorder import import_rosbags
 from gridpush_drake.station.scenario import MAX_SEED, PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, read_scenario
 from gridpush_drake.station.scene import use_object
-from gridpush_drake.station.tasks import TaskName
+from gridpush_drake.station.tasks import TASKS, TaskName
 from gridpush_drake.yaml_file import shorten
 
 MAX_EPISODES = 1_000_000
@@ -112,10 +112,10 @@ def campaign(
     scenario = read_scenario(scenario_file)
     chosen = _find_objects(scenario, objects)
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
-    # an object that does not fit the scenario is refused now, not after hours
+    # an object that does not fit the scenario or the task is refused now, not after hours
     for name in chosen:
         trial = scenario.model_copy()
-        resolve(trial, scenario_file, told=use_object(trial, name))
+        TASKS[task].check(resolve(trial, scenario_file, told=use_object(trial, name)))
 
     def begin() -> Results:
         make_folder(out)

@@ -159,6 +159,7 @@ def demo(
     if camera is None and scenario_file is None:
         scenario.camera.use("ideal" if chosen.needs_poses else _choose_camera())
     resolved = resolve(scenario, scenario_file, told=told)
+    chosen.check(resolved)
 
     # Everything that can be refused is refused now, before minutes are spent
     with output_folder(out):

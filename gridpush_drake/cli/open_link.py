@@ -13,7 +13,7 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.station.camera import make_camera
 from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.lcm_address import open_lcm
+from gridpush_drake.station.lcm.lcm_address import check_url, open_lcm
 from gridpush_drake.station.lcm.robot_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
@@ -101,6 +101,21 @@ def prepare_link(resolved: ResolvedScenario, ros2: bool) -> ResolvedScenario:
     return replace(resolved, robot=replace(resolved.robot, arm=arm))
 
 
+def check_address(ros2: bool, lcm: str) -> None:
+    """Checks what the command line says of the network, without opening it.
+
+    Raises:
+        StationError: LCM and ROS 2 were both asked for, or the URL is not one of LCM.
+    """
+    arguments = ROS_ARGUMENTS.get()
+    if ros2 and lcm != DEFAULT_URL:
+        raise StationError("--lcm and --ros2 are both given; expected one of them")
+    if arguments and not ros2:
+        raise StationError("--ros-args: is for ROS; expected --ros2 beside it")
+    if not ros2:
+        check_url(lcm)
+
+
 def open_link(role: Ros2Role, resolved: ResolvedScenario, ros2: bool, lcm: str) -> OpenedLink:
     """Opens the link of a command.
 
@@ -108,14 +123,10 @@ def open_link(role: Ros2Role, resolved: ResolvedScenario, ros2: bool, lcm: str) 
         StationError: the network is not there, both were asked for, or an argument of ROS will not
             do.
     """
-    arguments = ROS_ARGUMENTS.get()
+    check_address(ros2, lcm)
     if not ros2:
-        if arguments:
-            raise StationError("--ros-args: is for ROS; expected --ros2 beside it")
         return OpenedLink(open_lcm(lcm), None, lcm)
-    if lcm != DEFAULT_URL:
-        raise StationError("--lcm and --ros2 are both given; expected one of them")
-    return open_ros2_link(role, resolved, arguments)
+    return open_ros2_link(role, resolved, ROS_ARGUMENTS.get())
 
 
 def open_ros2_link(

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import (
@@ -36,6 +37,7 @@ from gridpush_drake.cli.open_link import (
     ByRos2,
     LcmUrl,
     OpenedLink,
+    check_address,
     open_link,
     prepare_link,
 )
@@ -46,15 +48,16 @@ from gridpush_drake.cli.twin import (
     Scenario,
     read_robot_scenario,
 )
-from gridpush_drake.errors import GridPushError, ScenarioError
+from gridpush_drake.errors import GridPushError, StationError
 from gridpush_drake.files import make_folder, write_whole
 from gridpush_drake.station.lcm.hardware_link import HardwareLink
 from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
+from gridpush_drake.station.lcm.robot_messages import find_arm_messages
 from gridpush_drake.station.links.link_bus import LinkBus
 from gridpush_drake.station.links.ros2 import Ros2Role
 from gridpush_drake.station.links.ros2_estimate import Ros2Estimate
 from gridpush_drake.station.rerun_view import RerunView
-from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.run_recorder import RunRecorder
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import StationTask
@@ -136,20 +139,23 @@ def robot(
     # In simulation the robot waits until an answer is calculated; a real arm does not stand still
     scenario.simulation.answer_delay = None
     resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
-    if scenario.camera.kind == "rgbd" and object_file is None and not scenario.others:
-        raise ScenarioError(
-            "--object: missing; if the scenario has camera.kind rgbd, expected the object file "
-            "that gridpush tracker wrote"
-        )
+
+    # Whatever can be refused is refused now, before the robot is spoken to
+    chosen.check(resolved, list_link_faults(resolved, is_told=obj is not None))
+    check_address(ros2, lcm)
     if go:
         make_folder(out)
         outputs = [out / name for name in (*chosen.files, LOG)]
         options.check_outputs(force, *outputs, record_file)
+    options.compile_kernels()
+    bus = DrakeLcm("memq://")
+    station_task = chosen.make_task(resolved, make_station=partial(MakeHardwareStation, lcm=bus))
     with closing(open_link(Ros2Role.CONTROL, resolved, ros2, lcm)) as network:
         link = HardwareLink(
             network.bus,
             resolved.robot,
-            others=len(scenario.others),
+            bus=bus,
+            others=scenario.names.name_others(len(scenario.others)),
             realtime_rate=realtime_rate,
             clock_jump=scenario.safety.clock_jump,
             names=network.names,
@@ -159,10 +165,6 @@ def robot(
         link.wait()
         if network.ros is not None and not network.ros.load_known:
             print_notice(UNFELT)
-        options.compile_kernels()
-        station_task = chosen.make_task(
-            resolved, make_station=partial(MakeHardwareStation, lcm=link.bus)
-        )
         if not go:
             _look(station_task, link, json)
             return
@@ -181,6 +183,26 @@ def robot(
         raise typer.Exit(SIGNALED + asked.number if asked.number else EXIT_INTERRUPTED)
     if not summary.get("done", summary["status"] == "finished"):
         raise typer.Exit(EXIT_NOT_DONE)
+
+
+def list_link_faults(resolved: ResolvedScenario, is_told: bool) -> list[str]:
+    """Lists why the robot of a scenario cannot be spoken to, or told of its object.
+
+    Args:
+        resolved: the scenario, prepared for the link.
+        is_told: whether `--object` says what the object is.
+    """
+    faults = []
+    if resolved.scenario.camera.kind == "rgbd" and not is_told and not resolved.others:
+        faults.append(
+            "--object: missing; if the scenario has camera.kind rgbd, expected the object file "
+            "that gridpush tracker wrote"
+        )
+    try:
+        find_arm_messages(resolved.robot)
+    except StationError as error:
+        faults.append(str(error))
+    return faults
 
 
 @dataclass
@@ -320,9 +342,10 @@ def _look(task: StationTask[Any], link: HardwareLink, json: bool) -> None:
     print_line("The finger's tip is at ({:.3f}, {:.3f}, {:.3f}) m.".format(*tip))
     where = PLACE.format(*pose)
     print_line(f"The object lies at {where}.")
-    for number, other in enumerate(others):
+    called = task.station.scenario.names.name_others(len(others))
+    for name, other in zip(called, others, strict=True):
         where = PLACE.format(*other)
-        print_line(f"others[{number}] lies at {where}.")
+        print_line(f"{name} lies at {where}.")
     print_line(_describe_push(push))
     print_line("Nothing has moved. With --go the arm will move.")
 

@@ -8,7 +8,7 @@ from pydrake.geometry import Meshcat, Rgba
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from shapely import Polygon
 
-from gridpush_drake.errors import ScenarioError
+from gridpush_drake.errors import PlanningError, ScenarioError
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -25,6 +25,7 @@ from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.push_task import EDGE_MARGIN, AddGoal
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.setting import find_obstacles
 from gridpush_drake.station.station import Learning, Station, StationMaker, make_surface
 from gridpush_drake.station.task import (
     GO_ON,
@@ -165,6 +166,7 @@ class FollowTask(StationTask[FollowRecord]):
             PlanningError: the scenario's path makes no sense.
         """
         resolved = resolve(scenario)
+        self.check(resolved)
         scenario = resolved.scenario
         builder = DiagramBuilder()
         station = builder.AddSystem(
@@ -178,7 +180,7 @@ class FollowTask(StationTask[FollowRecord]):
         )
         self.surface = make_surface(station.table_top)
         self.rules = make_follow_rules(station)
-        check_way(station.obj, self.rules)
+        check_way(station.obj, scenario, self.rules.constraints)
         self._policy = make_policy(station)
         self._follower = FollowController(
             station.obj, self.rules, answer_delay=scenario.simulation.answer_delay
@@ -191,6 +193,27 @@ class FollowTask(StationTask[FollowRecord]):
         if meshcat is not None:
             self._height = station.object_in_plant.height
             AddGoal(meshcat, station.obj, self.rules.end, self._height)
+
+    @classmethod
+    def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
+        """Lists why the path or the goal cannot be followed; see `StationTask.list_faults`."""
+        scenario = resolved.scenario
+        follow = scenario.follow
+        faults = []
+        if follow.speed > follow.finger_speed:
+            faults.append(
+                f"follow.speed is {follow.speed:g} m/s; expected at most follow.finger_speed, "
+                f"{follow.finger_speed:g} m/s"
+            )
+        if follow.path is not None:
+            try:
+                PosePath(np.array(follow.path), follow.speed)
+            except PlanningError as error:
+                faults.append(f"follow.{error}")
+        # A camera measures the object's outline, which is not known yet.
+        if scenario.camera.kind == "ideal":
+            faults += _list_misplaced(resolved)
+        return faults
 
     def prepare(self, context: Context, seed: int) -> None:
         """Sets the seed from which the policy draws its pokes."""
@@ -293,23 +316,44 @@ def make_follow_rules(station: Station) -> FollowRules:
     )
 
 
-def check_way(obj: GridObject, rules: FollowRules) -> None:
+def list_places(scenario: PushScenario) -> dict[str, list[float]]:
+    """Lists where an object should come, X_WB, m and rad: its path, or else its goal.
+
+    Returns:
+        The poses by the names of their fields.
+    """
+    path = scenario.follow.path
+    if path is not None:
+        return {f"follow.path[{at}]": pose for at, pose in enumerate(path)}
+    return {scenario.names.name_field(0, "goal"): scenario.goal.pose}
+
+
+def check_way(obj: GridObject, scenario: PushScenario, constraints: PushConstraints) -> None:
     """Checks what can be known of a goal and a path before anything was learned.
 
     Raises:
         ScenarioError: at the goal, or on a path that is told, the object would touch an obstacle or
-            hang over the table's edge; or the path is faster than the finger.
+            hang over the table's edge.
     """
-    if rules.speed > rules.finger.speed:
-        raise ScenarioError(
-            f"follow.speed is {rules.speed:g} m/s; expected at most follow.finger_speed, "
-            f"{rules.finger.speed:g} m/s"
-        )
-    places = {"goal.pose": rules.end}
-    if rules.path is not None:
-        places = {f"follow.path[{at}]": pose for at, pose in enumerate(rules.path.poses)}
-    for name, pose in places.items():
-        check_place(name, obj, pose, rules.constraints)
+    for name, pose in list_places(scenario).items():
+        check_place(name, obj, np.array(pose), constraints)
+
+
+def _list_misplaced(resolved: ResolvedScenario) -> list[str]:
+    """Lists which poses of the path or the goal are not on the table, or at an obstacle."""
+    constraints = PushConstraints(
+        surface=make_surface(resolved.table_top),
+        obstacles=find_obstacles(resolved),
+        edge_margin=EDGE_MARGIN,
+        obstacle_margin=OBSTACLE_MARGIN,
+    )
+    faults = []
+    for name, pose in list_places(resolved.scenario).items():
+        try:
+            check_place(name, resolved.obj, np.array(pose), constraints)
+        except ScenarioError as error:
+            faults.append(str(error))
+    return faults
 
 
 def calc_shown_age(scenario: PushScenario) -> float:

@@ -16,7 +16,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import ScenarioError, StationError
+from gridpush_drake.errors import PlanningError, StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
@@ -224,16 +224,14 @@ class PreGraspTask(StationTask[PreGraspRecord]):
                 on it, or the table is smaller than it.
         """
         resolved = resolve(scenario)
+        self.check(resolved)
         scenario = resolved.scenario
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(
             make_station(resolved, meshcat, show_object=False, learning=Learning())
         )
         station = self.station
-        if station.robot.gripper is None:
-            raise ScenarioError(
-                "directives: there is no model gripper; expected a scene that can grasp"
-            )
+        assert station.robot.gripper is not None
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
         gripper = station.robot.gripper.make_gripper()
@@ -253,6 +251,11 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             self.planner.weighing = make_weighing_options(station)
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
         super().__init__(builder, station, self.controller, meshcat)
+
+    @classmethod
+    def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
+        """Lists why the object cannot be grasped; see `StationTask.list_faults`."""
+        return list_gripper_faults(resolved)
 
     def make_record(self) -> PreGraspRecord:
         """Makes the empty record of a run."""
@@ -401,3 +404,21 @@ def make_options(station: Station, gripper: Gripper, force: float) -> PreGraspOp
         max_slides=pregrasp.max_slides,
         max_arm=pregrasp.max_arm,
     )
+
+
+def list_gripper_faults(resolved: ResolvedScenario) -> list[str]:
+    """Lists why the robot cannot grasp a scenario's object, as far as its height tells.
+
+    A camera measures the object's height: it is not known here how high it will find it.
+    """
+    scenario = resolved.scenario
+    gripper = resolved.robot.gripper
+    if gripper is None:
+        return ["directives: there is no model gripper; expected a scene that can grasp"]
+    if scenario.camera.kind != "ideal":
+        return []
+    try:
+        gripper.make_gripper().check_thickness(resolved.obj, scenario.object_height)
+    except PlanningError as error:
+        return [f"{scenario.names.name_field(0, 'height')}: {error}"]
+    return []

@@ -8,6 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
+from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
@@ -19,6 +20,7 @@ from gridpush_drake.station.goal_check import check_place, check_reach
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.setting import find_obstacles
 from gridpush_drake.station.station import Learning, Station, StationMaker, make_surface
 from gridpush_drake.station.task import (
     GO_ON,
@@ -110,6 +112,7 @@ class PushTask(StationTask[PushTaskRecord]):
             StationError: nothing can be rendered on this computer; or see `MakeHardwareStation`.
         """
         resolved = resolve(scenario)
+        self.check(resolved)
         scenario = resolved.scenario
         builder = DiagramBuilder()
         station = builder.AddSystem(
@@ -118,7 +121,8 @@ class PushTask(StationTask[PushTaskRecord]):
         self.surface = make_surface(station.table_top)
         rules = make_rules(station, self.surface)
         # A goal that no push can reach is refused before the robot begins.
-        check_goal(station.obj, np.array(scenario.goal.pose), rules)
+        field = scenario.names.name_field(0, "goal")
+        check_goal(station.obj, np.array(scenario.goal.pose), rules, field)
         goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))
         self.controller = builder.AddNamedSystem(
             "controller",
@@ -132,6 +136,27 @@ class PushTask(StationTask[PushTaskRecord]):
         super().__init__(builder, station, self.controller, meshcat)
         if meshcat is not None:
             AddGoal(meshcat, station.obj, scenario.goal.pose, station.object_in_plant.height)
+
+    @classmethod
+    def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
+        """Lists why the object may not lie at its goal; see `StationTask.list_faults`.
+
+        A camera measures the object's outline, which is not known yet.
+        """
+        scenario = resolved.scenario
+        if scenario.camera.kind != "ideal":
+            return []
+        constraints = PushConstraints(
+            surface=make_surface(resolved.table_top),
+            obstacles=find_obstacles(resolved),
+            edge_margin=EDGE_MARGIN,
+        )
+        field = scenario.names.name_field(0, "goal")
+        try:
+            check_place(field, resolved.obj, np.array(scenario.goal.pose), constraints)
+        except ScenarioError as error:
+            return [str(error)]
+        return []
 
     def make_record(self) -> PushTaskRecord:
         """Makes the empty record of a run."""
@@ -194,23 +219,24 @@ def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
     )
 
 
-def check_goal(obj: GridObject, goal: Array, rules: GoalRules) -> None:
+def check_goal(obj: GridObject, goal: Array, rules: GoalRules, field: str = "goal.pose") -> None:
     """Checks what can be known of a goal before the robot begins.
 
     Args:
         obj: the object.
         goal: (3,) X_WB, m and rad.
         rules: by which it is pushed.
+        field: name of the scenario's field with the goal, for messages.
 
     Raises:
         ScenarioError: at the goal the object would hang over the table's edge or be near to it,
             touch an obstacle, or lie where the finger does not come to it.
     """
-    check_place("goal.pose", obj, goal, rules.constraints)
+    check_place(field, obj, goal, rules.constraints)
     # Without a region the finger comes everywhere.
     if rules.constraints.finger_region is not None:
         region = rules.constraints.finger_region
-        check_reach("goal.pose", obj, goal, region, rules.contact.radius)
+        check_reach(field, obj, goal, region, rules.contact.radius)
 
 
 def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float) -> None:

@@ -184,7 +184,8 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
     # What the scenario says by itself, and the hidden truth, which is drawn from its seed.
     scenario.check()
     obj = load_object(scenario) if told is None else told
-    _check_parts(scenario)
+    others = tuple(load_others(scenario))
+    _check_parts(scenario, obj, others)
     truth = MakeTruth(obj, scenario.truth, scenario.seed)
     support = MakeSupport(obj, truth, scenario, scenario.seed)
     if support is not None and scenario.base != "free":
@@ -192,7 +193,6 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
             f"truth.support is {scenario.truth.support} and base {scenario.base}; "
             "expected base free, or own_weight"
         )
-    others = tuple(load_others(scenario))
 
     # The scene and the robot in it.
     scene = _MakeScene(scenario, obj, others, truth)
@@ -204,7 +204,8 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
     _check_heights(scenario, tip_radius)
     table_top = FindTableOutline(plant, inspector)
     scenario = scatter_objects(scenario, obj, others, table_top)
-    _check_on_table(("object", "object_pose"), obj, scenario.object_pose, table_top)
+    fields = (scenario.names.name_field(0, "object"), scenario.names.name_field(0, "pose"))
+    _check_on_table(fields, obj, scenario.object_pose, table_top)
     _check_others(scenario, obj, others, table_top, tip_radius)
     _check_posts(scenario, obj, others, table_top, tip_radius)
     _check_tip(robot, plant, inspector)
@@ -300,29 +301,39 @@ HEADINGS_TRIED = 36
 """Number of headings, evenly spaced, at which an object is tried to see if it fits on the table."""
 
 
-def _check_parts(scenario: PushScenario) -> None:
-    """Checks that the truth of each part is given once."""
-    labels = [part.label for part in scenario.truth.parts]
-    for at, label in enumerate(labels):
-        if label in labels[:at]:
-            raise ScenarioError(
-                f"truth.parts[{at}].label is {label} once more; expected each part once"
-            )
+def _check_parts(scenario: PushScenario, obj: GridObject, others: Sequence[GridObject]) -> None:
+    """Checks that the truth of parts is given for parts that the objects have, once for each."""
+    told = [scenario.truth.parts, *(config.parts for config in scenario.others)]
+    for number, (each, parts) in enumerate(zip((obj, *others), told, strict=True)):
+        field = scenario.names.name_field(number, "parts")
+        known = np.unique(each.labels).tolist()
+        labels = [part.label for part in parts]
+        for at, label in enumerate(labels):
+            if label not in known:
+                raise ScenarioError(
+                    f"{field}[{at}].label is {label}; expected a part of {each.name}: "
+                    f"one of {', '.join(map(str, known))}"
+                )
+            if label in labels[:at]:
+                raise ScenarioError(
+                    f"{field}[{at}].label is {label} once more; expected each part once"
+                )
 
 
 def _check_heights(scenario: PushScenario, tip_radius: float) -> None:
     """Checks that the finger pushes against the object's side, and travels above it."""
     finger = scenario.finger
     height = scenario.object_height
+    field = scenario.names.name_field(0, "height")
     if not tip_radius < finger.push_height <= height:
         raise ScenarioError(
             f"finger.push_height is {finger.push_height:g} m; expected more than the tip's radius, "
-            f"{tip_radius:g} m, and at most the object's height, {height:g} m"
+            f"{tip_radius:g} m, and at most the object's height, {height:g} m ({field})"
         )
     if finger.travel_height <= height + tip_radius:
         raise ScenarioError(
             f"finger.travel_height is {finger.travel_height:g} m; expected more than the object's "
-            f"height and the tip's radius, {height + tip_radius:g} m"
+            f"height ({field}) and the tip's radius, {height + tip_radius:g} m"
         )
 
 
@@ -335,13 +346,15 @@ def _check_others(
 ) -> None:
     """Checks that each other object lies on the table, apart from all others, below the finger."""
     # The field that places an object, its name, and its outline in W, of each object so far.
-    placed = [("object_pose", obj.name, transform_shape(scenario.object_pose, obj.outline))]
-    for at, (config, other) in enumerate(zip(scenario.others, others, strict=True)):
-        field = f"others[{at}].pose"
-        _check_on_table((f"others[{at}].object", field), other, config.pose, table)
+    names = scenario.names
+    outline = transform_shape(scenario.object_pose, obj.outline)
+    placed = [(names.name_field(0, "pose"), obj.name, outline)]
+    for number, (config, other) in enumerate(zip(scenario.others, others, strict=True), start=1):
+        field = names.name_field(number, "pose")
+        _check_on_table((names.name_field(number, "object"), field), other, config.pose, table)
         if config.height + tip_radius >= scenario.finger.travel_height:
             raise ScenarioError(
-                f"others[{at}].height is {config.height:g} m; expected less than "
+                f"{names.name_field(number, 'height')} is {config.height:g} m; expected less than "
                 "finger.travel_height less the tip's radius, "
                 f"{scenario.finger.travel_height - tip_radius:g} m, so that the finger passes "
                 "over it"
@@ -364,9 +377,12 @@ def _check_posts(
     tip_radius: float,
 ) -> None:
     """Checks that each post stands on the table, apart from all objects, below the finger."""
-    lying = [("object_pose", transform_shape(scenario.object_pose, obj.outline))]
-    for at, (config, other) in enumerate(zip(scenario.others, others, strict=True)):
-        lying.append((f"others[{at}].pose", transform_shape(config.pose, other.outline)))
+    names = scenario.names
+    outline = transform_shape(scenario.object_pose, obj.outline)
+    lying = [(names.name_field(0, "pose"), outline)]
+    for number, (config, other) in enumerate(zip(scenario.others, others, strict=True), start=1):
+        outline = transform_shape(config.pose, other.outline)
+        lying.append((names.name_field(number, "pose"), outline))
     for at, (post, outline) in enumerate(
         zip(scenario.posts, place_posts(scenario.posts), strict=True)
     ):

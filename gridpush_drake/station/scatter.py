@@ -58,7 +58,7 @@ def scatter_objects(
 
     # One after another, beside those before.
     poses = []
-    fields = ["object_pose", *(f"others[{at}].pose" for at in range(len(others)))]
+    fields = [scenario.names.name_field(number, "pose") for number in range(len(others) + 1)]
     begin = [scenario.object_pose, *(config.pose for config in scenario.others)]
     for field, each, middle in zip(fields, (obj, *others), begin, strict=True):
         for _ in range(TRIES):

@@ -10,10 +10,11 @@ object's body frame B in the world frame W, whose plane z = 0 is the top of the 
 description of each field is what a message says that the field should hold.
 """
 
+from dataclasses import dataclass, field, replace
 from math import radians
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator, Field, InstanceOf, ValidationError
+from pydantic import BeforeValidator, Field, InstanceOf, PrivateAttr, ValidationError
 from pydrake.common.yaml import yaml_dump as dump_tagged
 from pydrake.common.yaml import yaml_load_typed
 from pydrake.multibody.parsing import AddDirectives, ModelDirective
@@ -358,6 +359,62 @@ class ObjectConfig(OtherConfig):
     wanted: Annotated[bool, Field(description="true or false")] = False
 
 
+ALONE = {
+    "object": "object",
+    "pose": "object_pose",
+    "height": "object_height",
+    "goal": "goal.pose",
+    "parts": "truth.parts",
+}
+"""Fields of a scenario that say of the pushed object what those of an `OtherConfig` say of others,
+by the names of the latter."""
+
+
+@dataclass(frozen=True)
+class ObjectNames:
+    """The names by which whoever wrote a scenario knows its objects, for messages.
+
+    They have no part in a comparison: two scenarios that say the same in different forms are equal.
+
+    Attributes:
+        places: for each object its place in `objects`, the pushed one first and then the others in
+            their order; empty if the scenario was not written with `objects`.
+        elsewhere: those of the pushed object's fields that were not given in `objects`, such as
+            "goal" if that stands as `goal.pose`.
+        has_no_goal: whether the scenario was written with `objects`, and says nowhere where the
+            pushed object should come.
+    """
+
+    places: tuple[int, ...] = field(default=(), compare=False)
+    elsewhere: tuple[str, ...] = field(default=(), compare=False)
+    has_no_goal: bool = field(default=False, compare=False)
+
+    def name_object(self, number: int) -> str:
+        """Names an object: `object`, `others[0]`, or `objects[1]`; `number` is 0 for the pushed."""
+        if self.places:
+            return f"objects[{self.places[number]}]"
+        return "object" if number == 0 else f"others[{number - 1}]"
+
+    def name_rest(self) -> str:
+        """Names the field in which the other objects are given, or would be."""
+        return "objects" if self.places else "others"
+
+    def name_others(self, number: int) -> list[str]:
+        """Names so many other objects, as `name_object` does."""
+        return [self.name_object(1 + at) for at in range(number)]
+
+    def name_field(self, number: int, name: str) -> str:
+        """Names a field of an object, such as `object_pose`, `others[0].pose`, `objects[1].pose`.
+
+        Args:
+            number: 0 for the pushed object, 1 for the first of the others, and so on.
+            name: the field's name in `OtherConfig`.
+        """
+        if number == 0 and (not self.places or name in self.elsewhere):
+            return ALONE[name]
+        return f"{self.name_object(number)}.{name}"
+
+
 class PostConfig(Config):
     """A round post that is fixed on the table: an obstacle.
 
@@ -497,6 +554,7 @@ class PushScenario(Config):
             default_factory=_default_directives, description="a list of Drake's model directives"
         ),
     ]
+    _names: ObjectNames = PrivateAttr(default_factory=ObjectNames)
 
     def __init__(self, **fields: Any) -> None:
         """Takes the fields by name."""
@@ -531,12 +589,34 @@ class PushScenario(Config):
             self.goal = self.goal.model_copy(update={"pose": listed[first].goal})
         if listed[first].parts:
             self.truth = self.truth.model_copy(update={"parts": listed[first].parts})
+        rest = [at for at in range(len(listed)) if at != first]
         self.others = [
-            OtherConfig(**{name: getattr(each, name) for name in OtherConfig.model_fields})
-            for at, each in enumerate(listed)
-            if at != first
+            OtherConfig(**{name: getattr(listed[at], name) for name in OtherConfig.model_fields})
+            for at in rest
         ]
+        self._names = ObjectNames(
+            places=(first, *rest),
+            elsewhere=tuple(
+                name
+                for name, place in (("goal", "goal"), ("parts", "truth"))
+                if place in fields and not getattr(listed[first], name)
+            ),
+            has_no_goal=listed[first].goal is None and "goal" not in fields,
+        )
         self.objects = []
+
+    @property
+    def names(self) -> ObjectNames:
+        """The names by which messages call the objects: those that the scenario was written with.
+
+        A scenario that was written with `objects` keeps their places there.
+        """
+        return self._names
+
+    def replace_object(self, name: str) -> None:
+        """Puts a shipped object, or that of an object file, in the place of the pushed one."""
+        self.object = name
+        self._names = replace(self._names, elsewhere=(*self._names.elsewhere, "object"))
 
     def check(self) -> None:
         """Checks all fields again: they may have been changed since the scenario was made.

@@ -45,7 +45,7 @@ def load_object(scenario: PushScenario) -> GridObject:
         ScenarioError: there is no such object (the message suggests the nearest name); its file is
             not what it should be; or scenario and file allow no common friction.
     """
-    obj = _read_object(scenario.object, "object")
+    obj = _read_object(scenario.object, scenario.names.name_field(0, "object"))
     if scenario.object_friction is None:
         return obj
     least, greatest = scenario.object_friction
@@ -65,7 +65,7 @@ def use_object(scenario: PushScenario, name: str) -> GridObject:
     Raises:
         ScenarioError: the object cannot be read, see `load_object`.
     """
-    scenario.object = name
+    scenario.replace_object(name)
     obj = load_object(scenario)
     scenario.object_height = obj.height or scenario.object_height
     return obj
@@ -78,8 +78,8 @@ def load_others(scenario: PushScenario) -> list[GridObject]:
         ScenarioError: one of them is unknown, or its file is not what it should be.
     """
     return [
-        _read_object(other.object, f"others[{at}].object")
-        for at, other in enumerate(scenario.others)
+        _read_object(other.object, scenario.names.name_field(number, "object"))
+        for number, other in enumerate(scenario.others, start=1)
     ]
 
 

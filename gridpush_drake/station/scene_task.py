@@ -14,7 +14,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Multiplexer
 
 from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
-from gridpush_drake.errors import ScenarioError
+from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
@@ -32,7 +32,11 @@ from gridpush_drake.planning.scene.loop import (
     SceneLearning,
     ScenePlanner,
 )
-from gridpush_drake.planning.scene.rearrangement import RearrangeOptions, RearrangePlanner
+from gridpush_drake.planning.scene.rearrangement import (
+    RearrangeOptions,
+    RearrangePlanner,
+    check_goals,
+)
 from gridpush_drake.planning.scene.rules import SceneRules
 from gridpush_drake.planning.scene.scene_loop import (
     FindSceneGrasp,
@@ -50,6 +54,7 @@ from gridpush_drake.station.pregrasp_task import (
     LIFTED_SHARE,
     GraspFinder,
     calc_raised,
+    list_gripper_faults,
     make_options,
 )
 from gridpush_drake.station.push_station import MakePushStation, PushStation
@@ -161,8 +166,8 @@ class SceneTask(StationTask[SceneTaskRecord]):
             StationError: see `MakeHardwareStation`.
         """
         resolved = resolve(scenario)
+        self.check(resolved)
         scenario = resolved.scenario
-        self._check(scenario)
         # the station, which learns nothing by itself
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(
@@ -203,14 +208,21 @@ class SceneTask(StationTask[SceneTaskRecord]):
         if meshcat is not None and self.has_goals:
             self._draw_goals(meshcat)
 
-    def _check(self, scenario: PushScenario) -> None:
-        """Checks that there are several objects, of which each lies freely."""
+    @classmethod
+    def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
+        """Lists what is missing for several objects; see `StationTask.list_faults`."""
+        scenario = resolved.scenario
+        faults = []
         if not scenario.others:
-            raise ScenarioError(
-                "others: empty; expected other objects on the table: this task is for several"
+            faults.append(
+                f"{scenario.names.name_rest()}: empty; expected other objects on the table: "
+                "this task is for several"
             )
         if scenario.base != "free":
-            raise ScenarioError(f"base is {scenario.base}; expected free, as the other objects are")
+            faults.append(f"base is {scenario.base}; expected free, as the other objects are")
+        if cls.has_goals:
+            faults += _list_wrong_goals(resolved)
+        return faults
 
     def _connect_poses(self, builder: DiagramBuilder) -> None:
         """Connects the poses of all objects with the controller."""
@@ -393,14 +405,16 @@ class RearrangeTask(SceneTask):
 class FetchTask(SceneTask):
     """The station with a controller that clears the way, and grasps the wanted object, object 0."""
 
+    @classmethod
+    def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
+        """Lists what is missing to fetch an object; see `StationTask.list_faults`."""
+        return [*super().list_faults(resolved), *list_gripper_faults(resolved)]
+
     def make_planner(self) -> FetchPlanner:
         """Makes the planner, with what the gripper can take."""
         station = self.station
         scenario = station.scenario
-        if station.robot.gripper is None:
-            raise ScenarioError(
-                "directives: there is no model gripper; expected a scene that can grasp"
-            )
+        assert station.robot.gripper is not None
         # what the gripper can take, and hold
         gripper = station.robot.gripper.make_gripper()
         force = gripper.limit_force(scenario.pregrasp.force)
@@ -487,3 +501,27 @@ def make_goals(scenario: PushScenario) -> Array:
     nowhere = [np.nan] * 3
     others = [nowhere if other.goal is None else other.goal for other in scenario.others]
     return np.array([scenario.goal.pose, *others])
+
+
+def _list_wrong_goals(resolved: ResolvedScenario) -> list[str]:
+    """Lists what is wrong with the goals of a scenario's objects."""
+    scenario = resolved.scenario
+    names = scenario.names
+    field = names.name_field(0, "goal")
+    if names.has_no_goal:
+        return [
+            f"{field}: missing; expected [x, y, theta] (m, rad) for the object that is wanted, or "
+            "else for the first one; those after it may lie anywhere"
+        ]
+    objects = (resolved.obj, *resolved.others)
+    rules = SceneRules(
+        surface=make_surface(resolved.table_top),
+        edge_margin=EDGE_MARGIN,
+        posts=place_posts(scenario.posts),
+    )
+    fields = [names.name_field(number, "goal") for number in range(len(objects))]
+    try:
+        check_goals(objects, make_goals(scenario), rules, fields)
+    except PlanningError as error:
+        return [str(error)]
+    return []

@@ -10,7 +10,7 @@ from shapely.geometry.base import BaseGeometry
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.station.camera import FoundObject
-from gridpush_drake.station.others import OtherObject, place_others
+from gridpush_drake.station.others import OtherObject, list_others, place_others
 from gridpush_drake.station.posts import place_posts
 from gridpush_drake.station.resolve import ResolvedScenario
 from gridpush_drake.station.robot import Robot
@@ -64,6 +64,12 @@ class Setting:
     def obstacles(self) -> tuple[Polygon, ...]:
         """What pushes are planned around, polygons in W, m: posts, and other objects."""
         return (*place_posts(self.scenario.posts), *place_others(self.others))
+
+
+def find_obstacles(resolved: ResolvedScenario) -> tuple[Polygon, ...]:
+    """Finds what pushes are planned around before there is a station; see `Setting.obstacles`."""
+    others = list_others(resolved.scenario, resolved.others)
+    return (*place_posts(resolved.scenario.posts), *place_others(others))
 
 
 def MakeSetting(

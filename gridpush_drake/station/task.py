@@ -5,7 +5,7 @@ everything where it begins, and goes on in short steps. After each step the task
 new (`note`), and decides whether it is over (`judge`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
@@ -18,6 +18,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 
 from gridpush_drake.display.server import AimCamera
+from gridpush_drake.errors import ScenarioError
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import count, make_page
 from gridpush_drake.objects.grid_object import GridObject
@@ -28,6 +29,7 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.pushes.weighings import WeighingLog
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
+from gridpush_drake.station.resolve import ResolvedScenario
 from gridpush_drake.station.station import Station
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
 from gridpush_drake.systems.guard_status import (
@@ -301,6 +303,30 @@ class StationTask(Generic[R]):
         # Times at which the object was last seen, and something was last new, s.
         self._last_seen = 0.0
         self._last_new = 0.0
+
+    @classmethod
+    def list_faults(cls, resolved: ResolvedScenario) -> list[str]:
+        """Lists why the task cannot be done in a scenario, as far as is known without a station.
+
+        Returns:
+            Messages, each of which names its field and what is expected; empty if there are none.
+        """
+        return []
+
+    @classmethod
+    def check(cls, resolved: ResolvedScenario, more: Sequence[str] = ()) -> None:
+        """Checks that the task can be done in a scenario, before anything is made or opened.
+
+        Args:
+            resolved: the scenario.
+            more: further faults, which are told with those of the task.
+
+        Raises:
+            ScenarioError: it cannot; the message has all faults.
+        """
+        faults = [*cls.list_faults(resolved), *more]
+        if faults:
+            raise ScenarioError(". Also: ".join(faults))
 
     def make_record(self) -> R:
         """Makes the empty record of a run."""

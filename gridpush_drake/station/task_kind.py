@@ -34,7 +34,7 @@ from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.resolve import ResolvedScenario, naming
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario, write_scenario
-from gridpush_drake.station.task import ADVANCE, TaskStatus
+from gridpush_drake.station.task import ADVANCE, StationTask, TaskStatus
 from gridpush_drake.systems.estimate_visualizer import OBJECT_PATH
 from gridpush_drake.systems.messages import ContactPointStatus, PreGraspStatus, PushStatus
 from gridpush_drake.yaml_file import dump_yaml
@@ -96,7 +96,7 @@ class TaskKind:
         hides: whether the arm hides the object from the camera again and again while it works.
     """
 
-    station: Callable[..., Any]
+    station: type[StationTask[Any]]
     scenario: str | None = None
     done: TaskStatus = TaskStatus.FINISHED
     has_goal: bool = True
@@ -114,6 +114,21 @@ class TaskKind:
     def make_scenario(self) -> PushScenario:
         """Makes the scenario in which the task is done if none is given."""
         return PushScenario() if self.scenario is None else read_scenario(self.scenario)
+
+    def check(self, resolved: ResolvedScenario, more: Sequence[str] = ()) -> None:
+        """Checks that the task can be done in a scenario, before anything is made or opened.
+
+        It tells what is known without a station; `make_task` may still refuse the scenario.
+
+        Args:
+            resolved: the scenario.
+            more: further faults, which are told with those of the task.
+
+        Raises:
+            ScenarioError: it cannot; the message names the scenario's file and has all faults.
+        """
+        with naming(resolved.source):
+            self.station.check(resolved, more)
 
     def make_task(self, resolved: ResolvedScenario, *given: Any, **more: Any) -> Any:
         """Makes the task, a `StationTask`, with what its class takes besides the scenario.

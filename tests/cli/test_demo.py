@@ -388,7 +388,7 @@ def test_says_where_to_watch_only_what_can_begin(refuses, tmp_path):
         "pliers",
         "--out",
         tmp_path / "demo",
-        says=["goals: that of pliers and that of combination_wrench overlap"],
+        says=["objects[0].goal of pliers and objects[1].goal of combination_wrench overlap"],
     )
 
 
@@ -418,7 +418,11 @@ objects:
         ("push", GOAL_OFF_THE_TABLE, "goal.pose is [3, 0, 0]: there the object is nearer"),
         ("follow", GOAL_OFF_THE_TABLE, "goal.pose is [3, 0, 0]: there the object is nearer"),
         ("separate", "object: pliers\n", "others: empty; expected other objects on the table"),
-        ("rearrange", ONE_GOAL_FOR_TWO, "goals: that of claw_hammer and that of pliers overlap"),
+        (
+            "rearrange",
+            ONE_GOAL_FOR_TWO,
+            "objects[0].goal of claw_hammer and objects[1].goal of pliers overlap",
+        ),
     ],
 )
 def test_names_the_file_of_a_scenario_in_which_its_task_cannot_be_done(

@@ -46,6 +46,52 @@ def test_by_pictures_the_robot_must_be_told_which_object_the_tracker_follows(ref
     )
 
 
+FAR = "objects:\n- {object: pliers, pose: [0.6, 0.1, 0]}\n"
+"""A scenario with one object in its list."""
+
+UNSUITED = [
+    ("separate", FAR, ["objects: empty; expected other objects"]),
+    ("fetch", "base: planar\n", ["others: empty", "Also: base is planar", "no model gripper"]),
+    ("pregrasp", FAR, ["no model gripper"]),
+    ("push", "goal: {pose: [2, 0, 0]}\n", ["goal.pose is [2, 0, 0]", "the table's edge"]),
+    ("push", "camera: {kind: rgbd}\nrobot: gantry\n", ["--object: missing", "has no messages"]),
+    ("follow", "follow: {path: [[0.6, 0, 0], [2, 0, 0]]}\n", ["follow.path[1] is [2, 0, 0]"]),
+    ("follow", "follow: {speed: 0.3}\n", ["follow.speed is 0.3 m/s", "follow.finger_speed"]),
+    ("rearrange", FAR + "- {object: pliers, pose: [0.6, -0.1, 0]}\n", ["objects[0].goal: missing"]),
+]
+
+
+@pytest.mark.parametrize(("task", "text", "says"), UNSUITED)
+def test_what_does_not_suit_the_task_is_told_before_the_robot_is_spoken_to(
+    refuses, monkeypatch, tmp_path, task, text, says
+):
+    def open_nothing(*_):
+        raise AssertionError("a link was opened")
+
+    monkeypatch.setattr("gridpush_drake.cli.robot.open_link", open_nothing)
+    path = tmp_path / "cell.yaml"
+    path.write_text(text)
+    refuses("robot", "--task", task, "--scenario", path, says=[f"{path}: ", *says])
+
+
+def test_a_station_that_cannot_be_made_is_refused_before_the_robot_is_spoken_to(
+    refuses, monkeypatch, tmp_path
+):
+    """Where the finger comes to is known only once there is a station."""
+    monkeypatch.delattr("gridpush_drake.cli.robot.open_link")
+    path = tmp_path / "cell.yaml"
+    path.write_text("workspace: {x: [0.42, 0.8], y: [-0.2, 0.4]}\ngoal: {pose: [0.6, -0.4, 0]}\n")
+    says = [f"{path}: ", "goal.pose is [0.6, -0.4, 0]", "the finger does not come"]
+    refuses("robot", "--task", "push", "--scenario", path, says=says)
+
+
+def make_two():
+    """A scenario with the wanted object last in its list."""
+    first = {"object": "open_book", "pose": [0.56, -0.1, 0.25]}
+    second = {"object": "pliers", "pose": [0.6, 0.07, -1.5]}
+    return PushScenario(objects=[first, second])
+
+
 class Waiting:
     """A task with two objects before its first push, and what its robot is linked by."""
 
@@ -53,7 +99,9 @@ class Waiting:
 
     def __init__(self):
         others = (SimpleNamespace(name="other_0"),)
-        self.station = SimpleNamespace(robot=SimpleNamespace(arm_model="iiwa"), others=others)
+        self.station = SimpleNamespace(
+            robot=SimpleNamespace(arm_model="iiwa"), others=others, scenario=make_two()
+        )
 
     def preview(self, link, within):
         return PushCommand(1, 0.5, -0.2, 0.3, 0.04, 0.05)
@@ -71,7 +119,7 @@ def test_the_robot_says_where_it_sees_each_of_several_objects(capsys):
     _look(Waiting(), Waiting(), False)
     lines = capsys.readouterr().out.splitlines()
     assert "The object lies at (0.560, -0.100) m, turned by 0.25 rad." in lines
-    assert "others[0] lies at (0.600, 0.070) m, turned by -1.50 rad." in lines
+    assert "objects[1] lies at (0.600, 0.070) m, turned by -1.50 rad." in lines
     _look(Waiting(), Waiting(), True)
     assert json.loads(capsys.readouterr().out)["other_poses"] == [[0.6, 0.07, -1.5]]
 

@@ -1,5 +1,4 @@
 import json
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -41,17 +40,16 @@ def test_plans_draws_and_writes(gridpush, pan, tmp_path):
         assert image.width > 600
 
 
-def test_refuses_an_object_of_160_m_at_once(refuses, tmp_path):
+def test_refuses_an_object_of_160_m_before_anything_is_planned(refuses, tmp_path, monkeypatch):
+    monkeypatch.delattr("gridpush_drake.cli.slide.plan_pregrasp")
     plate = GridObject.from_outline(shapely.box(-80, -1, 80, 1), max_cells=40, name="plate")
     plate.write_yaml(tmp_path / "plate.yaml")
-    begin = time.process_time()
     refuses(
         "slide",
         tmp_path / "plate.yaml",
         *TABLE,
         says=["plate: its outline spans 160 m", "at most 10"],
     )
-    assert time.process_time() - begin < 5.0
 
 
 def test_a_tray_is_taken_by_its_rim_where_the_pads_hold_it(gridpush, refuses, tmp_path):

@@ -27,7 +27,7 @@ from gridpush_drake.identification.model_file import looks_like_model, read_mode
 from gridpush_drake.multibody.sdformat import make_sdf
 from gridpush_drake.objects.cells import MAX_CELLS
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.mask import read_labels
+from gridpush_drake.objects.mask import PGM_HEADER, read_labels
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import MAX_TABLE_NODES, make_distance_table
 from gridpush_drake.pushes.importers.bag import BagImporter
@@ -131,14 +131,17 @@ def test_large_files(tmp_path):
         read_bytes("/proc/self/status", "little", ObjectError, max_size=10)
 
 
+MANY = 300_000
+"""So many blanks or comments that a header's reader that tries them again would not end."""
+
+
 @pytest.mark.parametrize("filler", [b" ", b"#\n", b"\n", b"# a\n ", b"1 "])
 def test_headers_without_end(tmp_path, filler):
     path = tmp_path / "mask.pgm"
     path.write_bytes(b"P5" + filler * 4096)
-    begun = time.process_time()
     with pytest.raises(ObjectError, match=r"mask\.pgm"):
         read_labels(path)
-    assert time.process_time() - begun < 1
+    assert PGM_HEADER.match(b"P5" + filler * MANY) is None
 
 
 def test_numbers_that_are_too_many(tmp_path):

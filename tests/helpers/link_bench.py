@@ -56,8 +56,9 @@ class LinkBench:
         self.rows: list[tuple[float, np.ndarray]] = []
         self._count = 0
         bus = LinkBus(self.links[0], resolved.robot, others=others)
+        called = resolved.scenario.names.name_others(others)
         self.link = HardwareLink(
-            bus, resolved.robot, others=others, robot=self.move, clock=self.read_clock
+            bus, resolved.robot, others=called, robot=self.move, clock=self.read_clock
         )
         bus.leave_out = self.link.leave_out
         while not self.rows or any(each.data is None for each in self.link._objects):

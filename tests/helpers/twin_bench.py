@@ -57,10 +57,11 @@ class TwinBench:
         self._last: Any = None
         self._count = self._moves = self.paused = 0
         self._reset()
+        called = scenario.names.name_others(others)
         self.link = HardwareLink(
             self.lcm,
             robot,
-            others=others,
+            others=called,
             clock_jump=scenario.safety.clock_jump,
             robot=self.move,
             clock=self.read_clock,

@@ -109,7 +109,9 @@ def test_a_goal_at_a_post_is_refused_by_both_names():
     truth = make_truth(0)
     goals = truth.poses + [[0.0, 0.3, 0.0]]
     post = make_post(*goals[1, :2])
-    with pytest.raises(PlanningError, match=r"goals: that of .* is nearer to post 0 than 10 mm"):
+    with pytest.raises(
+        PlanningError, match=r"goals: that of .* is nearer to posts\[0\] than 10 mm"
+    ):
         RearrangePlanner(truth.objects, goals, rules=make_rules(post))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shapely import LineString, box
 
-from gridpush_drake.errors import PlanningError, ScenarioError
+from gridpush_drake.errors import ScenarioError
 from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.feedback.pose_path import PosePath
 from gridpush_drake.station.finger_region import MakeFingerRegion
@@ -99,7 +99,7 @@ def test_the_rules_are_the_scenarios():
     assert told.path.speed == 0.03
     assert told.end == pytest.approx([0.58, 0.0, 1.57])
     scenario.follow.path = [[0.58, -0.3, 1.57], [0.58, -0.3, 1.57]]
-    with pytest.raises(PlanningError, match="all poses are the same"):
+    with pytest.raises(ScenarioError, match=r"follow\.path: all poses are the same"):
         FollowTask(scenario)
 
 

@@ -517,14 +517,14 @@ def test_the_poses_of_several_objects_come_over_lcm(bench_of_two):
 
 def test_an_object_of_which_nobody_tells_is_named():
     lcm = DrakeLcm("memq://")
-    link = HardwareLink(lcm, ROBOT, others=2)
+    link = HardwareLink(lcm, ROBOT, others=("objects[0]", "objects[2]"))
     lcm.Publish(ARM.status, bytes_of_status())
     now = lcmt_planar_manipuland_status()
     now.utime = 10_000_000
     for number in (0, 1):
         lcm.Publish(name_object_channel(number), now.encode())
     with pytest.raises(
-        StationError, match=r"nobody says where others\[1\] is on .*_OTHER_1 within"
+        StationError, match=r"nobody says where objects\[2\] is on .*_OTHER_1 within"
     ):
         link.wait(patience=0.1)
 

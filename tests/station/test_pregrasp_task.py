@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gridpush_drake.errors import PlanningError, ScenarioError
+from gridpush_drake.errors import ScenarioError
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
@@ -28,7 +28,9 @@ def test_a_scene_without_a_gripper_is_refused():
 def test_an_object_too_thick_for_the_gripper_is_refused():
     scenario = PreGraspKind().make_scenario()
     scenario.object, scenario.object_height = "open_book", 0.085
-    with pytest.raises(PlanningError, match=r"0\.085 m thick; expected at most .* 0\.08 m"):
+    with pytest.raises(
+        ScenarioError, match=r"object_height: .* 0\.085 m thick; expected at most .* 0\.08 m"
+    ):
         PreGraspTask(scenario)
 
 

@@ -11,7 +11,7 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake import MakePushStation, PushScenario, read_scenario
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import PlanningError, ScenarioError
+from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision
 from gridpush_drake.planning.scene.scene_loop import SceneMode, SceneStatus
@@ -21,7 +21,7 @@ from gridpush_drake.station.others import draw_other_truth
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PostConfig
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, write_scenario
-from gridpush_drake.station.scene import load_object, load_others
+from gridpush_drake.station.scene import load_object, load_others, use_object
 from gridpush_drake.station.scene_camera import guess_ambiguous
 from gridpush_drake.station.scene_kinds import list_rest_poses
 from gridpush_drake.station.scene_task import (
@@ -72,6 +72,60 @@ def test_the_wanted_object_of_a_list_is_the_object_and_the_rest_are_the_others(t
     assert scenario.objects == []
 
 
+LATE_FAULTS = [
+    (("object: pliers", "object: plyers"), r"objects\[0\].object: .*pliers"),
+    (("object: claw_hammer", "object: claw_hamer"), r"objects\[1\].object: .*claw_hammer"),
+    (("mine.yaml", "yours.yaml"), r"objects\[2\].object: .*yours.yaml"),
+    (("[0.6, 0.2, 0.5]", "[1.6, 0.2, 0.5]"), r"objects\[0\].pose is \[1.6, 0.2, 0.5\]"),
+    (("[0.6, -0.1, 0.0]", "[1.6, -0.1, 0.0]"), r"objects\[1\].pose is \[1.6, -0.1, 0\]"),
+    (("pose: [0.5, 0.0, 0.0]", "height: 0.2, pose: [0.5, 0, 0]"), r"objects\[2\].height is 0.2 m"),
+    (("height: 0.04", "height: 0.2"), r"finger.travel_height .* height \(objects\[1\].height\)"),
+    (("label: 1, cell", "label: 9, cell"), r"objects\[1\].parts\[0\].label is 9; expected a part"),
+    (("label: 1, fric", "label: 9, fric"), r"objects\[2\].parts\[0\].label is 9; expected a part"),
+    (
+        ("\nobjects:", "\nposts: [{position: [0.6, 0.2]}]\nobjects:"),
+        r"the object of objects\[0\].pose",
+    ),
+    (("\nobjects:", "\nscatter: {distance: 9}\nobjects:"), r"near objects\[0\].pose in"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), LATE_FAULTS)
+def test_what_is_found_out_later_is_told_by_the_fields_name_in_the_list(tmp_path, change, message):
+    scenario = read(tmp_path, LIST.replace(*change))
+    with pytest.raises(ScenarioError, match=message):
+        resolve(scenario, tmp_path / "scenario.yaml")
+
+
+def test_a_field_is_called_by_the_form_in_which_it_was_written(tmp_path):
+    names = read(tmp_path).names
+    assert [names.name_object(number) for number in range(3)] == [
+        "objects[1]",
+        "objects[0]",
+        "objects[2]",
+    ]
+    assert names.name_field(0, "goal") == "objects[1].goal"
+    assert names.name_others(2) == ["objects[0]", "objects[2]"]
+    # a goal or parts that do not stand in the list
+    text = LIST.replace("goal: [0.62, -0.2, 0.3], parts: [{label: 1, cell_mass: 0.02}]", "")
+    names = read(tmp_path, text + "goal: {pose: [0.6, 0, 0]}\ntruth: {parts: []}\n").names
+    assert (names.name_field(0, "goal"), names.name_field(0, "parts")) == (
+        "goal.pose",
+        "truth.parts",
+    )
+    # an object of the command line
+    scenario = read(tmp_path)
+    use_object(scenario, "pliers")
+    assert scenario.names.name_field(0, "object") == "object"
+    # the older form, in which runs write it
+    write_scenario(tmp_path / "again.yaml", scenario)
+    names = read_scenario(tmp_path / "again.yaml").names
+    assert names.name_others(2) == ["others[0]", "others[1]"]
+    assert names.name_field(0, "height") == "object_height"
+    # names say nothing of what a scenario is
+    assert names == read(tmp_path).names
+
+
 def test_the_hidden_truth_of_each_object_may_be_given(tmp_path):
     scenario = read(tmp_path)
     resolved = resolve(scenario)
@@ -104,7 +158,7 @@ def test_objects_in_each_other_are_both_named(tmp_path):
     scenario = read(tmp_path, LIST.replace("[0.6, 0.2, 0.5]", "[0.6, -0.1, 0.5]"))
     with pytest.raises(
         ScenarioError,
-        match="pliers would lie in claw_hammer, which is at object_pose; expected room",
+        match=r"objects\[0\].pose is .* pliers would lie in claw_hammer, which is at objects\[1\].pose",
     ):
         resolve(scenario)
 
@@ -148,8 +202,31 @@ def test_pushes_of_several_objects_are_planned_around_posts():
 def test_goals_in_each_other_are_both_named():
     scenario = read_scenario("rearrange")
     scenario.others[0].goal = scenario.goal.pose
-    with pytest.raises(PlanningError, match="that of claw_hammer and that of combination_wrench"):
+    expected = (
+        r"objects\[0\].goal of claw_hammer and objects\[1\].goal of combination_wrench overlap"
+    )
+    with pytest.raises(ScenarioError, match=expected):
         RearrangeTask(scenario)
+
+
+def test_a_goal_that_is_nowhere_told_is_not_made_up(tmp_path):
+    text = LIST.replace("goal: [0.62, -0.2, 0.3], ", "")
+    with pytest.raises(
+        ScenarioError, match=r"objects\[1\].goal: missing; expected \[x, y, theta\]"
+    ):
+        TASKS["rearrange"].check(resolve(read(tmp_path, text)))
+    scenario = read(tmp_path, text + "goal: {pose: [0.62, -0.2, 0.3]}\n")
+    TASKS["rearrange"].check(resolve(scenario))
+
+
+def test_all_that_does_not_suit_a_task_is_told_at_once():
+    scenario = PushScenario(base="planar")
+    with pytest.raises(ScenarioError) as told:
+        TASKS["fetch"].check(resolve(scenario, "cell.yaml"), ["--object: missing"])
+    message = str(told.value)
+    assert message.startswith("cell.yaml: others: empty") and message.count("Also: ") == 3
+    assert "base is planar" in message and "no model gripper" in message
+    assert message.endswith("--object: missing")
 
 
 def make_record(task, name):

@@ -408,27 +408,45 @@ REACH_ON = 0.02
 """Length by which a push may be longer than the object has to go, m: it slides off, or turns."""
 
 
-def check_goals(objects: Sequence[GridObject], goals: Array, rules: SceneRules = ANYWHERE) -> None:
-    """Checks that goals (N, 3) are beside each other and posts, on the table; NaN is no goal.
+def check_goals(
+    objects: Sequence[GridObject],
+    goals: Array,
+    rules: SceneRules = ANYWHERE,
+    fields: Sequence[str] | None = None,
+) -> None:
+    """Checks that goals are beside each other and beside posts, and on the table.
+
+    Args:
+        objects: the N objects.
+        goals: (N, 3) X_WB of each object at its goal, m and rad; NaN where it has none.
+        rules: table and posts.
+        fields: names of the N fields in which a user gave the goals, for messages; None if they
+            are from no file.
 
     Raises:
         PlanningError: names both objects, or the object and the table or the post.
     """
+
+    def name_goal(i: int) -> str:
+        """Names an object's goal by its object, and by its field if it has one."""
+        name = describe_object(objects, i)
+        return f"that of {name}" if fields is None else f"{fields[i]} of {name}"
+
+    begin = "goals: " if fields is None else ""
     given = np.flatnonzero(np.isfinite(goals).all(axis=1)).tolist()
     placed = {i: transform_shape(goals[i], objects[i].outline) for i in given}
     for i, j in combinations(given, 2):
         area = float(placed[i].intersection(placed[j]).area)
         if area > OVERLAP_TOLERANCE:
             raise PlanningError(
-                f"goals: that of {describe_object(objects, i)} and that of "
-                f"{describe_object(objects, j)} overlap by {area * 1e4:.3g} cm²; expected goals "
-                "beside each other"
+                f"{begin}{name_goal(i)} and {name_goal(j)} overlap by {area * 1e4:.3g} cm²; "
+                "expected goals beside each other"
             )
     for i in given:
         for number, post in enumerate(rules.posts):
             if placed[i].distance(post) < POST_MARGIN:
                 raise PlanningError(
-                    f"goals: that of {describe_object(objects, i)} is nearer to post {number} than "
+                    f"{begin}{name_goal(i)} is nearer to posts[{number}] than "
                     f"{POST_MARGIN * MM:g} mm; expected a pose beside it"
                 )
     if rules.surface is None:
@@ -437,6 +455,6 @@ def check_goals(objects: Sequence[GridObject], goals: Array, rules: SceneRules =
     for i in given:
         if not room.covers(placed[i]):
             raise PlanningError(
-                f"goals: that of {describe_object(objects, i)} is nearer to the table's edge than "
+                f"{begin}{name_goal(i)} is nearer to the table's edge than "
                 f"{rules.edge_margin * MM:g} mm; expected a pose well on the table"
             )

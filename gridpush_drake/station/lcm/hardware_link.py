@@ -19,7 +19,7 @@ commands. Until `armed`, no command goes out. A `LinkReport` says how a run went
 
 import traceback
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from time import monotonic
 from typing import Any
 
@@ -94,7 +94,8 @@ class HardwareLink:
         lcm: Bus,
         arm: Robot,
         *,
-        others: int = 0,
+        bus: DrakeLcm | None = None,
+        others: Sequence[str] = (),
         realtime_rate: float = 1.0,
         clock_jump: float = SafetyConfig().clock_jump,
         robot: Callable[[], object] | None = None,
@@ -106,7 +107,10 @@ class HardwareLink:
         Args:
             lcm: the network that the robot is on.
             arm: the robot, whose joints, driver and gripper say which messages there are.
-            others: number of other objects on the table, whose poses come, too.
+            bus: the station's own LCM, if the station was made before the network was opened; None
+                to make one.
+            others: what the user calls the other objects on the table, whose poses come, too, such
+                as "others[0]".
             realtime_rate: number of the robot's seconds in a second; other than 1 for a twin that
                 is slower.
             clock_jump: a message that is further ahead of its sender's clock than this is left out,
@@ -119,7 +123,7 @@ class HardwareLink:
             names: names of the channels in messages to the user, by their LCM names, if the network
                 calls them otherwise.
         """
-        self.bus = DrakeLcm("memq://")
+        self.bus = bus or DrakeLcm("memq://")
         self.report = LinkReport()
         self.armed = False
         self._lcm = lcm
@@ -138,9 +142,10 @@ class HardwareLink:
             name: self._make_channel(
                 name, lcmt_planar_manipuland_status, clock_jump, reference=self._arm.clock
             )
-            for name in name_object_channels(others)
+            for name in name_object_channels(len(others))
         }
         self._objects = tuple(objects.values())
+        self._others = tuple(others)
         self._channels = {self._messages.status: self._arm, **objects}
         if arm.gripper is not None:
             self._channels[GRIPPER_STATUS] = self._make_channel(
@@ -208,7 +213,7 @@ class HardwareLink:
         elif silent[0] is self._objects[0]:
             who = "nobody says where the object is"
         elif silent[0] in self._objects:
-            who = f"nobody says where others[{self._objects.index(silent[0]) - 1}] is"
+            who = f"nobody says where {self._others[self._objects.index(silent[0]) - 1]} is"
         unusable = silent[0].describe_unusable()
         where = "in this ROS domain" if self._names else "on this --lcm"
         raise StationError(

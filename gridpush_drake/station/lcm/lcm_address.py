@@ -19,11 +19,11 @@ MAX_PORT = 65535
 """Greatest number of a port."""
 
 
-def open_lcm(url: str) -> DrakeLcm:
-    """Opens an LCM network.
+def check_url(url: str) -> None:
+    """Checks the URL of an LCM network, which is not opened.
 
     Raises:
-        StationError: the URL is not one of LCM, or the computer has no network for it.
+        StationError: the URL is not one of LCM.
     """
     match = URL.fullmatch(url)
     good = (
@@ -35,6 +35,15 @@ def open_lcm(url: str) -> DrakeLcm:
         raise StationError(
             f"--lcm: {url!r}; expected udpm://ADDRESS:PORT?ttl=N such as {DEFAULT_URL}"
         )
+
+
+def open_lcm(url: str) -> DrakeLcm:
+    """Opens an LCM network.
+
+    Raises:
+        StationError: the URL is not one of LCM, or the computer has no network for it.
+    """
+    check_url(url)
     lcm = DrakeLcm(url)
     if not lcm.available():
         raise StationError(f"--lcm: {url}: no network takes multicast; see docs/hardware.md")
