@@ -50,7 +50,8 @@ PushesFile = Annotated[
     typer.Argument(
         metavar="PUSHES.csv",
         help="A push log: a CSV file with the columns push, t, tip_x, tip_y, object_x, object_y, "
-        "object_theta (s, m and rad) and, if known, force_x, force_y (N), overhang and table.",
+        "object_theta (s, m and rad) and, if known, force_x, force_y, force_z (N), overhang and "
+        "table.",
         show_default=False,
     ),
 ]

@@ -4,18 +4,20 @@ Slow pushes show the shares x_i = k_i / sum k of the friction alone. With them t
 force of a push up to the scale, F(t) = K f(t), K = g sum k_i the friction of the whole object. Each
 push p so measures K by least squares,
 
-    K_p = sum_j f_j·y_j / sum_j f_j·f_j,    y_j the forces seen,
+    K_p = sum_j f_j·(y_j + mu s_j f_j) / sum_j f_j·f_j,    y_j the forces seen,
 
-and their spread says how well (`docs/theory/identification.md`, section 10). Only forces count that
-were measured while the finger pushed steadily: as it meets the object, and as it stops, the force
-is anything from nothing to all that friction can carry. It is not for fast pushes, whose forces
-accelerate the object, too.
+and their spread says how well (`docs/theory/identification.md`, section 10). Here s_j is the upward
+part of the force, by which the finger takes weight off the table, and mu the mean friction
+coefficient. Only forces count that were measured while the finger pushed steadily: as it meets the
+object, and as it stops, the force is anything from nothing to all that friction can carry. It is
+not for fast pushes, whose forces accelerate the object, too.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.physics import GRAVITY, Physics
 from gridpush_drake.geometry.se2 import Array, IntArray
@@ -49,7 +51,8 @@ While it slows down to stop, an object that stands already may push back with le
 friction."""
 
 MIN_STEADY = 3
-"""Least number of forces of a push that count. If there are fewer, all of the push count."""
+"""Least number of steady forces by which a push says anything. Only if no push has as many, as in a
+log with few forces, do all forces of all pushes count."""
 
 DRAWS = 8
 """Number of draws from the posterior whose K are compared, because K is only as sure as the
@@ -60,6 +63,25 @@ MAX_DRAWN_PUSHES = 20
 
 SURE = 2.0
 """Number of standard deviations between K and each of its bounds."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Felt:
+    """Some forces of a push, and what the model says of them.
+
+    Attributes:
+        model: (F, 2) simulated force on the object, over the whole friction.
+        seen: (F, 2) the measured one, N.
+        lift: (F,) its upward part, N; 0 where it was not measured.
+    """
+
+    model: Array
+    seen: Array
+    lift: Array
+
+    def take(self, chosen: NDArray[np.bool_]) -> "_Felt":
+        """Takes some of the forces by a mask (F,)."""
+        return _Felt(self.model[chosen], self.seen[chosen], self.lift[chosen])
 
 
 @dataclass(frozen=True)
@@ -145,8 +167,8 @@ def calc_force_scale(
         seed: seed of the draws from the posterior.
 
     Returns:
-        The scale; None where no force was measured while an object was pushed, or most point
-        against the pusher.
+        The scale; None where no force was measured while an object was pushed steadily, or most
+        point against the pusher.
     """
     with_force = [seen for seen in log if seen.force is not None]
     timed = [TimedPush.of(seen, physics.regime, log.table) for seen in with_force]
@@ -155,12 +177,17 @@ def calc_force_scale(
 
     # Forces against the pusher's motion are wrong: of sign or frame. If as many are wrong as
     # right, none can be trusted.
-    scales, stds = _calc_scales(obj, params, timed, physics)
+    scales, stds, lifts = _calc_scales(obj, params, timed, physics)
     right = scales > 0
     against = int((np.isfinite(scales) & ~right).sum())
     if against >= right.sum():
         return None
     mean, variance = _average(scales[right], stds[right])
+
+    # How much the weight rubs that the finger carried is not known: its friction is that of the
+    # object, and an error of that is common to all pushes.
+    friction_std = (obj.prior.friction_max - obj.prior.friction_min) / np.sqrt(12)
+    carried = float((friction_std * lifts[right].mean() / mean) ** 2)
 
     # An error of the normalized loads is common to all pushes, and does not average out.
     few = [one for one, use in zip(timed, right, strict=True) if use][:MAX_DRAWN_PUSHES]
@@ -170,7 +197,7 @@ def calc_force_scale(
     spread = float(np.var(np.log(medians))) if len(medians) > 1 else 0.0
     return ForceScale(
         friction=mean,
-        relative_std=float(np.sqrt(variance + spread)),
+        relative_std=float(np.sqrt(variance + carried + spread)),
         pushes=int(right.sum()),
         against=against,
         gravity=physics.gravity,
@@ -179,26 +206,31 @@ def calc_force_scale(
 
 def _calc_scales(
     obj: GridObject, params: CellParameters, pushes: Sequence[TimedPush], physics: Physics
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Calculates K_p of each push, and how much of it the noise of the forces may be.
 
     Returns:
-        K_p (P,), N; NaN where the model has no force while one was measured. And its standard
-        deviation (P,) by the noise of single forces, N.
+        K_p (P,), N; NaN where none of the push's forces count, or the model has no force while one
+        was measured. Its standard deviation (P,) by the noise of single forces, N. And the weight
+        (P,) that the finger carried, on average, N: dK_p/dmu.
     """
     whole = physics.gravity * float(params.mass @ params.friction)
+    friction = float(params.mass @ params.friction) / params.total_mass
     scales = []
     sizes = []
+    lifts = []
     squares = 0.0
     freedom = 0
-    for one in pushes:
-        motion = one.simulate(obj, params, physics, record=[])
-        f, y = _choose_steady(one, motion.contact_forces.sum(axis=1) / whole)
-        # K_p = sum_j f_j·y_j / sum_j f_j·f_j
+    for felt in _choose_forces(obj, params, pushes, physics, whole):
+        f = felt.model
+        # Whatever weight the finger carries does not rub on the table: y_j = (K - mu s_j) f_j.
+        y = felt.seen + friction * felt.lift[:, None] * f
+        # K_p = sum_j f_j·(y_j + mu s_j f_j) / sum_j f_j·f_j
         size = float((f * f).sum())
         scale = float((f * y).sum()) / size if size > 0 else np.nan
         scales.append(scale)
         sizes.append(size)
+        lifts.append(float(felt.lift @ (f * f).sum(axis=1)) / size if size > 0 else 0.0)
         # What is left of the forces is their noise, for which all pushes speak together.
         if size > 0:
             squares += float(((y - scale * f) ** 2).sum())
@@ -206,19 +238,45 @@ def _calc_scales(
     variance = squares / max(freedom, 1)
     with np.errstate(divide="ignore"):
         stds = np.sqrt(variance / np.array(sizes))
-    return np.array(scales), stds
+    return np.array(scales), stds, np.array(lifts)
 
 
-def _choose_steady(one: TimedPush, force: Array) -> tuple[Array, Array]:
-    """Chooses the forces that were measured while the finger pushed steadily.
+def _choose_forces(
+    obj: GridObject,
+    params: CellParameters,
+    pushes: Sequence[TimedPush],
+    physics: Physics,
+    whole: float,
+) -> list[_Felt]:
+    """Chooses the forces of each push that count; `whole` is the whole friction, N."""
+    felt = []
+    steady = []
+    for one in pushes:
+        motion = one.simulate(obj, params, physics, record=[])
+        force = motion.contact_forces.sum(axis=1) / whole
+        seen = one.observed
+        assert seen.force_t is not None and seen.force is not None
+        lift = np.zeros(len(seen.force_t)) if seen.lift_force is None else seen.lift_force
+        steps = _find_steps(one.times, seen.force_t, len(force))
+        felt.append(_Felt(force[steps], seen.force, lift))
+        steady.append(_find_steady(one, force))
+    # A push that was too short to become steady says nothing, as it met the object or stopped all
+    # of the time: its forces are too small. It is left out unless all are like that.
+    enough = [int(mask.sum()) >= MIN_STEADY for mask in steady]
+    if not any(enough):
+        return felt
+    return [one.take(mask & there) for one, mask, there in zip(felt, steady, enough, strict=True)]
+
+
+def _find_steady(one: TimedPush, force: Array) -> NDArray[np.bool_]:
+    """Finds the forces that were measured while the finger pushed steadily.
 
     Args:
         one: the push, with measured forces.
         force: (T, 2) simulated force on the object during each step, over the whole friction.
 
     Returns:
-        Simulated forces (F, 2), over the whole friction, and measured ones (F, 2), N. All of the
-        push where hardly any was steady.
+        A mask (F,) of the measured forces.
     """
     seen = one.observed
     assert seen.force_t is not None and seen.force is not None
@@ -238,10 +296,7 @@ def _choose_steady(one: TimedPush, force: Array) -> tuple[Array, Array]:
     settled = begin - met[first_steps] >= SETTLE_DISTANCE
     lost = apart[first_steps] | apart[steps]
     gone = end - begin
-    steady = np.asarray(settled & ~lost & (gone >= STEADY_SHARE * np.median(gone)))
-    if steady.sum() < MIN_STEADY:
-        steady = np.ones(len(steps), dtype=bool)
-    return force[steps[steady]], seen.force[steady]
+    return np.asarray(settled & ~lost & (gone >= STEADY_SHARE * np.median(gone)))
 
 
 def _find_steps(times: Array, wanted: Array, count: int) -> IntArray:

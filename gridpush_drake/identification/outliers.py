@@ -295,10 +295,12 @@ def _trim(seen: ObservedPush, mask: Mask) -> ObservedPush | None:
     t = np.append(begin, seen.push.t[seen.push.t > begin])
     force_t = seen.force_t
     force = seen.force
+    lift_force = seen.lift_force
     if force_t is not None and force is not None:
         rest = force_t >= begin
         force_t = force_t[rest] - begin
         force = force[rest]
+        lift_force = None if lift_force is None else lift_force[rest]
     return ObservedPush(
         name=seen.name,
         push=Push.along(t, seen.push.tip_at(t), seen.push.radius),
@@ -308,6 +310,7 @@ def _trim(seen: ObservedPush, mask: Mask) -> ObservedPush | None:
         force_t=force_t,
         force=force,
         overhang=seen.overhang,
+        lift_force=lift_force,
     )
 
 

@@ -30,6 +30,8 @@ class ObservedPush(Frozen):
         force_t: (F,) times of the force samples, s, strictly increasing, in [0, push.duration];
             None where the force was not measured.
         force: (F, 2) force on the object in W, N; None where it was not measured.
+        lift_force: (F,) upward part of the force on the object at the same times, N; negative where
+            the finger presses down on it. None where it was not measured.
         overhang: whether a part of the object hung over the table's edge.
 
     Raises:
@@ -44,6 +46,7 @@ class ObservedPush(Frozen):
     force_t: Array | None = None
     force: Array | None = None
     overhang: bool = False
+    lift_force: Array | None = None
 
     def __post_init__(self) -> None:
         if not self.name or self.name != self.name.strip():
@@ -66,6 +69,10 @@ class ObservedPush(Frozen):
             force_t = self._array("force_t", self.force_t, (-1,))
             self._array("force", self.force, (len(force_t), 2))
             self._check_times("force_t", force_t)
+        if self.lift_force is not None:
+            if self.force_t is None:
+                raise PushLogError(f"push {self.name!r}: lift_force does not come without force_t")
+            self._array("lift_force", self.lift_force, (len(self.force_t),))
 
     def __repr__(self) -> str:
         """Name, push and what became of the object, in a line."""

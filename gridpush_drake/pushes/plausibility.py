@@ -26,6 +26,7 @@ from gridpush_drake.pushes.misplaced import (
     find_units,
 )
 from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_csv import LIFT_FORCE
 from gridpush_drake.pushes.push_log import PushLog
 
 TRAVEL_FACTOR = 2.0
@@ -153,7 +154,7 @@ def explain_unused_forces(obj: GridObject, log: PushLog, inertial: bool) -> str 
     """
     if all(seen.force is None for seen in log):
         return None
-    for find in (_find_large_forces, _find_pulling_forces):
+    for find in (_find_large_forces, _find_pulling_forces, _find_lifting_forces):
         for message in find(obj, log):
             return f"{message}; the forces are not used"
     if inertial:
@@ -240,6 +241,25 @@ def _find_pulling_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
                 "motion; expected "
                 "the force on the object, in the frame of tip_x, tip_y: is it that on the pusher?"
             )
+
+
+def _find_lifting_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
+    """Finds upward forces beyond what friction at the finger can carry: a sensor's offset."""
+    felt = [
+        (seen.force, seen.lift_force)
+        for seen in log
+        if seen.force is not None and seen.lift_force is not None
+    ]
+    if not felt:
+        return
+    up = float(np.median(np.concatenate([np.abs(lift) for _, lift in felt])))
+    along = float(np.median(np.concatenate([np.linalg.norm(force, axis=1) for force, _ in felt])))
+    if up > along:
+        yield (
+            f"column {LIFT_FORCE}: is {up:.3g} N at the median, up or down, and force_x, force_y "
+            f"only {along:.3g} N; expected less, for friction at the pusher cannot carry as much: "
+            "was the sensor's offset taken off?"
+        )
 
 
 def _calc_work(seen: ObservedPush) -> float:

@@ -3,10 +3,11 @@
 A push log is one tidy CSV file: a row a sample. Its columns: push (any text, rows of one push
 together), t, tip_x, tip_y (the disc's center), object_x, object_y, object_theta (on a push's first
 row, and wherever else it was observed; empty elsewhere) and, where they are known, force_x, force_y
-on the object, overhang: 1 while a part of the object hung over the table's edge, 0 or empty
-otherwise (one such row marks the push), and table: its top in W as well-known text, POLYGON ((x y,
-x y, ...)), once in the file. Times are counted from each push's first row. A cell that holds nan
-counts as empty, and further columns are passed over with a warning.
+on the object, force_z on it, upwards, where those two are, overhang: 1 while a part of the object
+hung over the table's edge, 0 or empty otherwise (one such row marks the push), and table: its top
+in W as well-known text, POLYGON ((x y, x y, ...)), once in the file. Times are counted from each
+push's first row. A cell that holds nan counts as empty, and further columns are passed over with a
+warning.
 
 Users read and write by `PushLog.read_csv` and `PushLog.write_csv`.
 """
@@ -50,6 +51,9 @@ POSE = ("object_x", "object_y", "object_theta")
 FORCE = ("force_x", "force_y")
 """Columns of the force on the object."""
 
+LIFT_FORCE = "force_z"
+"""Column of its upward part. A push has it in all rows that have the others, or in none."""
+
 REQUIRED = ("push", "t", *TIP, *POSE)
 """Columns that every file has."""
 
@@ -59,7 +63,7 @@ OVERHANG = "overhang"
 TABLE = "table"
 """Column of the table's top."""
 
-COLUMNS = (*REQUIRED, *FORCE, OVERHANG, TABLE)
+COLUMNS = (*REQUIRED, *FORCE, LIFT_FORCE, OVERHANG, TABLE)
 """All columns that are read."""
 
 FLAGS = {"0": False, "1": True, "0.0": False, "1.0": True}
@@ -68,7 +72,7 @@ FLAGS = {"0": False, "1": True, "0.0": False, "1.0": True}
 WHAT = "a push log (CSV)"
 """The expected form of a file, for messages."""
 
-UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
+UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N", LIFT_FORCE: "N"}
 """Unit of each column; m where not listed."""
 
 MAX_ROWS = 50_000
@@ -92,6 +96,7 @@ class _Row(NamedTuple):
         tip: x and y of the tip's center, m.
         pose: x, y and theta of the object, m and rad; None where it was not seen.
         force: x and y of the force on the object, N; None where it is not known.
+        lift_force: its upward part, N; None where it is not known.
         overhang: whether the row says that the object hung over the table's edge.
         table: (K, 2) corners of the table's top, m; None where the row does not say.
     """
@@ -102,6 +107,7 @@ class _Row(NamedTuple):
     tip: list[float]
     pose: list[float] | None
     force: list[float] | None
+    lift_force: float | None
     overhang: bool
     table: Array | None
 
@@ -235,7 +241,7 @@ def _thin_poses(rows: list[_Row]) -> tuple[list[_Row], int]:
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
     """Refuses a header without a column that is needed, or with one twice or misspelled."""
-    known = f"{','.join(FORCE)}, {OVERHANG} and {TABLE}"
+    known = f"{','.join(FORCE)}, {LIFT_FORCE}, {OVERHANG} and {TABLE}"
     form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {known}"
     twice = next((name for name in header if header.count(name) > 1), None)
     if twice is not None:
@@ -256,10 +262,12 @@ def _check_header(path: Path, line: int, header: list[str]) -> None:
         hint = f"; rename {close[0]!r} to {name!r}?" if close else ""
         fail(path, line, name, f"is missing{hint}; {form}")
     missing = [name for name in FORCE if name not in header]
-    refuse_misspelled(path, line, header, COLUMNS, form)
+    # The upward force alone tells nothing.
+    used = tuple(name for name in COLUMNS if not (missing and name == LIFT_FORCE))
+    refuse_misspelled(path, line, header, used, form)
     if len(missing) == 1:
         fail(path, line, missing[0], f"is missing; the columns {' and '.join(FORCE)} come together")
-    warn_of_further(path, header, COLUMNS)
+    warn_of_further(path, header, used)
 
 
 def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
@@ -269,6 +277,14 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
         fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
     pose = _read_group(path, line, cells, POSE)
     force = _read_group(path, line, cells, FORCE)
+    upward = _read_group(path, line, cells, (LIFT_FORCE,)) if FORCE[0] in cells else None
+    if upward is not None and force is None:
+        fail(
+            path,
+            line,
+            LIFT_FORCE,
+            f"is {upward[0]:g}, but {' and '.join(FORCE)} are empty; expected all or none",
+        )
     tip = [_read_number(path, line, column, cells[column]) for column in TIP]
     flag = cells.get(OVERHANG, "").strip()
     hangs_over = False if is_empty(flag) else FLAGS.get(flag)
@@ -282,6 +298,7 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
         tip=tip,
         pose=pose,
         force=force,
+        lift_force=None if upward is None else upward[0],
         overhang=hangs_over,
         table=table,
     )
@@ -320,7 +337,8 @@ def _read_number(path: Path, line: int, column: str, cell: str) -> float:
     """Reads a cell's number; a message tells its unit, and which columns may be empty together."""
     value = parse_number(cell)
     if value is None:
-        group = next((columns for columns in (POSE, FORCE) if column in columns), None)
+        groups = (POSE, FORCE, (LIFT_FORCE,))
+        group = next((columns for columns in groups if column in columns), None)
         form = f"a finite number ({UNITS.get(column, 'm')})" + (
             f", or {', '.join(group)} empty" if group else ""
         )
@@ -361,6 +379,16 @@ def _make_push(path: Path, rows: list[_Row], radius: float, require_final: bool)
     for pose_before, pose in pairwise(poses):
         pose[2] = nearest_turn(pose[2], pose_before[2])
     felt = [row for row in rows if row.force is not None]
+    upward = [row for row in felt if row.lift_force is not None]
+    if upward and len(upward) < len(felt):
+        lacking = next(row for row in felt if row.lift_force is None)
+        fail(
+            path,
+            lacking.line,
+            LIFT_FORCE,
+            f"is empty; expected a number (N) in all rows of push {first.push!r} that have "
+            f"{' and '.join(FORCE)}, or in none",
+        )
     return ObservedPush(
         name=first.push,
         push=Push.along([row.t for row in rows], [row.tip for row in rows], radius),
@@ -370,6 +398,7 @@ def _make_push(path: Path, rows: list[_Row], radius: float, require_final: bool)
         force_t=np.array([row.t - first.t for row in felt]) if felt else None,
         force=np.array([row.force for row in felt]) if felt else None,
         overhang=any(row.overhang for row in rows),
+        lift_force=np.array([row.lift_force for row in upward]) if upward else None,
     )
 
 
@@ -397,7 +426,11 @@ def write_pushes(
             raise PushLogError(
                 f"{path}: two pushes of the log are named {name!r}; expected one name a push"
             )
-    with_force = any(seen.force is not None for seen in pushes)
+    forces: tuple[str, ...] = ()
+    if any(seen.force is not None for seen in pushes):
+        forces = FORCE
+    if any(seen.lift_force is not None for seen in pushes):
+        forces = (*FORCE, LIFT_FORCE)
     with_overhang = any(seen.overhang for seen in pushes)
 
     # Columns of which nothing is known are left out.
@@ -406,12 +439,12 @@ def write_pushes(
     more = [
         name for name, there in ((OVERHANG, with_overhang), (TABLE, table is not None)) if there
     ]
-    writer.writerow([*REQUIRED, *(FORCE if with_force else ()), *more])
+    writer.writerow([*REQUIRED, *forces, *more])
     # The table stands in the first row, and nowhere else.
     text = [] if table is None else [_describe_table(table)]
     for seen in pushes:
         flag = [str(int(seen.overhang))] if with_overhang else []
-        for cells in _make_rows(seen, with_force):
+        for cells in _make_rows(seen, len(forces)):
             writer.writerow([*cells, *flag, *text])
             text = [""] * len(text)
     write_whole(path, buffer.getvalue(), force)
@@ -424,17 +457,24 @@ def _describe_table(corners: Array) -> str:
     return f"POLYGON (({points}))"
 
 
-def _make_rows(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
-    """Makes the cells of each row of a push: a row for each time at which anything is known."""
+def _make_rows(seen: ObservedPush, columns: int) -> Iterator[list[str]]:
+    """Makes the cells of each row of a push: a row for each time at which anything is known.
+
+    Args:
+        seen: the push.
+        columns: number of the file's columns of forces: 0, 2, or 3 with the upward force.
+    """
     poses = dict(zip(seen.t_observed.tolist(), seen.poses_observed.tolist(), strict=True))
     poses[0.0] = seen.pose.tolist()
     forces: dict[float, list[float]] = {}
     if seen.force_t is not None and seen.force is not None:
-        forces = dict(zip(seen.force_t.tolist(), seen.force.tolist(), strict=True))
+        felt = seen.force
+        if seen.lift_force is not None:
+            felt = np.column_stack([felt, seen.lift_force])
+        forces = dict(zip(seen.force_t.tolist(), felt.tolist(), strict=True))
     times = sorted({*seen.push.t.tolist(), *poses, *forces})
     for t, tip in zip(times, seen.push.tip_at(times).tolist(), strict=True):
         row = [seen.name, repr(t), *map(repr, tip), *map(repr, poses.get(t, []))]
         row += [""] * (len(REQUIRED) - len(row))
-        if with_force:
-            row += [repr(f) for f in forces[t]] if t in forces else [""] * len(FORCE)
-        yield row
+        row += map(repr, forces.get(t, []))
+        yield row + [""] * (len(REQUIRED) + columns - len(row))

@@ -306,7 +306,8 @@ def make_observed_push(
         t_observed=times - t[0],
         poses_observed=_continue_turns(pose, seen),
         force_t=None if felt_at is None else felt_at - t[0],
-        force=force,
+        force=None if force is None else force[:, :2],
+        lift_force=None if force is None else force[:, 2],
     )
 
 
@@ -334,7 +335,7 @@ def _read_force(episode: Episode, begin: float, end: float) -> tuple[Array | Non
         end: when it stopped, s.
 
     Returns:
-        Times (F,) in the stream, s, and forces (F, 2) in W, N; None for both where the force
+        Times (F,) in the stream, s, and forces (F, 3) in W, N; None for both where the force
         was not measured in the push, or the tip was not seen lifted before.
     """
     high = episode.path[0].tip[2] + FREE_HEIGHT
@@ -355,7 +356,7 @@ def _read_force(episode: Episode, begin: float, end: float) -> tuple[Array | Non
     t = np.array([seen.t for seen in felt])
     # Neighboring samples are averaged.
     groups = np.array_split(np.arange(len(felt)), min(len(felt), MAX_FORCES))
-    means = np.array([force[group, :2].mean(axis=0) for group in groups])
+    means = np.array([force[group].mean(axis=0) for group in groups])
     return np.array([t[group].mean() for group in groups]), means
 
 

@@ -7,7 +7,7 @@ from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushLogWarning
-from gridpush_drake.identification.force_scale import _average
+from gridpush_drake.identification.force_scale import _average, calc_force_scale
 from gridpush_drake.identification.identifiability import (
     _calc_box_of_known_scale,
     calc_center_of_mass_box,
@@ -126,6 +126,53 @@ def test_if_no_force_was_steady_all_of_them_count() -> None:
     found = identify(obj, PushLog(tuple(few))).force
     assert found.pushes == 4
     assert found.friction == pytest.approx(GRAVITY * truth.mass @ truth.friction, rel=0.05)
+
+
+def test_a_push_that_is_too_short_to_become_steady_says_nothing() -> None:
+    """The finger goes 2 mm with the object, and feels half of what it would feel in the end."""
+    obj, truth = make_case()
+    log = make_station_log(obj, truth, 1.0, 1.0)
+    seen = log[0]
+    there = np.flatnonzero(seen.force.any(axis=1))
+    way = seen.push.distance_at(seen.force_t)
+    kept = seen.force_t < seen.force_t[there[0]] + 1e-9
+    end = np.interp(way[there[0]] + 0.002, way, seen.force_t)
+    t = np.append(seen.push.t[seen.push.t < end], end)
+    times = np.append(seen.force_t[kept], np.linspace(seen.force_t[kept][-1], end, 6)[1:])
+    force = np.vstack([seen.force[kept], np.tile(seen.force[there[0] + 1], (5, 1))])
+    short = replace(
+        seen,
+        name="short",
+        push=Push.along(t, seen.push.tip_at(t), seen.push.radius),
+        t_observed=[end],
+        poses_observed=[seen.pose],
+        force_t=times,
+        force=0.5 * force,
+    )
+    params = identify(obj, log)
+    alone = calc_force_scale(obj, truth, params.posterior, log, params.physics)
+    more = PushLog((*log, short, replace(short, name="again")))
+    with_short = calc_force_scale(obj, truth, params.posterior, more, params.physics)
+    assert with_short.pushes == alone.pushes == 4
+    assert with_short.friction == pytest.approx(alone.friction, rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.2, -0.2])
+def test_the_weight_that_the_finger_carries_does_not_rub(share: float) -> None:
+    obj, truth = make_case()
+    right = GRAVITY * truth.mass @ truth.friction
+    pushes = []
+    for seen in make_station_log(obj, truth, 1.0, 1.0):
+        # The finger takes up a share of the weight as it meets the object, and loses it slowly.
+        lift = share * GRAVITY * MASS * np.exp(-np.arange(20) / 10)
+        left = 1 - lift / (GRAVITY * MASS)
+        pushes.append(replace(seen, force=seen.force * left[:, None], lift_force=lift))
+    known = identify(obj, PushLog(tuple(pushes))).force
+    hidden = identify(obj, PushLog(tuple(replace(seen, lift_force=None) for seen in pushes))).force
+    # The friction of what is carried is known no better than by its bounds, 0.25 and 0.5.
+    assert known.friction == pytest.approx(right, rel=0.03)
+    assert abs(hidden.friction / right - 1) > 0.08
+    assert known.relative_std**2 > hidden.relative_std**2 + 0.01**2
 
 
 def test_pushes_with_noisy_forces_count_less() -> None:

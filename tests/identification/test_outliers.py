@@ -174,7 +174,11 @@ def test_a_push_whose_first_pose_is_wrong_begins_at_the_next() -> None:
     found = identify(obj, replace(log, pushes=(wrong, *log.pushes[1:])))
     (outlier,) = found.outliers
     assert (outlier.push, outlier.poses, outlier.whole) == (wrong.name, (0,), False)
-    rest = remove_outliers(PushLog((wrong,)), found.outliers)[0]
+    end = wrong.push.duration
+    felt = replace(wrong, force_t=[0.0, end], force=[[1, 2], [3, 4]], lift_force=[5, 6])
+    rest = remove_outliers(PushLog((felt,)), found.outliers)[0]
+    np.testing.assert_array_equal(rest.force, [[3, 4]])
+    np.testing.assert_array_equal(rest.lift_force, [6])
     np.testing.assert_array_equal(rest.pose, log[0].poses_observed[0])
     np.testing.assert_allclose(rest.t_observed, log[0].t_observed[1:] - log[0].t_observed[0])
     np.testing.assert_allclose(rest.push.xy[-1], log[0].push.xy[-1])

@@ -73,6 +73,41 @@ def test_force_is_read_where_it_was_measured(write):
     seen = PushLog.read_csv(write(FORCED))[0]
     np.testing.assert_array_equal(seen.force_t, [1, 2])
     np.testing.assert_array_equal(seen.force, [[1.5, -2], [3, 4]])
+    assert seen.lift_force is None
+
+
+def add_column(text: str, cells: list[str]) -> str:
+    return "\n".join(f"{row},{cell}" for row, cell in zip(text.splitlines(), cells, strict=True))
+
+
+def test_an_upward_force_is_read_with_the_other_two(write):
+    seen = PushLog.read_csv(write(add_column(FORCED, ["force_z", "", "0.5", "-1"])))[0]
+    np.testing.assert_array_equal(seen.force, [[1.5, -2], [3, 4]])
+    np.testing.assert_array_equal(seen.lift_force, [0.5, -1])
+
+
+@pytest.mark.parametrize(
+    ("cells", "line", "says"),
+    [
+        (["force_z", "1", "0.5", "-1"], 2, "is 1, but force_x and force_y are empty"),
+        (["force_z", "", "0.5", ""], 4, "is empty; expected a number .* or in none"),
+        (
+            ["force_z", "", "0.5", "up"],
+            4,
+            r"is 'up'; expected a finite number \(N\), or force_z empty",
+        ),
+    ],
+)
+def test_an_upward_force_without_the_others_is_refused(write, cells, line, says):
+    with pytest.raises(PushLogError, match=rf"line {line}, column force_z: {says}"):
+        PushLog.read_csv(write(add_column(FORCED, cells)))
+
+
+def test_an_upward_force_alone_is_passed_over(write):
+    text = add_column(GOOD, ["force_z"] + ["1"] * (len(GOOD.splitlines()) - 1))
+    with pytest.warns(PushLogWarning, match="passed over the column force_z"):
+        log = PushLog.read_csv(write(text))
+    assert log[0].force is None and log[0].lift_force is None
 
 
 def test_a_push_over_the_edge_is_marked_by_any_of_its_rows(write):
@@ -275,6 +310,7 @@ def make_log(pushes, samples, force=True):
                 f"push, {i}", push, rng.uniform(-1, 1, 3), at, rng.uniform(-1, 1, (2, 3)),
                 push.t[1:] if force else None, rng.normal(size=(samples - 1, 2)) if force else None,
                 overhang=i % 2 == 1,
+                lift_force=rng.normal(size=samples - 1) if force and i != 2 else None,
             )
         )  # fmt: skip
     return PushLog(tuple(seen), radius_given=True)
@@ -298,6 +334,10 @@ def test_round_trip_bit_for_bit(tmp_path, force):
         np.testing.assert_array_equal(seen.push.xy, again.push.xy)
         if not force:
             assert again.force is None
+        if seen.lift_force is None:
+            assert again.lift_force is None
+        else:
+            np.testing.assert_array_equal(seen.lift_force, again.lift_force)
     assert (
         [seen.overhang for seen in back]
         == [seen.overhang for seen in log]

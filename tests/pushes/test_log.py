@@ -66,6 +66,11 @@ def test_arrays_are_copied_and_read_only():
         ({"force_t": [-0.1], "force": [[0.0, 1.0]]}, "force_t runs from -0.1"),
         ({"force_t": [1.0, 1.0], "force": [[0.0, 1.0]] * 2}, "force_t must be strictly increasing"),
         ({"force_t": [1.0], "force": [[0.0, math.inf]]}, "force must hold finite"),
+        ({"lift_force": [1.0]}, "lift_force does not come without force_t"),
+        (
+            {"force_t": [1.0], "force": [[0.0, 1.0]], "lift_force": [1.0, 2.0]},
+            "lift_force has shape",
+        ),
     ],
 )
 def test_what_cannot_have_been_observed_is_refused(changes, message):

@@ -381,6 +381,20 @@ def test_forces_that_cannot_be_are_not_used_and_it_is_said_why(factor, says):
     assert identify(obj, with_forces(log, 2.0), regime="quasi_static").force is not None
 
 
+def test_upward_forces_that_friction_cannot_carry_are_a_sensor_s_offset():
+    obj = make_block()
+    log = with_forces(simulated(obj, 4), 2.0)
+
+    def lifted(size: float) -> PushLog:
+        pushes = [replace(seen, lift_force=np.full(len(seen.force_t), size)) for seen in log]
+        return replace(log, pushes=tuple(pushes))
+
+    says = r"^log\.csv: column force_z: is 5 N at the median, .* only 2 N; .* not used$"
+    with pytest.warns(PushLogWarning, match=says):
+        assert identify(obj, lifted(-5.0), regime="quasi_static").force is None
+    assert identify(obj, lifted(-0.5), regime="quasi_static").force is not None
+
+
 def test_forces_of_fast_pushes_are_not_used_and_it_is_said_why():
     obj = make_block()
     log = with_forces(simulated(obj, 4), 2.0)

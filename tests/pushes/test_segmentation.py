@@ -55,7 +55,7 @@ def test_forces_on_the_object_are_written_down_without_the_sensor_s_offset(scrip
         x = float(script.q[0])
         script.lower(x - 0.06, 0.01).push(x + 0.04, 0.01).wait(0.3).lift().wait(0.2)
     script.wait(1.0)
-    offset, touching = np.array([0.4, -0.3, 0.6]), np.array([-2.0, 0.5, 0.0])
+    offset, touching = np.array([0.4, -0.3, 0.6]), np.array([-2.0, 0.5, -0.7])
     script.samples = [
         seen._replace(force=tuple(offset + touching * (seen.tip[2] < LOW + 1e-9)))
         for seen in script.samples
@@ -66,9 +66,10 @@ def test_forces_on_the_object_are_written_down_without_the_sensor_s_offset(scrip
         assert np.isin(push.force_t, push.push.t).all()
         assert push.force_t[0] >= 0 and push.force_t[-1] <= push.push.duration
         np.testing.assert_allclose(push.force[1:-1], np.tile([2.0, -0.5], (18, 1)))
+        np.testing.assert_allclose(push.lift_force[1:-1], 0.7)
     # A force that is not measured is not made up.
     script.samples = [seen._replace(force=(np.nan,) * 3) for seen in script.samples]
-    assert all(push.force is None for push in script.segment())
+    assert all(push.force is None and push.lift_force is None for push in script.segment())
 
 
 def test_poses_are_matched_with_the_tip_s_place_at_their_time(script):
