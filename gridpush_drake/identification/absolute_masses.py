@@ -92,6 +92,40 @@ def draw_absolute_parameters(
     ]
 
 
+def calc_relative_friction_std(
+    obj: GridObject, params: CellParameters, center_of_friction: Array, absolute: AbsoluteEstimate
+) -> Array:
+    """Calculates how well the friction of each cell is known, relative to itself.
+
+    With a_i = k_i exp(b·p_i - psi(b)), the friction is mu_i = mu exp(psi(b) - b·p_i), and
+
+        d log mu_i = d log mu - (p_i - c)·db,    db = C^-1 (dc - dc_k),
+        C = sum a_i (p_i - c) (p_i - c)^T
+
+    with c_k the center of friction, which moves as the shares k do. It is the spread of the draws
+    of `draw_absolute_parameters`.
+
+    Args:
+        obj: the object.
+        params: the estimate, as `make_absolute_parameters` makes it.
+        center_of_friction: (2, 2) covariance of c_k, m².
+        absolute: mass, center of mass and mean friction.
+
+    Returns:
+        (n,) standard deviations of log mu_i.
+    """
+    a = params.mass / params.total_mass
+    arm = obj.p_BC - a @ obj.p_BC
+    # The pseudoinverse is for cells that all lie on a line.
+    by_center = arm @ np.linalg.pinv((a[:, None] * arm).T @ arm)
+    moved = absolute.center_covariance + center_of_friction
+    variance = np.einsum("ia,ab,ib->i", by_center, moved, by_center)
+    if absolute.pushes:
+        variance += absolute.covariance[LOG_FRICTION, LOG_FRICTION]
+        variance -= 2 * by_center @ absolute.covariance[CENTER, LOG_FRICTION]
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
 def tilt_to_center(share: Array, p_BC: Array, center: Array) -> Array:
     """Tilts loads so that their center is at a place: a_i ~ x_i exp(b·p_i), sum a_i p_i = c.
 

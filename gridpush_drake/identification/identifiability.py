@@ -124,14 +124,17 @@ def calc_identifiability(
     if mean_friction is not None:
         box = _calc_box_of_known_scale(share, obj, *mean_friction)
 
-    statements = _describe(obj, learned, learned_share, center_std, wide)
-    if force is not None:
-        # The first statement is that the common scale is not known: with forces it is.
-        statements = (_describe_force(obj, force, wide, box), *statements[1:])
+    weighed_box = None
     if absolute is not None:
         # The object's mass is known now, whatever the forces bounded it to.
         mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj, None)
-        box = _cut_box(wide, absolute)
+        weighed_box = _cut_box(wide, absolute)
+    statements = _describe(obj, learned, learned_share, center_std, wide, weighed_box)
+    if force is not None:
+        # The first statement is that the common scale is not known: with forces it is.
+        scale = _describe_force(obj, force, wide, box, absolute is not None)
+        statements = (scale, *statements[1:])
+    if absolute is not None:
         statements = (_describe_weighings(absolute), *statements)
     return Identifiability(
         relative_friction=share,
@@ -143,7 +146,7 @@ def calc_identifiability(
         learned_share=learned_share,
         mass_min=mass_min,
         mass_max=mass_max,
-        center_of_mass_box=box,
+        center_of_mass_box=box if weighed_box is None else weighed_box,
         statements=statements,
     )
 
@@ -293,7 +296,9 @@ def _calc_null_space(prior: Array, after: Array) -> Array:
     return (basis[:, keep] * signs).T
 
 
-def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array) -> str:
+def _describe_force(
+    obj: GridObject, force: ForceScale, wide: Array, box: Array, weighed: bool
+) -> str:
     """Says what the measured forces show that poses alone do not.
 
     Args:
@@ -301,6 +306,7 @@ def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array)
         force: the scale that the forces give.
         wide: (2, 2) box of possible centers of mass without forces, m.
         box: (2, 2) box of possible centers of mass with them, m.
+        weighed: whether the object was weighed, so that its mass is known better than by forces.
     """
     known = (
         f"The forces of {force.pushes} pushes show the common scale of the friction, "
@@ -312,6 +318,8 @@ def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array)
             f"Left out are the forces of {force.against} pushes "
             "that point against the pusher's motion. "
         )
+    if weighed:
+        return known.rstrip()
     lightest, heaviest = force.calc_mass_bounds(obj)
     low = obj.prior.friction_min
     high = obj.prior.friction_max
@@ -392,7 +400,12 @@ def _describe_size(box: Array) -> str:
 
 
 def _describe(
-    obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array
+    obj: GridObject,
+    learned: int,
+    learned_share: Array,
+    center_std: Array,
+    box: Array,
+    weighed_box: Array | None,
 ) -> tuple[str, ...]:
     """Says in sentences what slow pushes observed by their poses show, and what they cannot.
 
@@ -401,13 +414,21 @@ def _describe(
         learned: number of combinations of the cells' log friction that the pushes determined.
         learned_share: (n,) share of each cell's prior variance that they took away.
         center_std: (2,) standard deviation of the center of friction, m.
-        box: (2, 2) box of possible centers of mass, m.
+        box: (2, 2) box of possible centers of mass by the pushes and the friction's bounds, m.
+        weighed_box: (2, 2) what weighings leave of it, m; None of an object that was not weighed.
     """
     total = (
         "that they add up to the known total mass"
         if obj.prior.total_mass
         else "a total mass that was not measured"
     )
+    supposed = f"suppose that all cells have the same friction coefficient, and {total}"
+    rest = "with equal coefficients it is at the center of friction"
+    if weighed_box is not None:
+        supposed = (
+            "are those nearest to it, as a whole, that have the weighed mass and center of mass"
+        )
+        rest = f"the weighings leave {_describe_size(weighed_box)} of it"
     known_cells = int((learned_share >= LEARNED_SHARE).sum())
     low = obj.prior.friction_min
     high = obj.prior.friction_max
@@ -415,12 +436,11 @@ def _describe(
         "Not identifiable from these data: the common scale of the friction. "
         "Slow pushes observed by their poses look the same when every cell rubs twice as hard.",
         "Not identifiable from these data: mass and friction of a cell apart. Only their product, "
-        "relative to the other cells', acts on a slow push; the masses shown suppose that all "
-        f"cells have the same friction coefficient, and {total}.",
+        f"relative to the other cells', acts on a slow push; the masses shown {supposed}.",
         _describe_patterns(obj, learned, known_cells),
         f"The center of friction is known to {MM * center_std[0]:.1f} mm in x "
         f"and {MM * center_std[1]:.1f} mm in y (one standard deviation).",
         "Were the friction of each cell exactly as estimated, friction coefficients anywhere from "
         f"{low:g} to {high:g} would still leave the center of mass anywhere in a box of "
-        f"{_describe_size(box)}; with equal coefficients it is at the center of friction.",
+        f"{_describe_size(box)}; {rest}.",
     )

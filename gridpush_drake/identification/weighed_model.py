@@ -21,7 +21,11 @@ from gridpush_drake.identification.absolute import (
     WeighingProblem,
     estimate_absolute,
 )
-from gridpush_drake.identification.absolute_masses import make_absolute_parameters, tilt_to_center
+from gridpush_drake.identification.absolute_masses import (
+    calc_relative_friction_std,
+    make_absolute_parameters,
+    tilt_to_center,
+)
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.result import (
     Identification,
@@ -161,10 +165,14 @@ def apply_absolute(found: Identification, estimate: AbsoluteEstimate) -> Identif
     # The scales' variances are added to those of the shares.
     relative = found.std.mass / found.params.mass
     log_mass = estimate.covariance[LOG_MASS, LOG_MASS]
-    log_friction = estimate.covariance[LOG_FRICTION, LOG_FRICTION]
+    _, center_of_friction = calc_center_of_friction(found)
+    friction = calc_relative_friction_std(obj, params, center_of_friction, estimate)
+    if not estimate.pushes:
+        log_friction = estimate.covariance[LOG_FRICTION, LOG_FRICTION]
+        friction = np.sqrt(friction**2 + log_friction)
     std = CellParameters(
         mass=params.mass * np.sqrt(relative**2 + log_mass),
-        friction=params.friction * np.sqrt(log_friction),
+        friction=params.friction * friction,
         contact_friction=found.std.contact_friction,
     )
     return replace(

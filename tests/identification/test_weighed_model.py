@@ -7,6 +7,7 @@ import pytest
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.absolute import LOG_FRICTION
 from gridpush_drake.identification.absolute_masses import tilt_to_center
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.result import calc_center_of_mass
@@ -74,6 +75,17 @@ def test_cells_have_what_is_known(weighed, learned):
     )
 
 
+def test_no_statement_contradicts_the_weighings(weighed, learned):
+    said = " ".join(weighed.identifiability.statements)
+    before = " ".join(learned.identifiability.statements)
+    for words in ("Hence with friction", "was not measured", "with equal coefficients it is at"):
+        assert words in before
+        assert words not in said
+    assert "the masses shown are those nearest to it, as a whole, that have the weighed" in said
+    x, y = np.diff(weighed.identifiability.center_of_mass_box, axis=0)[0] * 1e3
+    assert f"the weighings leave {x:.0f} mm by {y:.0f} mm of it" in said
+
+
 def test_a_center_may_be_elsewhere_than_that_of_friction(learned):
     center, covariance = calc_center_prior(learned)
     np.testing.assert_allclose(center, learned.params.center_of_mass(learned.obj), atol=1e-9)
@@ -96,6 +108,11 @@ def test_draws_spread_as_is_said(weighed):
     assert 0.3 < np.std(np.log(scales)) / weighed.force.relative_std < 1.7
     centers = np.array([draw.center_of_mass(weighed.obj) for draw in draws])
     np.testing.assert_allclose(centers.std(axis=0), found.center_std, rtol=0.2)
+    # The friction of a cell apart from the others hangs on where the center of mass is.
+    cells = np.std([np.log(draw.friction) for draw in draws], axis=0)
+    said = weighed.std.friction / weighed.params.friction
+    np.testing.assert_allclose(cells, said, rtol=0.25)
+    assert said.max() > 1.2 * np.sqrt(found.covariance[LOG_FRICTION, LOG_FRICTION])
     again = weighed.samples(300, seed=2)
     assert all((one.mass == other.mass).all() for one, other in zip(draws, again, strict=True))
 
