@@ -216,6 +216,8 @@ def make_folder(path: Path | str) -> None:
     """Makes a folder for output, where it is missing. Raises OutputError where it cannot."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise OutputError(f"{shorten_path(path)}: is a file; expected a folder") from error
     except (OSError, ValueError) as error:
         raise OutputError(
             f"{shorten_path(path)}: cannot be made a folder: {_describe(error)}"

@@ -115,7 +115,7 @@ def campaign(
     # an object that does not fit the scenario or the task is refused now, not after hours
     for name in chosen:
         trial = scenario.model_copy()
-        TASKS[task].check(resolve(trial, scenario_file, told=use_object(trial, name)))
+        TASKS[task].check(resolve(trial, scenario_file, told=use_object(trial, name, "--objects")))
 
     def begin() -> Results:
         make_folder(out)

@@ -145,7 +145,7 @@ def demo(
     # The scenario, with what the command line says instead
     chosen = TASKS[task]
     scenario = read_scenario(scenario_file) if scenario_file else chosen.make_scenario()
-    told = None if object_file is None else use_object(scenario, object_file)
+    told = None if object_file is None else use_object(scenario, object_file, "--object")
     if pushes is not None:
         scenario.pokes.count = pushes
     if camera is not None:

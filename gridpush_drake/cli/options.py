@@ -7,9 +7,11 @@ help text, `[` has to be written as `\\[`: Rich would take `[word]` for markup a
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import typer
 
 from gridpush_drake.bench.cluster import open_cluster
@@ -32,6 +34,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.plausibility import MAX_FIRST_ANGLE, MAX_TABLE
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from gridpush_drake.pushes.scene_log import SceneLog
 
@@ -192,16 +195,18 @@ class OptionError(GridPushError):
     """The value of an option is not of the expected form."""
 
 
-def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
+def parse_numbers(option: str, text: str, names: str, unit: str) -> tuple[float, ...]:
     """Reads numbers that are separated by commas.
 
     Args:
         option: the option's name, for the error's message.
         text: what the user wrote, such as "0.2,0.1".
         names: what the numbers are, such as "x,y"; as many numbers are expected as there are names.
+        unit: their units in SI, such as "m, rad", for the error's message.
 
     Raises:
-        OptionError: the text is something else, or a number is beyond MAX_NUMBER.
+        OptionError: the text is something else, a number is beyond MAX_NUMBER, or an angle `theta`
+            is so many turns that it must be in degrees.
     """
     count = len(names.split(","))
     try:
@@ -212,7 +217,12 @@ def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
     within = all(abs(number) <= MAX_NUMBER for number in numbers)
     if len(numbers) != count or not within:
         example = ",".join(["0.1"] * count)
-        raise OptionError(f"{option}: is {text!r}; expected {names}, such as {example}")
+        raise OptionError(f"{option}: is {text!r}; expected {names} ({unit}), such as {example}")
+    for name, number in zip(names.split(","), numbers, strict=True):
+        if name == "theta" and abs(number) > MAX_FIRST_ANGLE:
+            raise OptionError(
+                f"{option}: theta is {number:g}: in degrees? expected {names} ({unit})"
+            )
     return numbers
 
 
@@ -249,7 +259,8 @@ def parse_shape(option: str, text: str) -> SupportSurface:
         The shape, as a table's top.
 
     Raises:
-        OptionError: the text is of no such form.
+        OptionError: the text is of no such form, or the shape is too large for its lengths to be
+            in m.
         PlanningError: a side or radius is not positive, or the polygon crosses itself.
     """
 
@@ -261,19 +272,29 @@ def parse_shape(option: str, text: str) -> SupportSurface:
 
     kind, _, rest = text.partition(":")
     size, _, center = rest.partition("@")
+    surface = None
     try:
         at = read(center, ",", 2) if center else [0.0, 0.0]
         if kind == "rectangle":
-            return SupportSurface.rectangle(at, read(size, "x", 2))
-        if kind == "round":
-            return SupportSurface.round(at, read(size, "x", 1)[0])
-        if kind == "polygon" and not center:
-            return SupportSurface.from_polygon([read(corner, ",", 2) for corner in rest.split(";")])
+            surface = SupportSurface.rectangle(at, read(size, "x", 2))
+        elif kind == "round":
+            surface = SupportSurface.round(at, read(size, "x", 1)[0])
+        elif kind == "polygon" and not center:
+            corners = [read(corner, ",", 2) for corner in rest.split(";")]
+            surface = SupportSurface.from_polygon(corners)
     except ValueError:
         pass
     except PlanningError as error:
         raise PlanningError(f"{option}: {str(error).removeprefix('table: ')}") from error
-    raise OptionError(f"{option}: is {text!r}; expected {FORMS}")
+    if surface is None:
+        raise OptionError(f"{option}: is {text!r}; expected {FORMS}")
+    side = float(np.ptp(surface.corners, axis=0).max())
+    if side > MAX_TABLE:
+        raise OptionError(
+            f"{option}: is {text!r}, which spans {side:g} m: in millimeters? expected m, at most "
+            f"{MAX_TABLE:g} a side"
+        )
+    return surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,8 +449,14 @@ def check_names(path: Path, log: SceneLog, given: Iterable[str]) -> None:
 
 
 def choose_height(given: float | None, obj: GridObject) -> float:
-    """Returns the height of an object, m: the given one, else its file's, else DEFAULT_HEIGHT."""
+    """Returns the height of an object, m: the given one, else its file's, else DEFAULT_HEIGHT.
+
+    Raises:
+        OptionError: the given one is not positive.
+    """
     if given is not None:
+        if not (isfinite(given) and given > 0):
+            raise OptionError(f"--height: is {given:g}; expected a positive number (m)")
         return given
     return obj.height or DEFAULT_HEIGHT
 

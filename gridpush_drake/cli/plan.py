@@ -105,8 +105,8 @@ def plan(
     Example: gridpush plan model.yaml --goal 0.2,0.1,1.57 --table round:0.5 --picture plan.png
     """
     options.check_outputs(force, out, picture, inputs=(model,))
-    goal_pose = options.parse_numbers("--goal", goal, "x,y,theta")
-    start_pose = options.parse_numbers("--start", start, "x,y,theta")
+    goal_pose = options.parse_numbers("--goal", goal, "x,y,theta", "m, rad")
+    start_pose = options.parse_numbers("--start", start, "x,y,theta", "m, rad")
     if not isfinite(overhang):
         raise options.OptionError(f"--overhang: is {overhang}; expected a finite number (m)")
     surface = None if table is None else options.parse_shape("--table", table)
@@ -148,10 +148,9 @@ def _check_ends(found: PushPlan) -> None:
     }
     option = bad_ends.get(found.status)
     if option is not None:
-        reason = found.reason.rstrip(".")
         raise options.OptionError(
-            f"{option}: {found.status}: {reason}; expected x,y,theta (m, rad) on the table, clear "
-            "of all obstacles"
+            f"{option}: {found.reason.rstrip('.')}; expected x,y,theta (m, rad) on the table, "
+            "clear of all obstacles"
         )
 
 

@@ -88,12 +88,12 @@ def simulate(
     options.check_outputs(force, out, picture, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
     push = Push(
-        options.parse_numbers("--start", start, "x,y"),
-        options.parse_numbers("--velocity", velocity, "vx,vy"),
+        options.parse_numbers("--start", start, "x,y", "m"),
+        options.parse_numbers("--velocity", velocity, "vx,vy", "m/s"),
         duration,
         options.choose_radius(radius, loaded.obj),
     )
-    pose_W = options.parse_numbers("--pose", pose, "x,y,theta")
+    pose_W = options.parse_numbers("--pose", pose, "x,y,theta", "m, rad")
     params = loaded.params if mass_seed is None else CellParameters.random(loaded.obj, mass_seed)
     physics = loaded.make_physics(regime)
     options.compile_kernels()

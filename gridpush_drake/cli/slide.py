@@ -10,6 +10,7 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found, to_json
+from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_whole
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
@@ -123,10 +124,10 @@ def slide(
         middle = surface.polygon.representative_point()
         pose: tuple[float, ...] = (middle.x, middle.y, 0.0)
     else:
-        pose = options.parse_numbers("--start", start, "x,y,theta")
+        pose = options.parse_numbers("--start", start, "x,y,theta", "m, rad")
     bounds = None
     if friction is not None:
-        low, high = options.parse_numbers("--friction", friction, "min,max")
+        low, high = options.parse_numbers("--friction", friction, "min,max", "coefficients")
         bounds = (low, high)
     radius = options.choose_radius(radius, target.obj)
     gripper = Gripper(opening=opening, level_opening=opening, finger_depth=depth)
@@ -143,7 +144,12 @@ def slide(
         ),
         poke=PokeOptions(radius=radius),
     )
-    planner = PreGraspPlanner(target.obj, surface, chosen, limits=limits)
+    try:
+        planner = PreGraspPlanner(target.obj, surface, chosen, limits=limits)
+    except PlanningError as error:
+        # The object's size and the table's are known only together.
+        text = str(error)
+        raise PlanningError(f"--{text}" if text.startswith("table: ") else text) from error
     if not surface.contains(target.obj.cells_at(pose)).any():
         raise options.OptionError(
             f"--start: is {start}; expected a pose in which the object lies on the table"

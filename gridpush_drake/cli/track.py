@@ -174,7 +174,7 @@ def track(
     options.check_outputs(
         force, out, picture, stream, inputs=(video, camera, object_file, tip, *(beside or ()))
     )
-    offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z")
+    offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z", "m")
     seen_by = Camera.read(camera)
     obj = options.load_object(object_file)
     _check_camera(camera, seen_by, tag_height)

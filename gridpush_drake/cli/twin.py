@@ -210,7 +210,7 @@ def read_robot_scenario(
             do.
     """
     scenario = read_scenario(scenario_file or DEFAULT_SCENARIO)
-    obj = None if object_file is None else use_object(scenario, object_file)
+    obj = None if object_file is None else use_object(scenario, object_file, "--object")
     if seed is not None:
         scenario.seed = seed
     return scenario, obj

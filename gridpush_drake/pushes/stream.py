@@ -266,7 +266,7 @@ def read_stream_csv(path: Path | str) -> Stream:
     measured = False
     pose_delay: float | None = None
     for line, row in read_table(path, WHAT, REQUIRED, _check_header):
-        t.append(_read_time(path, line, row["t"], t))
+        t.append(_read_time(path, line, row["t"], t, is_log="push" in row))
         groups.append([_read_group(path, line, row, group) for group in (TIP, VELOCITY, POSE)])
         measured = VELOCITY[0] in row
         if not is_empty(row.get(DELAY, "")):
@@ -306,11 +306,16 @@ def _check_header(path: Path, line: int, header: list[str]) -> None:
     warn_of_further(path, header, COLUMNS)
 
 
-def _read_time(path: Path, line: int, cell: str, before: list[float]) -> float:
-    """Reads a row's time, s, which must be later than those of the rows before it."""
+def _read_time(path: Path, line: int, cell: str, before: list[float], is_log: bool) -> float:
+    """Reads a row's time, s, which must be later than those of the rows before it.
+
+    In a push log (`is_log`: the file has a column `push`) time begins anew with each push.
+    """
     time = _read_number(path, line, "t", cell)
     if before and time <= before[-1]:
-        fail(path, line, "t", f"is {time!r} after {before[-1]!r}; expected times (s) that increase")
+        doubt = "; is it a push log, which has a column push?" if is_log else ""
+        expected = f"expected times (s) that increase, as {WHAT} has them{doubt}"
+        fail(path, line, "t", f"is {time!r} after {before[-1]!r}; {expected}")
     return time
 
 

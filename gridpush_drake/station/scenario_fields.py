@@ -4,6 +4,7 @@ The fields themselves are in `station.scenario` and `station.scenario_camera`.
 """
 
 from collections.abc import Mapping
+from math import pi
 from typing import Annotated, Any, get_args
 
 import yaml
@@ -121,12 +122,25 @@ Interval = Annotated[
 Point = Annotated[Pair, within(-MAX_SIZE, MAX_SIZE)]
 """[x, y] of a place in W, m."""
 
+MAX_ANGLE = 4 * pi
+"""Greatest angle of a pose, rad: one of more turns is taken for one in degrees."""
+
+
+def _check_angle(values: list[float]) -> list[float]:
+    if abs(values[2]) > MAX_ANGLE:
+        raise ValueError
+    return values
+
+
 Pose = Annotated[
     list[Number],
     Field(
-        min_length=3, max_length=3, description=f"[x, y, theta], in m and rad, at most {MAX_SIZE:g}"
+        min_length=3,
+        max_length=3,
+        description=f"[x, y, theta], in m and rad, at most {MAX_SIZE:g} m and {MAX_ANGLE:.3g} rad",
     ),
     within(-MAX_SIZE, MAX_SIZE),
+    AfterValidator(_check_angle),
 ]
 """[x, y, theta] of an object in W, m and rad."""
 

@@ -32,7 +32,7 @@ TOTAL_MASS_STREAM = 12
 """Number that is added to the seed for the draw of an object's total mass."""
 
 
-def load_object(scenario: PushScenario) -> GridObject:
+def load_object(scenario: PushScenario, option: str | None = None) -> GridObject:
     """Reads the scenario's object, from its file or by the name of a shipped one.
 
     If there are both, the file is taken.
@@ -41,23 +41,28 @@ def load_object(scenario: PushScenario) -> GridObject:
     the scenario's `object_friction` both allow; the prior coefficient is the file's, or the nearest
     bound.
 
+    Args:
+        scenario: the scenario.
+        option: where a user named the object, for messages; None for the scenario's field.
+
     Raises:
         ScenarioError: there is no such object (the message suggests the nearest name); its file is
             not what it should be; or scenario and file allow no common friction.
     """
-    obj = _read_object(scenario.object, scenario.names.name_field(0, "object"))
+    obj = _read_object(scenario.object, option or scenario.names.name_field(0, "object"))
     if scenario.object_friction is None:
         return obj
     least, greatest = scenario.object_friction
     return _bound_friction(obj, least, greatest)
 
 
-def use_object(scenario: PushScenario, name: str) -> GridObject:
+def use_object(scenario: PushScenario, name: str, option: str = "object") -> GridObject:
     """Replaces a scenario's object, and with it the object's height if its file says one.
 
     Args:
         scenario: the scenario, which is changed.
         name: name of a shipped object, or path of an object file.
+        option: where a user named it, for the message of an error.
 
     Returns:
         The object that was read. Pass it to `resolve`, so that its file is read only once.
@@ -66,7 +71,7 @@ def use_object(scenario: PushScenario, name: str) -> GridObject:
         ScenarioError: the object cannot be read, see `load_object`.
     """
     scenario.replace_object(name)
-    obj = load_object(scenario)
+    obj = load_object(scenario, option)
     scenario.object_height = obj.height or scenario.object_height
     return obj
 

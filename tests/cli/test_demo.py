@@ -153,7 +153,7 @@ def test_refuses_an_unknown_object(refuses, tmp_path):
         "claw_hamer",
         "--out",
         tmp_path / "demo",
-        says=["claw_hamer", "claw_hammer"],
+        says=["--object: claw_hamer", "claw_hammer"],
     )
 
 
@@ -534,3 +534,8 @@ def check_same_offline(gridpush, out, tmp_path):
     assert f"{len(PushLog.read_csv(out / 'pushes.csv'))} pushes" in again.out
     assert "hung over" not in again.out
     assert offline.read_text() == (out / "model.yaml").read_text()
+
+
+def test_refuses_a_file_for_a_folder(refuses, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    refuses("demo", "--out", tmp_path / "out", says=[f"{tmp_path / 'out'}: is a file; expected"])

@@ -84,7 +84,8 @@ def test_refuses_what_makes_no_sense(refuses, block, tmp_path):
         "export", block, tmp_path / "block.xml", "--base", "planar", says=["base", "planar", "mjcf"]
     )
     refuses("export", block, tmp_path / "missing" / "block.sdf", says=["missing", "does not exist"])
-    refuses("export", block, out, "--height", "0", says=["height"])
+    refuses("export", block, out, "--height", "0", says=["--height: is 0; expected a positive"])
+    refuses("export", block, out, "--height", "nan", says=["--height: is nan"])
     refuses("export", block, out, "--base", "flying", says=["flying"])
     refuses("export", "claw_hamer", out, says=["claw_hamer"])
     refuses("export", tmp_path / "nothing.yaml", out, says=["nothing.yaml"])

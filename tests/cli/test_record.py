@@ -196,3 +196,12 @@ def test_refuses(refuses, stream, thing, tmp_path):
             "--force",
             says=[read, "is also read by this command"],
         )
+
+
+def test_a_push_log_is_told_from_a_stream(gridpush, stream, thing, tmp_path):
+    log = tmp_path / "pushes.csv"
+    assert gridpush("record", stream, "--object", thing, "--out", log).code == 0
+    outcome = gridpush("record", log, "--object", thing, "--out", tmp_path / "again.csv")
+    assert outcome.code == 2 and not (tmp_path / "again.csv").exists()
+    said = outcome.err.splitlines()[-1]
+    assert f"{log}, line" in said and "is it a push log, which has a column push?" in said

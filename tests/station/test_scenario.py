@@ -326,6 +326,7 @@ def directives(*files):
             r"object_pose is \[0\.3, 0, 0\]: .*x 0\.2 to 1 m and y -0\.6 to 0\.6 m",
         ),
         ({"object_pose": [3.0, 0, 0]}, "object_pose is .* not wholly on the table"),
+        ({"object_pose": [0.6, 0, 90]}, "object_pose is .*90.*; expected .* rad"),
         (
             {"object_height": 0.01},
             r"finger\.push_height is 0\.012 m; expected more than the tip's radius, 0\.008 m",
