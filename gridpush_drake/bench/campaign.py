@@ -28,12 +28,13 @@ from gridpush_drake.planning.scene.fetching import POKE, SLIDE
 from gridpush_drake.station.pregrasp_task import PreGraspRecord
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.run_recorder import RunRecorder, import_rosbags
+from gridpush_drake.station.run_summary import calc_center_error
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario
 from gridpush_drake.station.scene import use_object
 from gridpush_drake.station.scene_task import SceneTaskRecord
 from gridpush_drake.station.task import Progress, StationTask, TaskRecord, TaskStatus
-from gridpush_drake.station.tasks import TASKS, calc_center_error
+from gridpush_drake.station.tasks import TASKS
 
 SCENARIO = "scenario.yaml"
 """File in a campaign's folder that has the scenario of its episodes."""

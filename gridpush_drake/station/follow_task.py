@@ -24,9 +24,10 @@ from gridpush_drake.station.identify_task import make_policy
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.push_task import EDGE_MARGIN, AddGoal
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.robot_control import Learning
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.setting import find_obstacles
-from gridpush_drake.station.station import Learning, Station, StationMaker, make_surface
+from gridpush_drake.station.setting import find_obstacles, make_surface
+from gridpush_drake.station.station import Station, StationMaker
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,

@@ -38,14 +38,10 @@ from gridpush_drake.planning.weighing.sequence import SequenceOptions
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.robot_control import PRESS_SHARE, Learning
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import (
-    PRESS_SHARE,
-    Learning,
-    Station,
-    StationMaker,
-    make_surface,
-)
+from gridpush_drake.station.setting import make_surface
+from gridpush_drake.station.station import Station, StationMaker
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,

@@ -21,6 +21,13 @@ from gridpush_drake.station.camera import StationCamera, calc_pose_age
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
 from gridpush_drake.station.others import AddOtherCameras, SetOthersStart
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.robot_control import (
+    POSE_LOG,
+    AddRobotControl,
+    FeltLoad,
+    Learning,
+    RobotControl,
+)
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene_camera import AddTruePoses
 from gridpush_drake.station.sensors import (
@@ -31,14 +38,7 @@ from gridpush_drake.station.sensors import (
     SceneSightPorts,
     Sensors,
 )
-from gridpush_drake.station.station import (
-    POSE_LOG,
-    AddRobotControl,
-    FeltLoad,
-    Learning,
-    RobotControl,
-    Station,
-)
+from gridpush_drake.station.station import Station
 from gridpush_drake.station.station_plant import AddWorld, World
 from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor
 from gridpush_drake.systems.contact_force_sensor import ContactForceSensor

@@ -19,9 +19,10 @@ from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.goal_check import check_place, check_reach
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.robot_control import Learning
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.setting import find_obstacles
-from gridpush_drake.station.station import Learning, Station, StationMaker, make_surface
+from gridpush_drake.station.setting import find_obstacles, make_surface
+from gridpush_drake.station.station import Station, StationMaker
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,

@@ -60,8 +60,10 @@ from gridpush_drake.station.pregrasp_task import (
 from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.push_task import EDGE_MARGIN, GOAL_COLOR, MAX_PUSH
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.robot_control import Learning
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import Learning, Station, StationMaker, make_surface
+from gridpush_drake.station.setting import make_surface
+from gridpush_drake.station.station import Station, StationMaker
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,

@@ -1,14 +1,20 @@
-"""`Setting`: what a station knows of its robot and of the table before it, simulated or real."""
+"""`Setting`: what a station knows of its robot and of the table before it, simulated or real.
+
+`make_surface` makes the table's top as planners know it, and `find_obstacles` what stands on it.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from pydrake.multibody.plant import MultibodyPlant
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.camera import FoundObject
 from gridpush_drake.station.others import OtherObject, list_others, place_others
 from gridpush_drake.station.posts import place_posts
@@ -17,6 +23,21 @@ from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import CalcBasePose
 from gridpush_drake.systems.push_executor import PushTrajectoryOptions
+
+EDGE_DETAIL = 5e-4
+"""Distance by which the table's edge may be simplified, m. A round table becomes a polygon of few
+corners."""
+
+
+def make_surface(table_top: BaseGeometry) -> SupportSurface:
+    """Makes the surface that planners know from the table's top, a polygon in W, m.
+
+    Raises:
+        ScenarioError: the table's top is in several pieces.
+    """
+    if not isinstance(table_top, Polygon):
+        raise ScenarioError("directives: the table's top is in several pieces; expected one")
+    return SupportSurface(shapely.simplify(table_top, EDGE_DETAIL))
 
 
 def make_style(scenario: PushScenario, robot: Robot) -> PushTrajectoryOptions:

@@ -21,8 +21,8 @@ from gridpush_drake.planning.world import WorldMotion, WorldTruth
 from gridpush_drake.pushes.push_log import ObservedPush
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import ResolvedScenario
+from gridpush_drake.station.robot_control import Learning
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import Learning
 from gridpush_drake.systems.messages import PushCommand
 
 SAMPLE_PERIOD = 0.02

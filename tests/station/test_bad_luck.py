@@ -8,9 +8,9 @@ import pytest
 from gridpush_drake.bench.campaign import calc_center_error
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
+from gridpush_drake.station.pregrasp_kind import PreGraspKind
 from gridpush_drake.station.pregrasp_task import PreGraspTask
 from gridpush_drake.station.task import TaskStatus
-from gridpush_drake.station.tasks import PreGraspKind
 from gridpush_drake.systems.messages import PreGraspMode, PushCommand, PushPhase
 
 TIMEOUT = PreGraspLoopOptions().timeout

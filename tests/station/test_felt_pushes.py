@@ -9,10 +9,10 @@ from pydrake.systems.framework import EventStatus
 from gridpush_drake.dynamics.physics import GRAVITY, QUASI_STATIC
 from gridpush_drake.identification.force_scale import _calc_scales
 from gridpush_drake.identification.problem import TimedPush
+from gridpush_drake.station.pregrasp_kind import PreGraspKind
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scene import use_object
-from gridpush_drake.station.tasks import PreGraspKind
 from gridpush_drake.systems.messages import PressCommand, PushCommand
 
 LATEST = 12.0

@@ -17,7 +17,7 @@ from gridpush_drake.station.others import place_others
 from gridpush_drake.station.pregrasp_task import PreGraspTask
 from gridpush_drake.station.push_task import PushTask, make_rules
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.station import make_surface
+from gridpush_drake.station.setting import make_surface
 from gridpush_drake.station.task import TaskStatus
 from tests.helpers.renderer import require_renderer
 

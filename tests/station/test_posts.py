@@ -15,7 +15,7 @@ from gridpush_drake.station.posts import leave_out, place_posts
 from gridpush_drake.station.push_task import make_rules
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PostConfig
-from gridpush_drake.station.station import make_surface
+from gridpush_drake.station.setting import make_surface
 
 POST = {"position": [0.7, 0.1], "radius": 0.03, "height": 0.05}
 

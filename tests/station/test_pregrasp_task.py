@@ -11,12 +11,12 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.side_grasp import find_side_grasps
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.station.pregrasp_kind import PreGraspKind
 from gridpush_drake.station.pregrasp_task import LIFTED_SHARE, PreGraspTask
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
 from gridpush_drake.station.task import TaskStatus
-from gridpush_drake.station.tasks import PreGraspKind
 from gridpush_drake.systems.messages import PreGraspMode, PreGraspStatus
 
 

@@ -24,15 +24,15 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
 from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
 from gridpush_drake.station.limit_monitor import LimitMonitor
+from gridpush_drake.station.pregrasp_kind import PreGraspKind
 from gridpush_drake.station.pregrasp_task import PreGraspRecord
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import load_object
-from gridpush_drake.station.station import make_surface
+from gridpush_drake.station.setting import make_surface
 from gridpush_drake.station.task import TaskStatus, TaskStep
 from gridpush_drake.station.task_kind import write_files
-from gridpush_drake.station.tasks import PreGraspKind
 from gridpush_drake.systems.messages import PreGraspMode, PreGraspStatus, PressCommand, PushCommand
 from gridpush_drake.systems.press_executor import MAX_MOVE
 from tests.identification.simulated_pokes import make_pokes

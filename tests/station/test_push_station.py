@@ -13,9 +13,9 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
+from gridpush_drake.station.robot_control import ESTIMATE_OUTPUTS
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import MakeTruth
-from gridpush_drake.station.station import ESTIMATE_OUTPUTS
 from gridpush_drake.systems.messages import PushCommand
 
 

@@ -11,8 +11,8 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.weighing.press import PressOutcome, PressTarget
 from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
+from gridpush_drake.station.pregrasp_kind import PreGraspKind
 from gridpush_drake.station.resolve import resolve
-from gridpush_drake.station.tasks import PreGraspKind
 from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor, LoadNoise
 from gridpush_drake.systems.lift_scale import LiftOptions, LiftScale
 from gridpush_drake.systems.messages import (

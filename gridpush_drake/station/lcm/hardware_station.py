@@ -35,16 +35,11 @@ from gridpush_drake.station.lcm.robot_messages import (
 )
 from gridpush_drake.station.others import list_others
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
+from gridpush_drake.station.robot_control import AddRobotControl, FeltLoad, Learning, RobotControl
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene_camera import AddAllSeen, AddPosesTogether
 from gridpush_drake.station.setting import MakeSetting, Setting
-from gridpush_drake.station.station import (
-    AddRobotControl,
-    FeltLoad,
-    Learning,
-    RobotControl,
-    Station,
-)
+from gridpush_drake.station.station import Station
 from gridpush_drake.systems.arm_guard import ArmGuard
 from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor
 from gridpush_drake.systems.guard_status import GuardLimits
