@@ -1,14 +1,15 @@
 """The least-squares problem of a fit, made linear about one point.
 
-With z = z_0 + A u, the residuals of push p are r_p(z_0 + A u), W_p their whitening and w_p Huber's
-weight, both as they are at the point. With all sqrt(w_p) W_p r_p in r, and their derivatives by u
-in J, the loss about u is
+The parameters are z = z_0 + A u, so that the prior of u is N(0, I). Push p has the residuals
+r_p(z), whitening W_p makes their covariance I, and Huber's weight w_p makes little of a push that
+fits badly. Whitening and weights are held as they are at the point. Let r hold sqrt(w_p) W_p r_p of
+all pushes, and J its derivatives by u. After a small step d from the point u, the loss is
 
     1/2 |u + d|² + 1/2 |r + J d|²
 
-Its Hessian is H = I + J^T J, from which follow the next step, the spread, the evidence, and what
-the other pushes say of each (`docs/theory/identification.md`, sections 4 and 5). How steps are
-taken until they have settled stands in `map_fit`.
+From its Hessian H = I + J^T J follow the next step, the spread of the estimate, the evidence, and
+what the other pushes predict of each one (`docs/theory/identification.md`, sections 4 and 5).
+`map_fit` takes steps until they have settled.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,8 @@ MAX_STEP = 2.0
 """Largest change of any entry of z in one step. A longer step is shortened to it."""
 
 MAX_EFFECTIVE_SHARE = 0.8
-"""Largest share of the residuals that parameters may use up. The rest speaks of the noise."""
+"""Largest share of the residuals that the parameters may be taken to explain. The noise is
+estimated from the rest, so that some must be left."""
 
 LAST_POSE = slice(-3, None)
 """Rows of a push's residuals that belong to its last observed pose."""
@@ -36,7 +38,7 @@ LAST_POSE = slice(-3, None)
 
 @dataclass(frozen=True, eq=False)
 class MapProblem:
-    """What a fit is asked: which pushes it is to explain, and what is believed beforehand.
+    """The task of a fit: the pushes that it is to explain, and what is believed beforehand.
 
     Attributes:
         problem: the training pushes.
@@ -68,10 +70,12 @@ class MapProblem:
 class LinearizedFit:
     """The least-squares problem in u about one point, whitening and weights as they are there.
 
-    Of the two forms of I + J^T J and its inverse the smaller one is taken: by unknowns, or by
-    residuals,
+    Equations with H can be solved by a matrix with a row for each unknown, J^T J, or by one with a
+    row for each residual, J J^T, because
 
         (c I + J^T J)^-1 = (I - J^T (c I + J J^T)^-1 J) / c
+
+    The smaller of the two matrices is used ("the smaller form" below).
 
     Attributes:
         asked: the pushes and the prior. Its fields are attributes of this object, too.
@@ -159,7 +163,8 @@ class LinearizedFit:
         """Calculates the next step.
 
         Args:
-            damping: how much stronger the prior is taken to be, about u. 0 is Gauss-Newton's step.
+            damping: keeps the step short, as a prior of this weight about the present u would;
+                with 0 it is Gauss-Newton's step.
 
         Returns:
             The step (n+1,) of u, and the decrease of the loss that is expected of it.
@@ -174,18 +179,20 @@ class LinearizedFit:
         else:
             d = -cho_solve(factor, g)
 
-        # Far away the linearization says nothing.
+        # The linearization holds only near the point: a long step is shortened.
         d *= calc_shortening(self.A @ d)
         slope = self.J @ d
         return d, float(-g @ d - 0.5 * (d @ d + slope @ slope))
 
     def calc_curvature(self, step: Array) -> float:
-        """Curvature of the loss along a step, over that of the prior's part of it, which is 1."""
+        """Curvature of the loss along a step, where the prior alone would have curvature 1."""
         slope = self.J @ step
         return 1.0 + float(slope @ slope) / float(step @ step)
 
     def calc_loss(self, u: Array, residuals: list[Array]) -> float:
-        """Negative log posterior at u but for normalization; Huber's, not the weighted quadratic.
+        """Calculates the negative log posterior at u, without its normalization.
+
+        It has Huber's own loss, and not the weighted squares that the linearization has instead.
 
         Args:
             u: (n+1,) the point.
@@ -217,17 +224,25 @@ class LinearizedFit:
         )
 
     def renew_scale(self) -> tuple[NoiseScale, float]:
-        """The noise scale by MacKay's fixed points, and gamma.
+        """Estimates the noise scale anew by MacKay's fixed points.
 
-        s² = (sum |W r|² s² + nu)/(N - gamma + nu), and t² = (sum |xi|²/sigma_c² + nu_c)/(sum
-        gamma_c + nu_c) with xi the shifts that the residuals speak for and gamma_c how surely, each
-        between 0 and 2.
+        The scale s of poses and the scale t of the load's shifts are
+
+            s² = (sum |W r|² s² + nu) / (N - gamma + nu)
+            t² = (sum |xi|² / sigma_c² + nu_c) / (sum gamma_c + nu_c)
+
+        with xi the shift of the load that a push's residuals show, and gamma_c how many of the two
+        coordinates of xi they truly show, between 0 and 2.
+
+        Returns:
+            The scale, and gamma, the effective number of parameters.
         """
         squares = sum(float(r @ r) for r in self.rows)
         count = sum(calc_effective_count(len(r)) for r in self.linear.residuals)
 
-        # gamma = n + 1 - tr H^-1. The squares of the inverse factor's entries add up to that
-        # trace. Two directions are held by the center of mass, and not by the pushes.
+        # gamma = n + 1 - tr H^-1. The trace is the sum of the squares of the entries of the inverse
+        # factor. If the center of mass is known beforehand, it determines two directions, and these
+        # are not counted as determined by the pushes.
         known = 2 if self.center_of_mass is not None else 0
         root, _ = dtrtri(self.factor[0], lower=1)
         gamma = len(self.gram) - float((np.tril(root) ** 2).sum()) - known
@@ -263,7 +278,8 @@ class LinearizedFit:
             first += len(r)
             moved += float(((T.T @ r) ** 2).sum())
             sure += float((T * T).sum())
-        # What the unknowns explain just as well is no sign of a shift: tr T^T J H^-1 J^T T.
+        # A motion that the unknowns explain just as well does not show a shift of the load. That
+        # part is taken off: tr T^T J H^-1 J^T T.
         v = np.concatenate(pulls, axis=1)
         return moved, sure - float((v * self.solve(v)).sum())
 
@@ -279,7 +295,7 @@ class LinearizedFit:
 
     def calc_covariance(self) -> Array:
         """Laplace's covariance (n+1, n+1) of z: A (I + J^T J)^-1 A^T."""
-        # Both forms are made from a half, so that what comes out is symmetric.
+        # half^T half is symmetric to the last bit, which A times H^-1 times A^T would not be.
         if self.by_residuals:
             half = solve_triangular(self.factor[0], self.J @ self.A.T, lower=True)
             return self.A @ self.A.T - half.T @ half
@@ -287,10 +303,14 @@ class LinearizedFit:
         return half.T @ half
 
     def leave_out(self) -> list[LeftOut]:
-        """What the other pushes say of each, to first order.
+        """Predicts each push from all others, to first order, without a new fit for each.
 
-        With h = J H^-1 J^T of a push of weight w, its own pull on the fit included, the others
-        predict residuals (I - w h)^-1 r with covariance I + h (I - w h)^-1, all whitened.
+        h = J H^-1 J^T is the covariance of a push's whitened residuals by the fit, in which the
+        push itself took part with the weight w. The prediction of the others is off by
+        (I - w h)^-1 r, whitened, with covariance I + h (I - w h)^-1.
+
+        Returns:
+            For each push how far its residuals are off the prediction, and how sure that is.
         """
         found = []
         for weight, W, r, J in zip(
@@ -300,7 +320,7 @@ class LinearizedFit:
             whitened = W.apply(J)
             h = whitened @ self.solve(whitened.T)
             alone = np.linalg.inv(identity - weight * h)
-            # Precision and pull in meters: W is on both sides of the whitened covariance's inverse.
+            # In meters, Q = W^T (whitened covariance)^-1 W is the precision, and Q e the pull.
             covariance = identity + h @ alone
             root = np.asarray(np.linalg.solve(covariance, W.apply(identity)), dtype=np.float64)
             pull = root.T @ (alone @ W.apply(r))
@@ -308,11 +328,11 @@ class LinearizedFit:
         return found
 
     def calc_end_errors(self, residuals: list[Array]) -> Array:
-        """Says how far off the other pushes predict each one's last pose, seen by itself.
+        """Calculates how far off the other pushes predict the last pose of each one.
 
         Args:
-            residuals: (3K,) of each push, m, by the parameters that are to predict, which stand in
-                for this fit's.
+            residuals: (3K,) residuals of each push, m, by the parameters that are to predict. They
+                need not be those of this fit.
 
         Returns:
             (P,) squared lengths of the errors, as cells move, over the expected ones.
@@ -322,8 +342,8 @@ class LinearizedFit:
             self.leave_out(), residuals, self.linear.residuals, strict=True
         ):
             covariance = np.linalg.inv(left_out.precision)
-            # The noise of K poses is written K/K_eff times as large, because they share errors. A
-            # single pose, seen by itself, has it once.
+            # The poses of a push share errors. The noise model allows for this by taking the noise
+            # of each of K poses as K/K_eff times as large. A single pose has the noise itself.
             shared = (self.scale.pose * self.noise.pose) ** 2 * (np.sqrt(len(covariance) / 3) - 1)
             e = covariance[LAST_POSE] @ left_out.pull + (r - own)[LAST_POSE]
             expected = float(np.trace(covariance[LAST_POSE, LAST_POSE]) - 3 * shared)

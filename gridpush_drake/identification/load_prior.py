@@ -1,7 +1,8 @@
-"""What a hypothesis is told, and what it proposes: a normal prior of z, as a mean and a factor.
+"""The records with which hypotheses about a load are asked (`Setting`) and answer (`LoadPrior`).
 
-z = (log k, log mu_c), and the prior is N(mean, A A^T). Which priors are proposed stands in
-`hypotheses`.
+A hypothesis proposes normal priors N(mean, A A^T) of z = (log k, log mu_c), the logarithms of the
+cells' loads and of the contact friction. Which hypotheses there are, and which priors they propose,
+is in `hypotheses`.
 """
 
 from dataclasses import dataclass
@@ -31,8 +32,8 @@ class LoadPrior:
         weight: prior weight, relative to those of all other priors.
         p_BC: (n, 2) points at which the cells bear their loads, m, body frame; the object's own
             `p_BC` itself where they bear them at their centers.
-        evidence_share: factor on the evidence of this prior's fit. It is less than 1 where the
-            prior is the best one of many that were tried.
+        evidence_share: factor on the evidence of this prior's fit. It is less than 1 if the prior
+            is the best of many that were tried, as the best of many fits well by chance.
         start: (n+1,) z at which the fit begins; None for the prior mean.
         stands_for_even: whether the prior describes an almost even object.
     """
@@ -53,8 +54,8 @@ class LinearizedPushes:
     Attributes:
         residuals: (R,) whitened residuals at z_0.
         J: (R, n+1) their derivatives by z.
-        known: how many of the residuals, the last ones, are prior knowledge of the center of mass
-            and no evidence.
+        known: how many of the residuals, counted from the end, are prior knowledge of the center of
+            mass. They are no evidence.
     """
 
     residuals: Array
@@ -64,14 +65,14 @@ class LinearizedPushes:
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What every hypothesis is told when it proposes its priors.
+    """The question to a hypothesis: all that it may use to propose its priors.
 
     Attributes:
         obj: the object.
         z0: (n+1,) z of the even object, log k_0 and log mu_c.
         log_contact_friction_std: prior standard deviation of log mu_c.
-        pushes: the training pushes to first order, for hypotheses that ask for them
-            (`LoadHypothesis.needs_pushes`); else None.
+        pushes: the training pushes to first order. Only hypotheses that need them
+            (`LoadHypothesis.needs_pushes`) get them; for all others it is None.
     """
 
     obj: GridObject
@@ -84,27 +85,29 @@ class Setting:
         return {}
 
     def calc_smooth_covariance(self, range_cells: float) -> Array:
-        """C (n, n) of a correlation range in cells; it is calculated once."""
+        """Returns `calc_smooth_covariance` (n, n) for a range in cells; each is calculated once."""
         if range_cells not in self._covariances:
             self._covariances[range_cells] = calc_smooth_covariance(self.obj, range_cells)
         return self._covariances[range_cells]
 
     def with_pushes(self, pushes: LinearizedPushes) -> "Setting":
-        """Makes this setting one with the training pushes to first order."""
+        """Returns a copy of this setting that has the training pushes to first order."""
         setting = Setting(self.obj, self.z0, self.log_contact_friction_std, pushes)
         setting._covariances.update(self._covariances)
         return setting
 
 
 def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) -> Array:
-    """Calculates C of a smooth field: C^-1 ~ (L + kappa² I)², L the graph Laplacian of the cells.
+    """Calculates the covariance C of a smooth field on the cells (a Matérn field).
+
+    C^-1 is proportional to (L + kappa² I)², with L the graph Laplacian of the cells.
 
     Args:
         obj: the object.
         range_cells: correlation range, cells.
 
     Returns:
-        (n, n) covariance, of unit mean variance.
+        (n, n) covariance, scaled so that the mean variance of a cell is 1.
     """
     i, j = obj.adjacency.T
     L = np.zeros((obj.n, obj.n))

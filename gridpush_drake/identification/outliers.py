@@ -1,10 +1,10 @@
 """Poses and pushes that cannot be used: a tracker that jumped, a push of another object.
 
-Two looks are taken (`docs/theory/identification.md`, section 5). Before the fit, no motion of the
-pusher explains a jump between frames: of each push the longest chain of poses is kept in which each
-can be reached from the one before. After it, each pose is compared with what all others say of it,
-and each push with what the other pushes say. What is refused in the end, and the fits in between,
-is decided in `robust_fit`.
+They are looked for twice (`docs/theory/identification.md`, section 5). Before the fit, poses are
+refused that the pusher cannot have caused: of each push the longest chain of poses is kept in which
+each can be reached from the one before. After the fit, each pose is compared with what all other
+poses predict, and each push with what the other pushes predict. `robust_fit` decides what is
+refused in the end, and makes the fits in between.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,8 +28,8 @@ JUMP_SLACK = 0.008
 from where the pusher can have moved the object has jumped."""
 
 FIRST_POSE_BONUS = 0.5
-"""Number of poses that a push's first pose counts for beyond itself. So of two chains of the same
-length the one that begins with the first pose is kept."""
+"""Number of poses by which a chain counts as longer if it begins with the push's first pose. Of two
+chains of the same length, the one that begins there is kept."""
 
 MAX_JUMP_SHARE = 0.4
 """Largest share of a log's poses that may jump. If more seem to, the log itself is wrong, and all
@@ -56,11 +56,11 @@ travel."""
 
 @dataclass(frozen=True)
 class Outlier:
-    """What was refused of a push.
+    """A push of which poses, or all, were refused.
 
     Attributes:
         push: its name.
-        poses: the poses refused, 0 the first of the push.
+        poses: numbers of the poses that were refused; 0 is the first pose of the push.
         observed: how many poses the push has, the first included.
         whole: whether the whole push is refused, because it belongs to another object or too few
             poses were left.
@@ -77,7 +77,7 @@ class Outlier:
         return 1.0 if self.whole else len(self.poses) / self.observed
 
     def describe(self) -> str:
-        """What was refused, in a sentence."""
+        """Says in a sentence what was refused."""
         if self.whole and not self.poses:
             return (
                 f"push {self.push}: refused, "
@@ -91,11 +91,11 @@ class Outlier:
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """What the other pushes say of one.
+    """How far a push is from what all other pushes predict of it.
 
     Attributes:
-        precision: (3K, 3K) Q, inverse covariance of its residuals as the others predict them, 1/m².
-        pull: (3K,) Q e, with e the residuals off that prediction, 1/m.
+        precision: (3K, 3K) Q, inverse covariance of the push's residuals by the prediction, 1/m².
+        pull: (3K,) Q e, with e the difference of the residuals from the prediction, 1/m.
     """
 
     precision: Array
@@ -103,7 +103,7 @@ class LeftOut:
 
     @property
     def log_density(self) -> float:
-        """Log density of the push's residuals by the other pushes, but for a constant."""
+        """Log density of the push's residuals by the prediction, up to a constant."""
         # log N(e; 0, Q^-1) = -1/2 e^T Q e + 1/2 log det Q
         e = np.linalg.solve(self.precision, self.pull)
         return -0.5 * float(self.pull @ e) + 0.5 * float(np.linalg.slogdet(self.precision)[1])
@@ -115,8 +115,8 @@ class Screening:
 
     Attributes:
         log: the pushes with the poses that are kept.
-        kept: numbers of the poses that are kept, by the push's name; 0 is the first pose. Of a push
-            that is not listed all are kept.
+        kept: numbers of the poses that are kept, by the push's name; 0 is the first pose. If a push
+            is not listed, all its poses are kept.
         observed: how many poses each push had, the first included, by the push's name.
         refused: names of the pushes refused as a whole.
     """
@@ -141,17 +141,20 @@ class Screening:
         return replace(self, log=log)
 
     def refuse_poses(self, left_out: Sequence[LeftOut], size: float) -> "Screening":
-        """Refuses the poses that do not agree with the rest; itself where all do.
+        """Refuses the poses that do not agree with the rest.
 
         Args:
-            left_out: what the others say of each push.
-            size: of the object: its radius of gyration, m.
+            left_out: for each push, how far it is from what the others predict.
+            size: the object's radius of gyration, m.
+
+        Returns:
+            The log without these poses; this object itself if all poses agree.
         """
         masks = []
         for one in left_out:
             # The first pose is where the simulation begins: it cannot disagree.
             mask = np.append(True, _judge_poses(one, size))
-            # If most poses disagree, it is the push that does: others decide on that.
+            # If most poses disagree, the push as a whole is in doubt, which is not decided here.
             few = mask[1:].mean() > MAX_REFUSED_POSES
             masks.append(mask if few else np.ones_like(mask))
         if all(mask.all() for mask in masks):
@@ -175,7 +178,7 @@ class Screening:
 
     @property
     def outliers(self) -> tuple[Outlier, ...]:
-        """What was refused, push by push."""
+        """All that was refused, push by push."""
         found = []
         for name, kept in self.kept.items():
             poses = tuple(sorted(set(range(self.observed[name])) - set(kept.tolist())))

@@ -1,15 +1,17 @@
 """The spread of what was learned, and draws from it that agree with what the pushes showed.
 
-z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S), Laplace's normal about the best fit. A draw dz = z
-- mean is moved, as little as can be in the prior's norm, until its shares x = k / sum k keep every
-combination a that the pushes fixed,
+The estimate is a normal distribution (Laplace's approximation about the best fit),
+z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S). Pushes determine some combinations of the
+normalized loads x = k / sum k. Far from the mean, a draw z = mean + dz would contradict them, as x
+depends on z exponentially. Each draw is therefore moved, by the smallest step in the prior's norm,
+until for every combination a that the pushes determined
 
-    a.(x/x0 - 1) = a.dz,    x0 the shares at the mean
+    a.(x/x0 - 1) = a.dz,    x0 the normalized loads at the mean
 
-which for small dz is the draw itself (`docs/theory/identification.md`, section 6). Where the pushes
-are at hand, they have the last word (`evidence`).
+A small dz fulfills this as it is (`docs/theory/identification.md`, section 6). If the pushes
+themselves are at hand, draws are also checked by them (`evidence`).
 
-How z is found is not here but in `map_fit` and `map_ensemble`.
+How the best fit is found is not here but in `map_fit` and `map_ensemble`.
 """
 
 from dataclasses import dataclass, replace
@@ -43,8 +45,8 @@ MIN_SHARE = 1e-12
 positive."""
 
 STEPS = 25
-"""Most Newton steps by which draws are moved. The few draws that need more stay wider than they
-ought to be, which is safe."""
+"""Greatest number of Newton steps by which draws are moved. The few draws that would need more stay
+farther from the mean than they ought to be. The spread then seems too large, which is safe."""
 
 TOLERANCE = 0.05
 """Largest error of a draw's combinations, in standard deviations of the posterior. A draw with
@@ -55,14 +57,14 @@ MAX_STEP = 2.0
 
 RIDGE = 1e-10
 """Share of the trace that is added to the diagonal of a step's equations, so that they can be
-solved where combinations of a draw all but agree."""
+solved even if two combinations are all but the same for a draw."""
 
 FARTHEST = 30.0
 """Largest distance of an entry of z from the mean. Draws are clipped to it against overflow."""
 
 
 class DrawJudge(Protocol):
-    """Knows more of draws than their covariance, such as the pushes that were learned from."""
+    """Judges draws by more than their covariance, such as by the pushes that were learned from."""
 
     def draw_in(self, dz: Array) -> Array:
         """Shortens draws dz (count, n+1) from the mean until each of them is possible."""
@@ -84,7 +86,7 @@ class Posterior:
     prior_covariance: Array
 
     def __repr__(self) -> str:
-        """What is spread, and how widely, in a line."""
+        """Says in a line of how many cells it is, and how widely they are spread."""
         cells = count(len(self.mean) - 1, "cell")
         std = describe_range(np.sqrt(np.maximum(np.diag(self.covariance)[CELLS], 0.0)))
         return f"Posterior of {cells}: standard deviation of a cell's log friction {std}"
@@ -232,13 +234,13 @@ def _find_learned(posterior: Posterior) -> tuple[Array, Array, Array]:
     )
     learned = ratio < 1 - LEARNED_SHARE
     A = directions[:, learned].T @ inverse
-    # No push shows the common scale, nor do shares.
+    # No push shows the common scale of all loads, and normalized loads do not have it.
     A[:, CELLS] -= A[:, CELLS].mean(axis=1, keepdims=True)
     return A, np.maximum(ratio[learned], np.finfo(float).tiny), root
 
 
 def _correct(dz: Array, share: Array, A: Array, stds: Array, root: Array) -> None:
-    """Moves draws, in place, until their shares have the combinations that the draws had.
+    """Moves draws, in place, until they agree with the learned combinations; see the module.
 
     Args:
         dz: (count, n+1) draws from the mean.
@@ -252,7 +254,7 @@ def _correct(dz: Array, share: Array, A: Array, stds: Array, root: Array) -> Non
     wanted = dz @ A.T
     rest = np.arange(len(dz))
     for _ in range(STEPS):
-        # What is lacking in a.(x/x0 - 1) = a.dz; only draws that lack something go on.
+        # The two sides of a.(x/x0 - 1) = a.dz differ by `lack`. Where it is small, a draw is done.
         x = _calc_shares(share, dz[rest])
         ratio = x / share
         lack = wanted[rest] - (ratio - 1) @ by_cells.T - dz[rest, GLOBAL] @ by_globals.T

@@ -1,19 +1,19 @@
-"""Poses that are a turn of a symmetric outline off.
+"""Finds pushes in which a tracker took one end of a symmetric object for the other.
 
-That is what a tracker does that takes one end of the object for the other.
+A rectangle that is turned by half a turn looks as before. A tracker that finds the outline anew
+before each push may therefore report the same object now this way round and now the other. The
+pushes then contradict each other. A fit of all of them puts the center of friction in the middle,
+and takes it for well known.
 
-Half a turn of a rectangle looks like none. A tracker that finds the outline anew before each push
-may so tell the same object's pose now this way round and now the other. The pushes then contradict
-each other, and a fit of all of them puts the center of friction in the middle, and calls it known.
-
-Let c be the center of friction from the outline's center, and R_j the turns by which the outline is
-left as it is. A push whose poses are R_j off is explained by R_j c as well as the others are by c:
+Let c be the center of friction, seen from the outline's center, and let R_j be the turns that leave
+the outline as it is. A push whose poses are off by the turn R_j is explained by a center R_j c as
+well as the other pushes are by c:
 
     r_p + J_p R_j(p) c = 0     for all pushes p
 
-with r_p the residuals of an even object and J_p their derivatives by the center. The turns j(p) and
-c that fit best are found first, to first order; what they gain is then confirmed by fitting both
-readings of the log in full, and weighing one against the other by their evidence.
+with r_p the residuals of an even object and J_p their derivatives by the center. First, the c and
+the turns j(p) are found that fit best to first order. Then both readings of the log, turned and as
+it is, are fitted in full, and their evidence decides.
 """
 
 from collections.abc import Callable
@@ -32,13 +32,15 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 ORDERS = (6, 5, 4, 3, 2)
-"""Numbers of turns by which an outline may look the same that are looked for, the most first."""
+"""Numbers of positions in a full turn in which an outline may look the same, in the order in which
+they are tried. That of a square is 4."""
 
 ALIKE = 0.02
-"""Share of the outline's area by which it may differ from itself, turned."""
+"""Greatest share of its area by which an outline may differ from the turned one to count as the
+same."""
 
 MIN_PUSHES = 4
-"""Fewest pushes that can tell."""
+"""Least number of pushes with which turned poses are looked for."""
 
 STARTS = 12
 """Directions of the center of friction from which the search begins."""
@@ -53,20 +55,19 @@ CENTER_STD = 0.6
 """Standard deviation per axis of the center of friction, before any push, radii of gyration."""
 
 SURE = 10.0
-"""Log odds for poses that are turned, by the evidence of both fits, from which on they are told of.
-The odds beforehand are those of any set of turned pushes alike."""
+"""Least log odds, by the evidence of both fits, at which turned poses are reported. Beforehand, all
+sets of turned pushes are taken for equally probable."""
 
 NAMED = 3.0
-"""Log odds for a push's poses to be turned, from which on it is named: one through the center of
-friction does not tell."""
+"""Least log odds at which a single push is named as turned. A push through the center of friction
+moves the object in the same way whether its poses are turned or not, and is not named."""
 
 MIN_SHIFT = 1e-6
-"""Standard deviation of the load's center from push to push in the search to first order, m.
-
-It is as good as none."""
+"""Standard deviation of the load's shift from push to push in the search to first order, m. It is
+as good as zero."""
 
 MAX_NAMED = 8
-"""Pushes that a message names."""
+"""Greatest number of pushes that a message names."""
 
 Turns = NDArray[np.int64]
 
@@ -76,7 +77,7 @@ class TurnedPoses:
     """Pushes whose poses are a turn of a symmetric outline off those of the others.
 
     Attributes:
-        names: of those pushes that tell; there may be more.
+        names: names of the pushes that are surely turned; there may be more of them.
         pushes: how many pushes the log has.
         angle: by how much they are off, in words.
     """
@@ -170,12 +171,12 @@ def _explains_kept(
     order: int,
     fit: Callable[[PushProblem], MapFit],
 ) -> bool:
-    """Whether the pushes that were learned from, by themselves, speak for the turns, too.
+    """Says whether the pushes that were learned from show the turns without those left out.
 
-    A few pushes of another object contradict the others likewise, and turns can explain them. But
-    once they are left out, the others agree as they are. Where the pushes that were left out are
-    the turned ones, the others show the right center, and nothing is to be said beside that they
-    were left out.
+    A few pushes of another object contradict the others, too, and turns may explain them. But once
+    they are left out, the others agree without turns, and there is nothing to report. The same is
+    true if the pushes that were left out are just the turned ones: the others then show the right
+    center.
     """
     turn_of = {seen.name: turn for seen, turn in zip(log, turns, strict=True)}
     turns_kept = np.array([turn_of[seen.name] for seen in kept])
@@ -187,21 +188,25 @@ def _explains_kept(
 
 
 def calc_occam(pushes: int, order: int) -> float:
-    """Log of the number of ways in which pushes can be turned.
+    """Calculates the log of the number of ways in which pushes can be turned.
 
-    Each is as probable as any other beforehand.
+    All ways are equally probable beforehand. Turns must therefore explain the pushes better by this
+    much. (Turning all pushes alike makes no difference, so that one of them is not counted.)
     """
     return (pushes - 1) * float(np.log(order))
 
 
 def turn_poses(obj: GridObject, log: PushLog, turns: Turns, order: int) -> PushLog:
-    """The log with the poses of each push turned back by some of the outline's turns.
+    """Turns the poses of each push about the outline's center, which stays where it is.
 
     Args:
-        obj: the object, whose outline's center stays where it is.
+        obj: the object.
         log: the pushes.
-        turns: (P,) how many of the turns each push's poses are off.
-        order: how many make a full turn.
+        turns: (P,) by how many of the outline's turns the poses of each push are turned.
+        order: number of these turns in a full turn.
+
+    Returns:
+        The log with the turned poses.
     """
     center = shapely.Polygon(obj.outline.exterior).centroid
     p_BC = np.array([center.x, center.y])
@@ -220,12 +225,14 @@ def turn_poses(obj: GridObject, log: PushLog, turns: Turns, order: int) -> PushL
 
 
 def _search_turns(problem: PushProblem, z0: Array, noise: NoiseModel, order: int) -> Turns:
-    """The turns (P,) that explain the pushes best to first order.
+    """Searches for the turns (P,) that explain the pushes best to first order.
 
-    They are none if turns hardly gain anything.
+    Returns:
+        The number of turns of each push; all are 0 if turns explain the pushes hardly any better.
     """
     linear = problem.linearize(z0)
-    # the center is what is looked for: as noise from push to push it would hide itself
+    # The center is what is looked for. The noise model's shift of the load from push to push could
+    # explain it just as well, and is therefore left out.
     whitenings = replace(noise, load_shift=MIN_SHIFT).make_whitenings(
         linear.by_inputs, NoiseScale()
     )
@@ -271,7 +278,8 @@ def _search_turns(problem: PushProblem, z0: Array, noise: NoiseModel, order: int
     ]
     least, best = min(found, key=lambda one: one[0])
     none = np.zeros_like(best)
-    # what is left of the residuals says how large the noise is, so that more of it tells nothing
+    # If the residuals that are left are larger than the noise model says, the noise is larger, and
+    # a gain tells less by as much.
     scale = max(1.0, least / sum(calc_effective_count(len(one)) for one in r))
     gain = 0.5 * (calc_loss(find_center(none), none) - least) / scale
     if gain < calc_occam(len(best), order):
@@ -280,9 +288,9 @@ def _search_turns(problem: PushProblem, z0: Array, noise: NoiseModel, order: int
 
 
 def _calc_losses(problem: PushProblem, log: PushLog, fit: MapFit, order: int) -> Array:
-    """Negative log likelihood (P, order) of each push with each turn by a fit.
+    """Calculates the negative log likelihood (P, order) of each push with each turn by a fit.
 
-    A constant is left out.
+    It is known up to a constant.
     """
     losses = []
     for turn in range(order):
@@ -294,8 +302,8 @@ def _calc_losses(problem: PushProblem, log: PushLog, fit: MapFit, order: int) ->
 
 
 def find_usual(turns: Turns, order: int) -> int:
-    """The turn of most pushes, which is taken for none.
+    """Finds the turn that most pushes have, which is then taken for none.
 
-    The turns are known but for a common one.
+    If all pushes are turned by the same turn more, they fit as well: only differences are known.
     """
     return int(np.argmax(np.bincount(turns, minlength=order)))

@@ -90,11 +90,12 @@ class PosePath:
 
 
 class ObjectWay:
-    """The way of one object along a path.
+    """A path as it is for one object: how far along it the object is, and where it should be next.
 
     Attributes:
         path: the path.
-        length: of the way, m.
+        length: length of the path, m. Between two poses it is the way of the centroid, or that of a
+            point at the radius of gyration as the object turns, whichever is longer.
     """
 
     def __init__(self, obj: GridObject, path: PosePath) -> None:
@@ -108,14 +109,18 @@ class ObjectWay:
         count = max(2, int(np.ceil(self.length / SPACING)) + 1)
         self._arc = np.linspace(0.0, self.length, count)
         self._table = np.column_stack([np.interp(self._arc, arc, row) for row in corners.T])
-        # on the spot, where there is no way to go along, the heading stands for it
+        # Where the object turns on the spot the path has no direction; its heading is taken instead.
         steps = np.gradient(self._table[:, :2], axis=0)
         size = np.linalg.norm(steps, axis=1, keepdims=True)
         heading = self._table[:, 2]
         self._along = np.where(size > 0, steps / np.maximum(size, 1e-12), make_direction(heading))
 
     def _measure(self, poses: Array, middle: Array) -> tuple[Array, Array]:
-        """Centroids and headings (K, 3) at poses (K, 3), without repetitions, and s there (K,)."""
+        """Measures poses (K, 3), of which those that repeat the one before are left out.
+
+        Returns:
+            Centroids and headings there, and the lengths (K,) of the path up to there, m.
+        """
         center = transform(poses, middle[None])[:, 0]
         rows = np.column_stack([center, poses[:, 2]])
         way = np.linalg.norm(np.diff(center, axis=0), axis=1)
@@ -125,7 +130,10 @@ class ObjectWay:
         return rows[kept], arc[kept]
 
     def at(self, s: ArrayLike) -> Array:
-        """Centroid, m, and heading, rad, (..., 3) at lengths (...,); held beyond the ends."""
+        """Centroid, m, and heading, rad, (..., 3) at lengths (...,) of the path, m.
+
+        Before its beginning and beyond its end, they are those of the beginning and of the end.
+        """
         place = np.asarray(s, dtype=np.float64)
         return np.stack([np.interp(place, self._arc, column) for column in self._table.T], axis=-1)
 
@@ -137,23 +145,23 @@ class ObjectWay:
         return np.asarray(found / np.maximum(size, 1e-12))
 
     def project(self, center: Array, heading: float, last: float) -> float:
-        """Finds how far an object has come, m.
+        """Finds how far along the path an object has come, m.
 
         Args:
             center: (2,) its centroid, W, m.
             heading: rad.
-            last: how far it had come before, m; it is looked for near there.
+            last: how far it had come before, m. Only places of the path near there are considered.
         """
         low = np.searchsorted(self._arc, last - LOOK_BACK)
         high = max(np.searchsorted(self._arc, last + LOOK_AHEAD, side="right"), low + 1)
         near = self._table[low:high]
-        # of places where the path crosses itself the heading tells which it is
+        # Where the path crosses itself, the heading tells on which part of it the object is.
         turn = np.mod(heading - near[:, 2] + np.pi, 2 * np.pi) - np.pi
         off = ((near[:, :2] - center) ** 2).sum(axis=1) + (self._arm * turn) ** 2
         return float(self._arc[low + int(off.argmin())])
 
     def measure_distance(self, centers: Array) -> Array:
-        """Distances (K,) of centroids (K, 2) from the whole way, m."""
+        """Distances (K,) of centroids (K, 2) from the nearest place of the whole path, m."""
         a = self._table[:-1, :2]
         d = np.diff(self._table[:, :2], axis=0)
         size2 = np.maximum((d**2).sum(axis=1), 1e-18)

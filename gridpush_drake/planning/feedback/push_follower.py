@@ -1,11 +1,15 @@
 """Steers a finger so that a learned object follows a path, or comes to a goal, by what is seen.
 
-At each decision, ten times a second, the controller finds out where the object is now
-(`pose_track`), improves its plan for the finger (`push_search`), refines a plan on a path by Gauss
-and Newton's method for several models at once, and gives the velocity with which the plan begins.
+At each decision, ten times a second, the controller
 
-Poses may come at any rate, late and with gaps. What the controller does is told by a status.
-Everything random comes from the seed, and no decision depends on a clock.
+    1. estimates where the object is now (`pose_track`),
+    2. improves its plan of the finger's places (`push_search`),
+    3. refines it, if the object follows a path, by Gauss and Newton's method for several models at
+       once (`plan_refinement`),
+    4. returns the velocity with which the plan begins.
+
+Poses may come at any rate, late and with gaps. A status says what the controller does. Everything
+random comes from the seed, and no decision depends on a clock.
 
 The theory is in `docs/theory/feedback.md`, sections 6 to 8. For PushT, where the finger is a disc
 on a spring and the block's three numbers are learned within the episode, see
@@ -55,30 +59,32 @@ from gridpush_drake.planning.feedback.ways import make_ways
 from gridpush_drake.planning.push_constraints import PushConstraints
 
 HIT = 0.2
-"""Share of the tolerances within which a plan ends: nearer it need not come."""
+"""A plan ends as soon as the object is within this share of the goal's tolerances."""
 
 SETTLE = 0.2
 """Time for which the object must be seen at the goal before it counts as reached, s."""
 
 LEAST_MOTION = 0.3
-"""Motion by the model that is taken to have happened at least, in radii of gyration, before it is
-asked how much of it was explained."""
+"""Least motion, in radii of gyration, with which corrections of the model's motion are compared. If
+the object has moved less, as much is assumed, so that noise alone does not look like a wrong
+model."""
 
 LEAST_PER_DECISION = 1 / 64
-"""Least cost of a decision: it is halved until some plan to the goal costs less than standing
-still, and is 1 again for the plan after that."""
+"""Least cost of a decision. The cost begins at 1 and is halved until some plan to the goal costs
+less than standing still; for the next plan it is 1 again."""
 
 LEAST_GAIN = 1e-3
-"""By how much a plan to a goal must cost less than standing still, in decisions."""
+"""Amount by which a plan to a goal must cost less than standing still, in decisions."""
 
 TOUCHED = 1e-4
-"""Motion of the object in a decision from which on the finger pushes it, m."""
+"""Least motion of the object in a decision that shows that the finger pushes it, m."""
 
 MAX_PACES = 3.0
-"""Periods of decisions for which a path goes on, at most, until the next decision."""
+"""Greatest progress on a path between two decisions, in periods of decisions. If a decision comes
+late, the path waits."""
 
 PROGRESS = 0.002
-"""Nearing of the goal, or way on the path, that counts as getting on, m."""
+"""Least distance that counts as progress, towards the goal or along the path, m."""
 
 
 class PushFollower:
@@ -151,7 +157,7 @@ class PushFollower:
         self.set_goal(goal)
 
     def copy(self) -> "PushFollower":
-        """Makes a copy that goes on by itself, alike; what never changes is shared."""
+        """Makes a copy that goes on independently of this one; what never changes is shared."""
         other = copy(self)
         other.track = self.track.copy()
         other._ensemble = self._ensemble.copy()
@@ -219,7 +225,7 @@ class PushFollower:
         return self._ensemble.models[0]
 
     def add_pose(self, time: float, pose: ArrayLike) -> None:
-        """Takes in a pose that was seen, at once or as soon as it comes.
+        """Takes in a pose that was seen, whenever it comes.
 
         Args:
             time: when it was seen, s; at most the time of the last decision or `add_tip`.
@@ -255,8 +261,8 @@ class PushFollower:
         Args:
             time: now, s.
             tip: (2,) where the finger's center is, W, m.
-            lead: time until the finger will do what is decided, s; that of deciding itself, where
-                it is not short beside a period.
+            lead: time until the finger does what is decided, s. It is not 0 if deciding itself
+                takes a good part of a period.
             velocity: (2,) of the finger until then, W, m/s.
 
         Raises:

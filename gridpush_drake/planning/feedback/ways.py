@@ -1,4 +1,9 @@
-"""Where a disc can touch an outline, and how it gets round it, as `kernels.walk_round` takes it."""
+"""Where a disc can touch an outline, and how it gets round it: `make_ways`.
+
+The disc is the pusher. To begin a stroke it goes round the block on a ring of points about the
+block's convex hull, and comes in where it is to touch. `kernels.walk_round` goes by what is made
+here.
+"""
 
 import numpy as np
 from shapely import Polygon
@@ -6,34 +11,39 @@ from shapely import Polygon
 from gridpush_drake.dynamics.kernels.walk_round import Ways
 
 TOUCHES = 96
-"""Places round the block where a stroke may touch."""
+"""Number of places round the block where a stroke may touch it."""
 
 LEAST_RING = 32
 """Least number of points of the ring on which the disc goes round the block."""
 
 RING_SPACING = 1.5
-"""Greatest distance of two neighbors on the ring, in radii of the disc. Each must be in sight of
-the next. At a corner of the hull the line between two points that are further apart than 1.8
-radii comes nearer to the corner than CLEARANCE, and a disc that came there would get no further."""
+"""Greatest distance of two neighbors on the ring, in radii of the disc. The disc must be able to go
+straight from each to the next. If two points beside a corner of the hull are farther apart than 1.8
+radii, the line between them is nearer to the corner than CLEARANCE, and the disc gets stuck."""
 
 STANDOFF = 0.4
 """Distance from the touch at which a stroke begins, in radii of the disc."""
 
 CLEARANCE = 1.04
-"""Distance of the disc's center from the outline on its way round, in radii of the disc."""
+"""Least distance of the disc's center from the outline on its way round, in radii of the disc."""
 
 RING_DISTANCE = 1.4
 """Distance of the ring from the convex hull, in radii of the disc."""
 
 ARRIVAL = 0.53
-"""Distance from the beginning of a stroke at which the disc has arrived there, in its radii."""
+"""The disc has arrived at the beginning of a stroke if it is nearer than this, in its radii."""
 
 ARC_SEGMENTS = 16
-"""Segments of a quarter circle, where an outline is widened by the disc's radius."""
+"""Number of segments of a quarter circle in an outline that is widened by the disc's radius."""
 
 
 def make_ways(outline: Polygon, radius: float) -> Ways:
-    """Makes what the kernels take of an outline, body frame, and a disc of a radius."""
+    """Makes the ways of a disc round an outline, for the kernels.
+
+    Args:
+        outline: the block's outline, body frame, m.
+        radius: the disc's radius, m.
+    """
     rim = outline.exterior
     widened = outline.buffer(radius, quad_segs=ARC_SEGMENTS).exterior
     places = [widened.interpolate(i / TOUCHES, normalized=True) for i in range(TOUCHES)]

@@ -1,14 +1,14 @@
-"""`FetchPlanner`: the wanted object out of clutter to the table's edge, where it can be grasped.
+"""`FetchPlanner`: brings the wanted object out of clutter to the table's edge, to be grasped there.
 
     clear    push away what is too near to the wanted object, or to its way to the edge
     poke     poke the wanted object, to learn where its mass may be
-    slide    push it to the edge, stable at the worst all the way
-    grasp    a graspable part hangs over far enough, and the object stays put at the worst
+    slide    push it to the edge, so that it cannot fall on the way, by any masses it may have
+    grasp    a graspable part hangs over far enough, and by any of these masses the object stays put
 
-The last three are `planning.pregrasp`'s, which keeps clear of everything else. So nothing but the
-wanted object comes near the table's edge, and that only as far as it is safe by all masses that it
-may have. All others stay wholly on the table while they are cleared away, where each of them lies
-safely whatever its masses are. The theory is in `docs/theory/planning.md`, section 6.
+`planning.pregrasp` decides on the last three, and keeps clear of all other objects. Only the wanted
+object comes near the table's edge, and only as far as is safe by all masses that it may have. The
+other objects are cleared away to places wholly on the table, where they lie safely whatever their
+masses are. The theory is in `docs/theory/planning.md`, section 6.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,20 +49,21 @@ CLEAR = "clear"
 """Kinds of pushes, as a decision's `kind` names them."""
 
 ROWS_APART = 4
-"""Steps of a simulated push between two states of which the room is measured."""
+"""Number of steps of a simulated push from one state in which the room is measured to the next."""
 
 SHORE = 0.12
-"""Distance from the table's edge within which other objects may come to lie in the way, m."""
+"""Other objects that lie nearer than this to the table's edge may be in the way later, m."""
 
 SHORE_SHARE = 0.3
-"""How much a meter nearer to the edge than that costs, against a meter of lacking room."""
+"""Cost of a meter by which another object is nearer to the edge than `SHORE`, as a share of the
+cost of a meter of lacking room."""
 
 BLOCKED = 10.0
-"""What a way to the edge costs on which something is fixed, m of way: the object has to be slid
-around it."""
+"""Cost of a way to the edge that a post blocks, as an additional length of way, m: the object has
+to be slid around the post."""
 
 SMALL = 1e-3
-"""Room that may be lacking without anything being cleared away, m."""
+"""Nothing is cleared away if no more room than this is lacking, m."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +71,12 @@ class FetchOptions:
     """How the wanted object is fetched.
 
     Attributes:
-        room: how far everything else should be from the wanted object and from its way to the edge,
-            m. Finger and object keep `slides.OBSTACLE_MARGIN` from it, and the finger is on the far
-            side.
-        spare: by how much more room is made than that, m, so that a push need not be made twice.
-        per_length: what a meter of lacking room costs, s/m.
-        base: what an object that is in the way costs in any case, s.
+        room: least distance of everything else from the wanted object and from its way to the edge,
+            m. Finger and object keep `slides.OBSTACLE_MARGIN` from it; the finger is behind the
+            object while it slides it.
+        spare: additional room that clearing aims at, m, so that a push need not be made twice.
+        per_length: cost of a meter of lacking room, s/m.
+        base: cost of an object that is in the way at all, s.
         max_clearing: number of pushes after which clearing away is given up.
         pregrasp: how the object is poked and slid, and what counts as safe.
         search: how pushes that clear the way are searched for.

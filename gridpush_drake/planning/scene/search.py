@@ -1,14 +1,16 @@
-"""Which push of several objects to make next: what the tasks with several objects have in common.
+"""Searches for the next push of several objects, for all tasks with several objects.
 
-A task says what a state of the scene costs, V(q_1, ..., q_N), in seconds that are left to go. Many
-pushes are drawn along the outlines, simulated by the scene model with all contacts, and cut where
+A task says what a state of the scene costs, V(q_1, ..., q_N): the time that is still needed from
+there, s. The search for the next push has four steps:
 
-    t + V(poses after t)
+    1. Many pushes are drawn along the outlines and simulated by the scene model, with all contacts.
+       Each is cut at the time t at which t + V(poses after t) is least, so that one simulation also
+       tells the best length of the push.
+    2. The best of them are varied a little.
+    3. For the best after that, second pushes are simulated, to find what they would bring.
+    4. The few best are simulated with further models. The push with the least average cost is made.
 
-is least: one simulation tells the best length of a push, too. The best of them are varied a little,
-and of the best after that it is asked what a second push would bring. At last the few best are
-simulated with further models, and the one is made that costs least on the average. Contact with
-other objects is not forbidden: it is weighed by where all of them end.
+A push may touch other objects: what counts is where all of them end.
 
 What no push may do is in `rules`: push an object near the table's edge or against a post, or begin
 where the finger does not fit. The theory is in `docs/theory/planning.md`, section 6.
@@ -31,10 +33,11 @@ CostToGo = Callable[[Array], Array]
 """Takes poses (K, N, 3), m and rad, and returns what each state of the scene costs, (K,) s."""
 
 DRAWS_A_PLACE = 3
-"""Pushes that are drawn for each one that is simulated: the pusher does not fit everywhere."""
+"""Number of pushes that are drawn for each one that is simulated, as the pusher does not fit
+everywhere."""
 
 STOPS_A_STEP = 6
-"""Places between two steps of a simulation at which a push may stop: every 0.5 mm."""
+"""Number of places between two steps of a simulation at which a push may stop: every 0.5 mm."""
 
 PLACE_SPREAD = 0.03
 """Standard deviation of the place of a push that is varied, as a share of the perimeter."""
@@ -43,7 +46,7 @@ ANGLE_SPREAD = 0.15
 """Standard deviation of the angle of a push that is varied, rad."""
 
 FINER = 3
-"""The later half of the variations is finer by 1 + FINER."""
+"""The later half of the variations is smaller by the factor 1 + FINER."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class SceneSearchOptions:
         candidates: number of pushes that are drawn and simulated for each object that is to move.
         refined: number of the best of them that are varied.
         variations: number of variations of each of these.
-        firsts: number of pushes of which it is asked what a second one would bring.
+        firsts: number of pushes after which second pushes are simulated.
         seconds: number of second pushes that are simulated for each object, after each first one.
         compared: number of pushes that are simulated with all further models.
         lengths: least and greatest length of a push, its clearance left out, m.
@@ -62,7 +65,7 @@ class SceneSearchOptions:
         radius: of the pusher, m.
         speed: of the pusher, m/s.
         clearance: distance between pusher and object where a push begins, m.
-        approach_time: time that the finger takes from one push to the next, about, s.
+        approach_time: approximate time that the finger takes from one push to the next, s.
         workers: number of threads that simulate; no result depends on it.
 
     Raises:
