@@ -109,7 +109,7 @@ class ObjectWay:
         count = max(2, int(np.ceil(self.length / SPACING)) + 1)
         self._arc = np.linspace(0.0, self.length, count)
         self._table = np.column_stack([np.interp(self._arc, arc, row) for row in corners.T])
-        # Where the object turns on the spot the path has no direction; its heading is taken instead.
+        # Where the object turns on the spot, its heading stands for the direction of the path.
         steps = np.gradient(self._table[:, :2], axis=0)
         size = np.linalg.norm(steps, axis=1, keepdims=True)
         heading = self._table[:, 2]
