@@ -15,7 +15,6 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.loop_run import LoopRun, run_loop
-from gridpush_drake.planning.pregrasp import weighing_planner
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
@@ -383,8 +382,8 @@ def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():
             presses=1,
         )
         model = replace(UncertainModel.of_identification(found), belief=belief)
-        goals = [planner._list_goals(inside, model, belief, surely) for surely in (True, False)]
-        assert (*map(bool, goals), planner.decide(inside, model).action) == outcome
+        rests = [planner._list_rests(inside, model, belief, surely) for surely in (True, False)]
+        assert (*map(bool, rests), planner.decide(inside, model).action) == outcome
 
 
 def test_a_weighed_model_leaves_the_center_of_mass_where_it_was_weighed():
@@ -504,7 +503,7 @@ def test_where_the_arm_cannot_press_nothing_is_planned():
     assert len(asked) > 1
 
 
-def test_slides_go_to_where_the_object_is_stable_before_other_places(monkeypatch):
+def test_slides_go_to_where_the_object_is_stable_before_other_places():
     """A slide is cut short of a place at which the object may tip, and would be made in vain."""
     obj = GridObject.from_yaml(find_shipped_object("claw_hammer")).forget()
     surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
@@ -515,16 +514,37 @@ def test_slides_go_to_where_the_object_is_stable_before_other_places(monkeypatch
     model = replace(UncertainModel.of_identification(found), belief=belief)
     planner = WeighingPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
     pose = np.array([0.03, 0.268, 1.96])
-    goals = planner._list_goals(pose, model, belief)
+    rests = planner._list_rests(pose, model, belief)
+    goals = planner._choose_goals(rests)
     assert len(goals) == 6
     for goal in goals:
         assert goal.margin == calc_stability_margin(model.masses, goal.pose, surface)
         assert goal.margin >= planner.options.slide.margin
-    travels = [goal.travel for goal in goals]
-    assert travels == sorted(travels)
+    rates = [rest.rate for rest in rests if rest.stable]
+    assert rates == sorted(rates, reverse=True)
     # Nearer ones, at which it may tip, come after all that are safe.
-    monkeypatch.setattr(weighing_planner, "MAX_RESTS", 10000)
-    everywhere = planner._list_goals(pose, model, belief)
-    safe = [goal.margin >= planner.options.slide.margin for goal in everywhere]
+    safe = [rest.goal.margin >= planner.options.slide.margin for rest in rests]
     assert safe == sorted(safe, reverse=True)
-    assert min(goal.travel for goal in everywhere[sum(safe) :]) < travels[-1]
+    nearest = min(rest.goal.travel for rest in rests[sum(safe) :])
+    assert nearest < max(goal.travel for goal in goals)
+
+
+def test_a_press_at_one_edge_is_the_same_at_any_other():
+    obj = GridObject.from_yaml(find_shipped_object("claw_hammer")).forget()
+    centers = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
+    here = Edge((0.0, 0.0), 0.0)
+    there = Edge((0.3, -0.2), 2.0)
+    at_origin = list_rests(obj, centers, 0.4, here, 0.03)
+    expected = list_rests(obj, centers, 2.4, there, 0.03, along=0.07)
+    # The grid of places is turned with the edge, so that the smallest overhangs may differ.
+    by_overhang = {round(one.inside, 6): one for one in expected}
+    pairs = [(one.move_to(there, 0.07), by_overhang.get(round(one.inside, 6))) for one in at_origin]
+    shared = [(moved, other) for moved, other in pairs if other is not None]
+    assert len(shared) > 10
+    for moved, other in shared:
+        np.testing.assert_allclose(moved.pose, other.pose, atol=1e-12)
+        edge_point = np.array(moved.target.edge_point)
+        np.testing.assert_allclose(edge_point, other.target.edge_point, atol=1e-12)
+        assert moved.target.edge_angle == there.angle
+        arms = [each.target.calc_arm(np.array(each.target.place)) for each in (moved, other)]
+        assert arms[0] == pytest.approx(arms[1], abs=0.006)

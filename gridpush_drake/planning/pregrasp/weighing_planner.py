@@ -1,14 +1,21 @@
-"""The pre-grasp planner that weighs where the others give up, or go on poking.
+"""The pre-grasp planner that weighs an object of which nothing is told before it relies on a goal.
 
 Where friction may be anything, pokes cannot tell how far the center of mass is from the edge: a
-light, rough part and a heavy, smooth one look the same. `PreGraspPlanner` gives up then. This one
-slides the object to where a part hangs over the edge that can be pressed safely, by all that is
-known, weighs it there, and goes on with what that told.
+light, rough part and a heavy, smooth one look the same. `PreGraspPlanner` then finds goals that are
+hardly safe, and goes from one to the other, or gives up. This one first slides the object to where
+a part hangs over the edge that can be pressed safely, by all that is known, and weighs it there:
+
+    pokes      as many as that planner makes in any case
+    weigh      until mass and center are roughly known; of all presses that are safe, the one that
+               tells soonest, with the slides to it
+    slide      to a goal, as that planner does, or weigh on where the goal has little margin
+    grasp      as that planner does
 
 How presses are planned is in `planning.weighing`; the theory is in `docs/theory/planning.md`,
 section 8.
 """
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -59,6 +66,24 @@ ENOUGH = 3.0
 """What `calc_open` says if mass and both coordinates of the center are known just well enough. Then
 nothing more is weighed."""
 
+ROUGHLY = 36.0
+"""What `calc_open` says if mass and center are known to about 5 % and 5 mm."""
+
+PRESS_TIME = 6.0
+"""Time that a press takes, s."""
+
+SLIDE_TIME = 6.0
+"""Time that a slide takes, s."""
+
+SLIDE_LENGTH = 0.1
+"""How far a slide moves an object, m."""
+
+SOME_EDGE = Edge(point=(0.0, 0.0), angle=0.0)
+"""An edge for which rests are worked out, before they are moved to the table's own edges."""
+
+SLIDE_ERROR = 0.004
+"""How far from its goal a slide may well end, m."""
+
 MAX_RESTS = 6
 """Number of places to be weighed at that a slide may go to."""
 
@@ -71,6 +96,8 @@ class WeighingOptions:
         sequence: what presses keep to, and what is enough.
         min_gain: share of what is open of mass and center that a press must be expected to take
             away.
+        trusted_margin: stability margin of a goal, m, to which the object is slid without being
+            weighed further.
         max_presses: greatest number of presses that tilted the object.
         edge_room: how far inside the ends of its edge an object crosses that edge where it is
             weighed, m; and how far it keeps from all other edges.
@@ -79,13 +106,14 @@ class WeighingOptions:
 
     sequence: SequenceOptions = field(default_factory=SequenceOptions)
     min_gain: float = 0.2
+    trusted_margin: float = 0.006
     max_presses: int = 8
     edge_room: float = 0.005
     top: float | None = None
 
 
 class WeighingPlanner(PreGraspPlanner):
-    """Decides as `PreGraspPlanner`, and weighs instead of giving up or poking on.
+    """Decides as `PreGraspPlanner`, but weighs before it relies on a goal, pokes on or gives up.
 
     Attributes:
         weighing: when and how it weighs.
@@ -102,28 +130,59 @@ class WeighingPlanner(PreGraspPlanner):
         self, pose: ArrayLike, model: UncertainModel | None, pokes: int = 0, slides: int = 0
     ) -> PreGraspDecision:
         """Decides what to do next; see `PreGraspPlanner.decide`."""
-        decision = super().decide(pose, model, pokes, slides)
-        if decision.action not in ("fail", "poke") or model is None or model.belief is None:
-            return decision
-        # The first pokes tell how friction is spread. After that a press tells more than a poke.
-        if decision.action == "poke" and pokes < self.options.min_pokes:
-            return decision
-        if model.belief.presses >= self.weighing.max_presses or slides >= self.options.max_slides:
-            return decision
-        if calc_open(model.belief.covariance, self.weighing.sequence) <= ENOUGH:
-            return decision
+        if model is None or model.belief is None or not self._may_weigh(model, pokes, slides):
+            return super().decide(pose, model, pokes, slides)
         q = np.asarray(pose, dtype=np.float64)
+        known = calc_open(model.belief.covariance, self.weighing.sequence) <= ROUGHLY
+        if not known:
+            weighing = self._decide_to_weigh(q, model, model.belief)
+            if weighing is not None:
+                return weighing
+        decision = super().decide(pose, model, pokes, slides)
+        safe = decision.action == "slide" and decision.margin >= self.weighing.trusted_margin
+        if not known or safe or decision.action == "grasp":
+            return decision
+        weighing = self._decide_to_weigh(q, model, model.belief)
+        if weighing is None:
+            return decision
+        return replace(weighing, reason=f"{decision.reason}; {weighing.reason}")
+
+    def _may_weigh(self, model: UncertainModel, pokes: int, slides: int) -> bool:
+        """Says whether it is time to weigh, and mass or center are not known well enough yet."""
+        assert model.belief is not None
+        # The first pokes tell how friction is spread. After that a press tells more than a poke.
+        if pokes < self.options.min_pokes or slides >= self.options.max_slides:
+            return False
+        if model.belief.presses >= self.weighing.max_presses:
+            return False
+        return calc_open(model.belief.covariance, self.weighing.sequence) > ENOUGH
+
+    def _decide_to_weigh(
+        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate
+    ) -> PreGraspDecision | None:
+        """Decides on a press, or on a push to where one can be made; None where neither helps.
+
+        Args:
+            pose: (3,) where the object lies, X_WB, m and rad.
+            model: what is known of it.
+            belief: what is held of its mass and center of mass.
+        """
         # A heavy object may lie still wherever its center of mass is farthest from the edge. If
         # there is no other press, one is made that tilts it with the center where it is expected.
         for surely in (True, False):
-            here = self._find_press(q, model, model.belief, surely)
+            here = self._find_press(pose, model, belief, surely)
+            rests = self._list_rests(pose, model, belief, surely)
+            rate = 0.0 if here is None else _calc_rate(self._calc_gain(belief, here), 0.0)
+            goals: list[PreGraspGoal] = []
+            if rests and rate < rests[0].rate:
+                goals = self._choose_goals(rests)
+            if goals:
+                slide = self._slide(pose, model, goals, "where it can be weighed")
+                if slide is not None:
+                    return slide
             if here is not None:
-                reason = f"{decision.reason}; it is weighed where it lies"
-                return PreGraspDecision("weigh", reason, press=here.target)
-            slide = self._slide_to_weigh(q, model, model.belief, surely)
-            if slide is not None:
-                return slide
-        return decision
+                return PreGraspDecision("weigh", "it is weighed where it lies", press=here.target)
+        return None
 
     def suppose_heavier(self) -> "WeighingPlanner":
         """Makes a planner that presses where less force would do.
@@ -189,53 +248,65 @@ class WeighingPlanner(PreGraspPlanner):
         along = edge.line.calc_along(outline)
         return bool(along.min() >= room and along.max() <= edge.length - room)
 
-    def _slide_to_weigh(
-        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, surely: bool
-    ) -> PreGraspDecision | None:
-        """Decides on a push towards where the object can be weighed; None where there is none."""
-        goals = self._list_goals(pose, model, belief, surely)
-        if not goals:
-            return None
-        return self._slide(pose, model, goals, "where it can be weighed")
-
-    def _list_goals(
+    def _list_rests(
         self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, surely: bool = True
-    ) -> list[PreGraspGoal]:
-        """Lists poses at the edge at which a press tells much.
+    ) -> list["_Rest"]:
+        """Lists poses at the edge at which a press tells much, those first that tell it soonest.
 
-        Those at which the object is stable at the worst go first, the nearest ones before others. A
-        slide is cut short of all others, so that the object would be pushed about before them.
+        Those at which the object is stable at the worst go before others. A slide is cut short of
+        all others, so that the object would be pushed about before them.
         """
         masses = model.masses
         slide = self.options.slide
         kept = calc_kept_margin(masses, pose, self.surface, slide.margin, slide.inset)
         rules = self._make_rules(belief)
-        middle = pose[:2]
-        found: list[tuple[PreGraspGoal, PressTarget]] = []
+        # Slides end only nearly where they should, and the press must be possible all the same.
+        rules = replace(
+            rules,
+            pose_error=rules.pose_error + SLIDE_ERROR,
+            min_arm=rules.min_arm + SLIDE_ERROR,
+        )
+        # The edges differ only in where they are: what is told by a press is the same at each.
+        telling = [
+            (planned, self._calc_gain(belief, planned))
+            for heading in calc_headings(self.obj, SOME_EDGE).tolist()
+            for planned in self._list_rests_at(heading, masses, rules, surely)
+        ]
+        found: list[_Rest] = []
         for edge in list_edges(self.surface):
-            along = float(edge.line.calc_along(middle))
+            # The object may also go over the edge as it lies.
+            upright = float(wrap_angle(pose[2] - edge.line.angle))
+            unturned = [
+                (planned, self._calc_gain(belief, planned))
+                for planned in self._list_rests_at(upright, masses, rules, surely)
+            ]
+            along = float(edge.line.calc_along(pose[:2]))
             along = float(np.clip(along, CORNER_ROOM, max(edge.length - CORNER_ROOM, CORNER_ROOM)))
-            for heading in calc_headings(self.obj, edge.line).tolist():
+            for planned, gain in (*unturned, *telling):
+                if gain < self.weighing.min_gain:
+                    continue
+                moved = planned.move_to(edge.line, along)
+                if not self._hangs_over_only(edge, moved.pose):
+                    continue
                 # Of the headings that are full turns apart, the nearest one is meant.
-                theta = float(pose[2] + wrap_angle(heading - pose[2]))
-                rests = list_rests(
-                    self.obj,
-                    masses.center_of_mass_polygon,
-                    theta,
-                    edge.line,
-                    self._top,
-                    rules,
-                    along=along,
-                    surely=surely,
-                )
-                for planned in rests:
-                    if self._calc_gain(belief, planned) < self.weighing.min_gain:
-                        continue
-                    if self._hangs_over_only(edge, planned.pose):
-                        found.append((self._make_goal(pose, planned, masses), planned.target))
+                moved.pose[2] = pose[2] + wrap_angle(moved.pose[2] - pose[2])
+                goal = self._make_goal(pose, moved, masses)
+                rate = _calc_rate(gain, goal.travel)
+                found.append(_Rest(moved, goal, goal.margin >= kept, rate))
+        found.sort(key=lambda one: (not one.stable, -one.rate))
+        return found
+
+    def _list_rests_at(
+        self, heading: float, masses: PlausibleMassSet, rules: PressRules, surely: bool
+    ) -> list[PlannedPress]:
+        """Lists how far the object may hang over `SOME_EDGE` with a heading, rad; see above."""
+        centers = masses.center_of_mass_polygon
+        return list_rests(self.obj, centers, heading, SOME_EDGE, self._top, rules, surely=surely)
+
+    def _choose_goals(self, rests: Sequence["_Rest"]) -> list[PreGraspGoal]:
+        """Chooses the first rests at which the arm can press."""
         # The arm is asked last, for that takes longest.
-        found.sort(key=lambda one: (one[0].margin < kept, one[0].travel))
-        reached = (goal for goal, target in found if self._can_press(target, goal.pose))
+        reached = (one.goal for one in rests if self._can_press(one.planned.target, one.goal.pose))
         return list(islice(reached, MAX_RESTS))
 
     def _make_goal(
@@ -252,6 +323,34 @@ class WeighingPlanner(PreGraspPlanner):
             travel=float(calc_goal_error(self.obj, pose, planned.pose)),
             weakest=np.array([1.0, 0.0]),
         )
+
+
+def _calc_rate(gain: float, travel: float) -> float:
+    """Calculates how fast a press tells, 1/s: the logarithm of what it leaves open, by time.
+
+    Args:
+        gain: share of what is open that the press is expected to take away.
+        travel: how far the object must be slid to it, mean of the cells, m.
+    """
+    slides = np.ceil(travel / SLIDE_LENGTH)
+    return float(-np.log1p(-gain) / (PRESS_TIME + slides * SLIDE_TIME))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rest:
+    """Where an object may be laid to be pressed.
+
+    Attributes:
+        planned: the press.
+        goal: that a slide goes to.
+        stable: whether the object is stable there at the worst.
+        rate: how fast the press tells, with the slides to it, 1/s.
+    """
+
+    planned: PlannedPress
+    goal: PreGraspGoal
+    stable: bool
+    rate: float
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ with s_F the error of the force and s_e that of the edge.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, radians, sin, tan
 
 import numpy as np
@@ -29,7 +29,14 @@ from shapely import LineString, Polygon
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import PlanningError, require_positive
-from gridpush_drake.geometry.se2 import Array, make_rotation, transform, transform_shape
+from gridpush_drake.geometry.se2 import (
+    Array,
+    compose,
+    invert,
+    make_rotation,
+    transform,
+    transform_shape,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.weighing.press import PressTarget
 from gridpush_drake.pushes.weighings import EDGE_STD
@@ -117,6 +124,21 @@ class PlannedPress:
     target: PressTarget
     relative_std: float
     inside: float
+
+    def move_to(self, edge: Edge, along: float) -> "PlannedPress":
+        """Moves it to another edge.
+
+        Args:
+            edge: the edge.
+            along: by how much it is moved along that edge, m, from the edge's point.
+        """
+        X_WE = np.array([*(np.array(edge.point) + along * edge.tangent), edge.angle])
+        # The frame of its own edge.
+        X_EW = invert(np.array([*self.target.edge_point, self.target.edge_angle]))
+        X = compose(X_WE, X_EW)
+        x, y = transform(X, np.array([self.target.place]))[0].tolist()
+        target = replace(self.target, place=(x, y), edge_point=edge.point, edge_angle=edge.angle)
+        return replace(self, pose=compose(X, self.pose), target=target)
 
 
 def plan_press(
@@ -218,9 +240,9 @@ def list_rests(
     # How far the body reaches along the edge's normal, from its origin.
     corners = shapely.get_coordinates(obj.outline) @ make_rotation(heading).T
     reach = corners @ edge.normal
-    middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
+    across = corners @ edge.tangent
     overhangs = np.arange(rules.min_arm + rules.rim, float(np.ptp(reach)), rules.overhang_step)
-    sideways = along - float(middle @ edge.tangent)
+    sideways = along - float(across.max() + across.min()) / 2
     found = []
     for overhang in overhangs:
         beyond = overhang - reach.max()
