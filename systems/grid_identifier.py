@@ -27,6 +27,7 @@ from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import METHODS, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.outliers import remove_outliers
@@ -284,7 +285,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         self,
         log: PushLog,
         start: Identification | None = None,
-        friction: Array | None = None,
+        friction: HeldFriction | None = None,
     ) -> Identification:
         """Identifies the object from a log as the system does when a push ends.
 
@@ -293,7 +294,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         Args:
             log: the log; only the pushes that `select` takes of it are learned from.
             start: the identification at which learning begins; None for the prior.
-            friction: (n,) friction coefficients that are held, as weighings told them; None for the
+            friction: friction coefficients that are held, as weighings told them; None for the
                 prior's.
         """
         chosen = self.select(log)

@@ -15,7 +15,7 @@ from gridpush_drake.bench.table import MM
 from gridpush_drake.bench.weighing_world import EDGE, MadePress, WeighingNoise, WeighingWorld
 from gridpush_drake.geometry.se2 import Array, compose, invert
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.weighed_model import weigh_model
+from gridpush_drake.identification.weighed_model import hold_friction, weigh_model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.loop_run import run_loop
@@ -90,7 +90,7 @@ class WeighedLearner:
             self.log = WeighingLog()
         # What weighings told of the frictions is held: over the edge it matters.
         weighed = before is not None and before.absolute is not None and len(self.log) > 0
-        friction = before.params.friction if before is not None and weighed else None
+        friction = hold_friction(before) if before is not None and weighed else None
         found = LEARNER.learn(obj, log, before, friction)
         return found if found is before else self.weigh(found)
 

@@ -11,7 +11,7 @@ from gridpush_drake.cli.console import MM, count_noun, print_found, search_progr
 from gridpush_drake.cli.identify_scene import identify_together
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import identify as search
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.prediction import calc_training_errors, doubt_center, doubt_fit
@@ -136,7 +136,9 @@ def identify(
     with search_progress(f"identifying {obj.name}", budget) as progress:
 
         def learn(
-            log: PushLog, start: Identification | None = None, friction: Array | None = None
+            log: PushLog,
+            start: Identification | None = None,
+            friction: HeldFriction | None = None,
         ) -> Identification:
             return search(
                 obj,

@@ -124,21 +124,36 @@ class PushBatch:
             poses[group.rows], touched[group.chosen] = self._run(group, params, np.empty((0, 3, 0)))
         return poses, touched
 
-    def differentiate(self, params: CellParameters) -> tuple[Array, Array]:
+    @property
+    def near_edge(self) -> bool:
+        """Whether any of the pushes may come over a table's edge."""
+        return any(group.table is not None for group in self._groups)
+
+    def differentiate(
+        self, params: CellParameters, along: Array | None = None
+    ) -> tuple[Array, Array]:
         """Simulates all pushes, and differentiates the wanted poses.
 
-        Returns:
-            The poses (R, 3), m and rad, push by push, and their exact derivatives (R, 3, n+3).
+        Args:
+            params: the cells' parameters.
+            along: (n, D) directions of log mu in which the frictions are changed, besides, with the
+                loads mu_i m_i held; none by default. Away from a table's edge nothing depends on
+                them.
 
-        They are by the n masses, 1/kg, by the contact friction, and by the place (x, y) where the
-        push begins, 1/m.
+        Returns:
+            The poses (R, 3), m and rad, push by push, and their exact derivatives (R, 3, n+3+D).
+
+        They are by the n masses, 1/kg, by the contact friction, by the place (x, y) where the push
+        begins, 1/m, and by the D changes of the frictions.
         """
         n = self.obj.n
         poses = np.empty((self.offsets[-1], 3))
-        derivatives = np.empty((self.offsets[-1], 3, n + 3))
+        extra = 0 if along is None else along.shape[1]
+        derivatives = np.zeros((self.offsets[-1], 3, n + 3 + extra))
         for group in self._groups:
             shifted = shifts_loads(params, group.table)
-            width = count_columns(n, shifted, with_friction=False)
+            spread = along is not None and group.table is not None
+            width = count_columns(n, shifted, with_friction=spread)
             J = np.empty((len(group.rows), 3, width))
             poses[group.rows], _ = self._run(group, params, J)
             raw = RawJacobian.of_parameters(
@@ -146,7 +161,12 @@ class PushBatch:
             )
             derivatives[group.rows, :, :n] = raw.calc_mass()
             derivatives[group.rows, :, n] = raw.other[..., CONTACT_FRICTION]
-            derivatives[group.rows, :, n + 1 :] = raw.other[..., START_X : START_Y + 1]
+            derivatives[group.rows, :, n + 1 : n + 3] = raw.other[..., START_X : START_Y + 1]
+            if along is not None and spread:
+                blocks = raw.expand()
+                # With mu_i m_i held, m_i changes as 1 / mu_i.
+                held = blocks.friction * params.friction - blocks.mass * params.mass
+                derivatives[group.rows, :, n + 3 :] = held @ along
         return poses, derivatives
 
     def _run(

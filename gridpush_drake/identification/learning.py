@@ -27,6 +27,7 @@ from gridpush_drake.identification.baselines.search import (
 from gridpush_drake.identification.center_of_mass import UNIFORM_WIDTH, CenterOfMass
 from gridpush_drake.identification.fit_average import MapEnsembleFit
 from gridpush_drake.identification.force_scale import calc_force_scale
+from gridpush_drake.identification.friction_gradient import HeldFriction, calc_gradient_std
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.map_fit import calc_laplace
@@ -72,7 +73,7 @@ def identify(
     ensemble: MapEnsemble | None = None,
     progress: Progress | None = None,
     start: Identification | None = None,
-    friction: Array | None = None,
+    friction: HeldFriction | None = None,
 ) -> Identification:
     """Learns an object's masses and frictions from pushes.
 
@@ -96,9 +97,10 @@ def identify(
         progress: called now and then with the best model so far.
         start: a model that was learned of the same object from fewer pushes, with which the
             default method begins. It changes how long the fit takes, not what it finds.
-        friction: (n,) friction coefficient of each cell, which is held, as weighings tell it
-            (default method only); by default the prior's. Pushes show the same loads with any of
-            them, except those over a table's edge: there loads shift about the center of mass.
+        friction: friction coefficients of the cells, which are held, as weighings tell them
+            (default method only); by default the prior's, which may change along the object.
+            Pushes show the same loads with any of them, except those over a table's edge: there
+            loads shift about the center of mass.
 
     Returns:
         The model, its spread, and what the log cannot tell. Where it is far off from the very
@@ -137,11 +139,11 @@ def identify(
     used = resolve_physics(asked, obj, log)
 
     # The fit begins from loads that are the same everywhere: the prior mean z_0 (section 3).
-    ensemble = ensemble or MapEnsemble()
+    ensemble = _with_gradient(ensemble or MapEnsemble(), obj, friction)
     patch_ratio = ensemble.choose_patch_ratio(obj) if method == "default" else 1.0
     uniform = replace(make_even_parameters(obj), patch_ratio=patch_ratio)
     if friction is not None and method == "default":
-        uniform = _hold_friction(uniform, friction)
+        uniform = _hold_friction(uniform, friction.coefficients)
     problem = PushProblem(obj, log, uniform, used)
     z0 = problem.unknowns(uniform)
 
@@ -212,6 +214,14 @@ def identify(
     return _note_poor_fit(result, screened.log)
 
 
+def _with_gradient(
+    ensemble: MapEnsemble, obj: GridObject, friction: HeldFriction | None
+) -> MapEnsemble:
+    """Tells the noise model how much the friction may change along the object."""
+    std = calc_gradient_std(obj.prior) if friction is None else friction.gradient_std
+    return replace(ensemble, noise=replace(ensemble.noise, friction_gradient=std))
+
+
 def _hold_friction(even: CellParameters, friction: Array) -> CellParameters:
     """Gives parameters other friction coefficients, and masses that leave their loads as before.
 
@@ -270,7 +280,7 @@ def describe_prior(
     Returns:
         The uniform model, with status "no_usable_pushes".
     """
-    ensemble = ensemble or MapEnsemble()
+    ensemble = _with_gradient(ensemble or MapEnsemble(), obj, None)
     patch_ratio = ensemble.choose_patch_ratio(obj)
     uniform = replace(make_even_parameters(obj), patch_ratio=patch_ratio)
     problem = PushProblem(obj, PushLog(()), uniform, physics)

@@ -207,16 +207,29 @@ class _Descent:
         self._left -= 1
         before = system.calc_loss(system.u, system.linear.residuals)
         # Written so that a loss that is not a number is rejected, too.
-        if not system.calc_loss(u, linear.residuals) < before:
+        smaller = system.calc_loss(u, linear.residuals) < before
+        moved = _move_to(system, u, linear) if smaller else None
+        if moved is None:
             self._damping = max(DAMPING_FACTOR * self._damping, system.calc_curvature(step))
             self._rejected += 1
             return
-        self.linearized = system.move(u, linear)
+        self.linearized = moved
         # The damping was right if the step before was rejected; else none was needed.
         self._damping = self._damping / DAMPING_FACTOR if self._rejected else 0.0
         self._rejected = 0
         if self._on_step is not None:
             self._on_step(z, linear)
+
+
+def _move_to(system: LinearizedFit, u: Array, linear: Linearization) -> LinearizedFit | None:
+    """Linearizes about another point; None where its equations cannot be solved.
+
+    That is where a push's end all but jumps, so that its derivatives are as good as infinite.
+    """
+    try:
+        return system.move(u, linear)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def fit_without(fit: LinearizedFit, index: int) -> LeftOut:

@@ -21,6 +21,7 @@ from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.absolute import ABSOLUTE, AbsoluteEstimate
 from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.identification.friction_gradient import calc_gradient_std
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.outliers import Outlier
@@ -127,6 +128,7 @@ class NoiseSchema(StrictSchema):
     discrepancy_weight: Positive
     push_freedom: Annotated[float, Field(gt=2)] = NoiseModel.push_freedom
     outlier: Positive
+    friction_gradient: NotNegative = NoiseModel.friction_gradient
 
 
 class PhysicsSchema(StrictSchema):
@@ -357,6 +359,7 @@ def _describe(result: Identification) -> ModelSchema:
     obj = result.obj
     known = result.identifiability
     spread = result.posterior
+    usual = NoiseModel(friction_gradient=calc_gradient_std(obj.prior))
     return ModelSchema(
         gridpush_model=FORMAT_VERSION,
         method=result.method,
@@ -368,7 +371,7 @@ def _describe(result: Identification) -> ModelSchema:
         noise_std=float(result.noise_std),
         load_shift_std=float(result.load_shift_std),
         interval_scale=float(result.interval_scale),
-        noise=None if result.noise == NoiseModel() else NoiseSchema(**asdict(result.noise)),
+        noise=None if result.noise == usual else NoiseSchema(**asdict(result.noise)),
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
         outliers=[
@@ -484,6 +487,8 @@ def _restore(schema: ModelSchema) -> Identification:
         prior=schema.object.to_prior(),
         height=schema.object.height,
     )
+    usual = NoiseModel(friction_gradient=calc_gradient_std(obj.prior))
+    noise = usual if schema.noise is None else NoiseModel(**schema.noise.model_dump())
     cells = schema.cells
     params = CellParameters(
         mass=np.array(cells.mass),
@@ -532,7 +537,7 @@ def _restore(schema: ModelSchema) -> Identification:
         force=force,
         absolute=absolute,
         interval_scale=schema.interval_scale,
-        noise=NoiseModel() if schema.noise is None else NoiseModel(**schema.noise.model_dump()),
+        noise=noise,
     )
 
 

@@ -3,10 +3,13 @@
 A push's residuals share their errors,
 
     Sigma = s² (sigma² K/K_eff I + sigma_tip² J_start J_start^T + sigma_mu² J_mu J_mu^T)
-            + t² sigma_c² J_c J_c^T
+            + t² sigma_c² J_c J_c^T + sigma_g² J_g J_g^T
 
 with K_eff = sqrt(K) of K observations, J_c the derivatives by a shift of the load's center, and s
 and t what the pushes make of the stated deviations (`docs/theory/identification.md`, section 4).
+J_g are the derivatives by the friction's gradient (`friction_gradient`), which matters only over a
+table's edge. It is the same in all pushes; here each has its own, so that many pushes over the edge
+count for a little more than they tell.
 The numbers are the fields of `NoiseModel`. How s and t follow from a fit is in `map_fit`.
 """
 
@@ -44,9 +47,9 @@ class Whitening:
 
     Attributes:
         std: a, m.
-        inputs: (3K, 5) M, the residuals' derivatives by the inputs, each input in its standard
-            deviations, over a.
-        inner: (5, 5) T = 1 / (r (r + 1)) with r = (I + M^T M)^(1/2).
+        inputs: (3K, I) M, the residuals' derivatives by the I inputs, 5 or 7, each input in its
+            standard deviations, over a.
+        inner: (I, I) T = 1 / (r (r + 1)) with r = (I + M^T M)^(1/2).
         log_determinant: half the log determinant of Sigma, where Sigma^-1 = W².
     """
 
@@ -80,6 +83,8 @@ class NoiseModel:
             pusher changes from sticking to slipping, end much farther off than most.
         outlier: if the root mean square of a push's whitened residuals is above this, in standard
             deviations, its loss grows linearly instead of quadratically (Huber).
+        friction_gradient: sigma_g, standard deviation of how much log mu changes along one radius
+            of gyration.
     """
 
     pose: float = 0.0008
@@ -91,13 +96,15 @@ class NoiseModel:
     discrepancy_weight: float = 1.0
     push_freedom: float = 4.0
     outlier: float = 0.7
+    friction_gradient: float = 0.0
 
     def calc_covariance(self, input_jacobian: Array, scale: NoiseScale) -> Array:
         """Calculates the covariance of a push's residuals.
 
         Args:
             input_jacobian: (3K, 5) derivatives of the residuals by start x, start y (both per m),
-                log mu_c (m), and a shift of the load's center in x and y (per m).
+                log mu_c (m), and a shift of the load's center in x and y (per m); or (3K, 7), also
+                by the friction's gradient in x and y (m).
             scale: s and t.
 
         Returns:
@@ -106,7 +113,7 @@ class NoiseModel:
         # K/K_eff = sqrt(K): the poses of a push share a part of their errors.
         rows = len(input_jacobian)
         measured = (scale.pose * self.pose) ** 2 * np.sqrt(rows / 3) * np.eye(rows)
-        inputs = input_jacobian * self._calc_stds(scale)
+        inputs = input_jacobian * self._calc_stds(scale)[: input_jacobian.shape[1]]
         return measured + inputs @ inputs.T
 
     def make_whitenings(
@@ -117,7 +124,8 @@ class NoiseModel:
         The cost is that of the few inputs rather than of the many rows.
 
         Args:
-            input_jacobians: (3K, 5) of each push, as for `calc_covariance`.
+            input_jacobians: (3K, 5) or (3K, 7) of each push, as for `calc_covariance`; alike for
+                all pushes.
             scale: s and t.
 
         Returns:
@@ -127,7 +135,9 @@ class NoiseModel:
         stds = self._calc_stds(scale)
         floor = scale.pose * self.pose
         std = [floor * (len(J) / 3) ** 0.25 for J in input_jacobians]
-        inputs = [J * (stds / one) for J, one in zip(input_jacobians, std, strict=True)]
+        inputs = [
+            J * (stds[: J.shape[1]] / one) for J, one in zip(input_jacobians, std, strict=True)
+        ]
 
         # T = 1 / (r (r + 1)) is a function of the matrix r² = I + M^T M: of its eigenvalues.
         size2, V = np.linalg.eigh(np.array([M.T @ M for M in inputs]))
@@ -212,10 +222,18 @@ class NoiseModel:
         return 0.5 * calc_effective_count(len(whitened)) * squared
 
     def _calc_stds(self, scale: NoiseScale) -> Array:
-        """Standard deviations (5,) of the inputs, in the order of `calc_covariance`."""
+        """Standard deviations (7,) of the inputs, in the order of `calc_covariance`."""
         noise = self.scaled(scale)
         return np.array(
-            [noise.tip, noise.tip, noise.log_contact_friction, noise.load_shift, noise.load_shift]
+            [
+                noise.tip,
+                noise.tip,
+                noise.log_contact_friction,
+                noise.load_shift,
+                noise.load_shift,
+                noise.friction_gradient,
+                noise.friction_gradient,
+            ]
         )
 
 

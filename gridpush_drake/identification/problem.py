@@ -28,6 +28,7 @@ from gridpush_drake.dynamics.push import make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array, IntArray, rotate, transform, wrap_angle
+from gridpush_drake.identification.friction_gradient import calc_arms
 from gridpush_drake.identification.posterior import CELLS, CONTACT_FRICTION, GLOBALS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -96,7 +97,9 @@ class Linearization:
         residuals: (3K,) m.
         by_z: (3K, n+1) derivatives by z.
         by_inputs: (3K, 5) derivatives by the place (x, y) where the push begins, by log mu_c, and
-            by a shift (x, y) of the center of the load, all loads tilted along it.
+            by a shift (x, y) of the center of the load, all loads tilted along it. Where any of the
+            pushes may come over a table's edge, (3K, 7): also by the gradient (x, y) of the
+            friction, see `friction_gradient`.
     """
 
     residuals: list[Array]
@@ -254,15 +257,19 @@ class PushProblem:
         self._spent[0] += len(self)
         params = self.params(z)
         n = self.obj.n
-        poses, J = self._observed.batch.differentiate(params)
+        batch = self._observed.batch
+        along = calc_arms(self.obj) if batch.near_edge else None
+        poses, J = batch.differentiate(params, along)
 
         # By the logarithms: d/d(log k_i) = m_i d/dm_i, as mu_i is held, and likewise for mu_c.
         J[..., :n] *= params.mass
         J[..., n] *= params.contact_friction
         J = self._to_residuals(poses, J)
 
-        # The inputs of the noise (section 4): the push's place, log mu_c, the load's shift.
-        inputs = np.concatenate([J[:, [n + 1, n + 2, n]], J[:, :n] @ self._tilts], axis=1)
+        # The inputs of the noise (section 4): the push's place, log mu_c, the load's shift; and the
+        # friction's gradient.
+        place = J[:, [n + 1, n + 2, n]]
+        inputs = np.concatenate([place, J[:, :n] @ self._tilts, J[:, n + 3 :]], axis=1)
         residuals = self._calc_residuals(poses).ravel()
         return Linearization(
             residuals=self._split(residuals),

@@ -9,6 +9,12 @@ that distribution. Then the object is not what the model says it is, or somethin
 load has changed, it was exchanged, it caught on something. A surprise may also be bad luck. Two in
 a row are hardly, and nor is a single one beyond the quantile of 99.99 %, which is as rare.
 
+That distribution is a normal one about a single end. Some pushes have two: where the pusher just
+meets a corner or just misses it, or slips off, a millimeter decides, and even the true model is off
+by centimeters. So a push that ended outside of the region is simulated again by draws from all that
+is uncertain of model, pusher and pose. If some of them end outside of the region, too, and where
+the push did, as nearly as poses are seen, it is no surprise.
+
 A model that has learned from pushes which contradict each other explains them all by noise, and
 nothing surprises it any more. So after a surprise, if the newer model has become much vaguer, the
 model as it was before the surprise remains the judge.
@@ -23,6 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.friction_gradient import draw_gradients
 from gridpush_drake.identification.prediction import calc_end_covariance, calc_end_quantile
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import Identification
@@ -49,6 +56,13 @@ HARDLY_CHANCE = 1 - (1 - SURE) ** FORGET_AFTER
 """If a push ends outside of the region that holds this share of such pushes, it surprised clearly:
 that is as rare as FORGET_AFTER surprises in a row, and the same follows from it."""
 
+DRAWS = 80
+"""Number of draws by which a push is simulated again that ended outside of its region."""
+
+ENOUGH_DRAWS = 0.05
+"""Share of the draws that must end where the push did, outside of the region, for it to be no
+surprise."""
+
 MUCH_VAGUER = 3.0
 """If the region of a newer model is more than this many times as wide, the model as it was before a
 surprise judges the next push."""
@@ -63,22 +77,25 @@ class Judgment:
         distance: how far from the predicted end it ended, root mean square over the cells, m.
         limit: greatest distance that is no surprise, m.
         clear_limit: greatest distance that may well be bad luck, m.
+        drawn: whether some draws of what is uncertain end where the push did, so that it is no
+            surprise however far that is.
     """
 
     push: str
     distance: float
     limit: float
     clear_limit: float = np.inf
+    drawn: bool = False
 
     @property
     def surprises(self) -> bool:
         """Whether the push ended outside of the region; so does one whose distance is no number."""
-        return not self.distance <= self.limit
+        return not (self.drawn or self.distance <= self.limit)
 
     @property
     def is_clear(self) -> bool:
         """Whether it ended so far outside of the region that this is hardly by chance."""
-        return not self.distance <= self.clear_limit
+        return not (self.drawn or self.distance <= self.clear_limit)
 
     def describe(self) -> str:
         """The judgment of a surprise, in a sentence."""
@@ -114,12 +131,53 @@ def judge_push(
     covariance = calc_end_covariance(
         model, linear.by_z[0], linear.by_inputs[0], least_scale=LEAST_SCALE
     )
-    return Judgment(
+    judgment = Judgment(
         push=seen.name,
         distance=float(np.linalg.norm(linear.residuals[0])),
         limit=calc_end_quantile(model, covariance, SURE),
         clear_limit=calc_end_quantile(model, covariance, HARDLY_CHANCE),
     )
+    if not judgment.surprises:
+        return judgment
+    drawn = _draw_ends(model, end, table)
+    outside = np.linalg.norm(drawn - linear.residuals[0], axis=1) > judgment.limit
+    near = np.linalg.norm(drawn, axis=1) <= _calc_near(model)
+    return replace(judgment, drawn=float(np.mean(outside & near)) >= ENOUGH_DRAWS)
+
+
+def _draw_ends(model: Identification, end: ObservedPush, table: Array | None) -> Array:
+    """Simulates a push by draws of what is uncertain of model, pusher and pose.
+
+    Args:
+        model: what was learned before the push.
+        end: the push, with its last pose alone.
+        table: see `judge_push`.
+
+    Returns:
+        (DRAWS, 3) residuals of the last pose, m.
+    """
+    obj = model.obj
+    noise = model.noise.scaled(model.noise_scale)
+    rng = np.random.default_rng(DRAWS)
+    models = model.posterior.draw_parameters(model.params, DRAWS, DRAWS)
+    models = draw_gradients(obj, models, noise.friction_gradient, DRAWS)
+    # The pusher's place relative to the object, and the object's heading, are seen with noise.
+    moved = rng.standard_normal((DRAWS, 3))
+    moved *= (noise.tip, noise.tip, noise.pose / obj.radius_of_gyration)
+    grip = np.exp(noise.log_contact_friction * rng.standard_normal(DRAWS))
+    ends = []
+    for params, shift, factor in zip(models, moved, grip, strict=True):
+        drawn = replace(params, contact_friction=params.contact_friction * float(factor))
+        log = PushLog((replace(end, pose=end.pose + shift),), table=table)
+        problem = PushProblem(obj, log, drawn, model.physics)
+        ends.append(problem.residuals(problem.unknowns(drawn))[0])
+    return np.array(ends)
+
+
+def _calc_near(model: Identification) -> float:
+    """Calculates how far off a pose may be seen, m, with the probability that is no surprise."""
+    noise = model.noise.scaled(model.noise_scale)
+    return calc_end_quantile(model, noise.pose**2 * np.eye(3), SURE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from shapely import affinity
 from gridpush_drake.geometry.se2 import Array, compose, make_rotation
 from gridpush_drake.identification.map_fit import MapFit
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
-from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.problem import SHIFT, PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -237,7 +237,7 @@ def _search_turns(problem: PushProblem, z0: Array, noise: NoiseModel, order: int
         linear.by_inputs, NoiseScale()
     )
     r = [W.apply(values) for W, values in zip(whitenings, linear.residuals, strict=True)]
-    J = [W.apply(inputs[:, 3:]) for W, inputs in zip(whitenings, linear.by_inputs, strict=True)]
+    J = [W.apply(inputs[:, SHIFT]) for W, inputs in zip(whitenings, linear.by_inputs, strict=True)]
     # the loss of push p at a center c is a_p + 2 b_p·c + c·H_p c
     a = np.array([one @ one for one in r])
     b = np.array([slope.T @ one for slope, one in zip(J, r, strict=True)])

@@ -12,9 +12,9 @@ between its pushes, and when the files of a run are learned from afterwards.
 
 from typing import Protocol
 
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.weighed_model import weigh_model
+from gridpush_drake.identification.weighed_model import hold_friction, weigh_model
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import WeighingLog
 
@@ -26,7 +26,7 @@ class Learner(Protocol):
         self,
         log: PushLog,
         start: Identification | None = None,
-        friction: Array | None = None,
+        friction: HeldFriction | None = None,
         /,
     ) -> Identification:
         """Learns from a log; see `identify`."""
@@ -65,5 +65,5 @@ def learn_with_weighings(
     found = weigh_model(pushed, weighings, seed=seed)
     if not holds_friction:
         return pushed, found
-    pushed = learn(log, found, found.params.friction)
+    pushed = learn(log, found, hold_friction(found))
     return pushed, weigh_model(pushed, weighings, seed=seed)

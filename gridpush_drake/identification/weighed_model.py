@@ -26,6 +26,7 @@ from gridpush_drake.identification.absolute_masses import (
     make_absolute_parameters,
     tilt_to_center,
 )
+from gridpush_drake.identification.friction_gradient import HeldFriction, calc_gradient_std
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.result import (
     Identification,
@@ -35,10 +36,6 @@ from gridpush_drake.identification.result import (
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.weighings import WeighingLog
-
-FRICTION_GRADIENT = 0.3
-"""Standard deviation of how much log mu_i changes, evenly, along one radius of gyration of the
-load, beforehand. It lets the center of mass be elsewhere than the center of friction."""
 
 DRAWS = 64
 """Number of draws from the posterior by which the spread of the radius of gyration is computed."""
@@ -84,21 +81,28 @@ def weigh_model(
         gravity=found.physics.gravity,
     )
     estimate = _add_gyration(found, estimate_absolute(problem), seed)
+    # As much as weighings leave open of the center of mass, they leave open of the gradient of the
+    # friction.
+    left = float(np.trace(estimate.center_covariance) / np.trace(covariance))
+    gradient = calc_gradient_std(found.obj.prior) * min(1.0, float(np.sqrt(left)))
+    found = replace(found, noise=replace(found.noise, friction_gradient=gradient))
     return apply_absolute(found, estimate)
 
 
-def calc_center_prior(
-    found: Identification, gradient: float = FRICTION_GRADIENT
-) -> tuple[Array, Array]:
+def hold_friction(found: Identification) -> HeldFriction:
+    """Returns the frictions of a weighed model, to be held when pushes are learned from again."""
+    return HeldFriction(found.params.friction, found.noise.friction_gradient)
+
+
+def calc_center_prior(found: Identification) -> tuple[Array, Array]:
     """Calculates where pushes say that the center of mass is, and how surely.
 
     It is the center of friction, moved by what friction may change along the object: with log mu_i
     = b·(p_i - c), b ~ N(0, s²/r² I), and M = sum x_i (p_i - c) (p_i - c)^T, by -M b. A center of
-    mass that was told is where it was told.
+    mass that was told is where it was told. How large s is, `friction_gradient` says.
 
     Args:
         found: what was learned.
-        gradient: s, the standard deviation of log mu_i along one radius of gyration r.
 
     Returns:
         p_BBcm (2,), m, body frame, and its covariance (2, 2), m².
@@ -106,9 +110,7 @@ def calc_center_prior(
     obj = found.obj
     if obj.prior.center_of_mass is None:
         center, covariance = calc_center_of_friction(found)
-        low = obj.prior.friction_min
-        high = obj.prior.friction_max
-        s = min(gradient, float(np.log(high / low)) / np.sqrt(12))
+        s = calc_gradient_std(obj.prior)
         share = found.posterior.calc_share()
         arm = obj.p_BC - share @ obj.p_BC
         M = (share[:, None] * arm).T @ arm

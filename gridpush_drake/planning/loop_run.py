@@ -16,6 +16,7 @@ import numpy as np
 
 from gridpush_drake.errors import PushRefusedError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.surprise import SurpriseRecord
@@ -62,7 +63,7 @@ class Learner:
         obj: GridObject,
         log: PushLog,
         before: Identification | None,
-        friction: Array | None = None,
+        friction: HeldFriction | None = None,
     ) -> Identification | None:
         """Learns from the latest pushes; returns `before` where the last push shows nothing new.
 
@@ -70,7 +71,7 @@ class Learner:
             obj: the object.
             log: all pushes so far.
             before: what was learned before.
-            friction: (n,) friction coefficients that are held; None for the prior's.
+            friction: friction coefficients that are held; None for the prior's.
         """
         chosen = self.select(log)
         if not len(chosen) or chosen[-1] is not log[-1]:

@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.objects.grid_object import GridObject
@@ -68,7 +69,7 @@ def test_over_the_edge_pushes_are_learned_better_with_the_true_frictions() -> No
                 obj,
                 log[:LEARNED],
                 regime="quasi_static",
-                friction=truth.friction if held else None,
+                friction=HeldFriction(truth.friction) if held else None,
             )
             if held:
                 np.testing.assert_array_equal(found.params.friction, truth.friction)
@@ -84,7 +85,7 @@ def test_on_the_table_frictions_that_are_held_change_no_loads() -> None:
     obj, truth = make_half_rough("l_bracket")
     log = make_pokes(obj, truth, 4, 0, noise=(5e-4, 3e-3))
     even = identify(obj, log)
-    held = identify(obj, log, friction=truth.friction)
+    held = identify(obj, log, friction=HeldFriction(truth.friction))
     np.testing.assert_allclose(held.posterior.calc_share(), even.posterior.calc_share(), rtol=1e-4)
     ratio = held.params.mass * held.params.friction / held.posterior.calc_share()
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
@@ -95,4 +96,4 @@ def test_frictions_that_cannot_be_held_are_refused() -> None:
     log = make_pokes(obj, truth, 2, 0)
     for bad in (truth.friction[1:], -truth.friction, np.full(obj.n, np.nan)):
         with pytest.raises(IdentificationError, match="one for each cell"):
-            identify(obj, log, friction=bad)
+            identify(obj, log, friction=HeldFriction(bad))

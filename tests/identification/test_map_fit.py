@@ -1,3 +1,4 @@
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from gridpush_drake.identification.center_of_mass import FRICTION_STD, CenterOfM
 from gridpush_drake.identification.load_prior import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_fit import MapFit, fit_map
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
-from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.problem import Linearization, PushProblem
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
@@ -212,3 +213,27 @@ def test_last_poses_are_judged_by_what_the_other_pushes_say_of_them() -> None:
         assert ratio == pytest.approx(e @ e / np.trace(S), rel=1e-6)
     worse = [r + 0.01 for r in system.linear.residuals]
     assert system.calc_end_errors(worse).sum() > 10 * ratios.sum()
+
+
+class SteepOnce(PushProblem):
+    """Pushes whose derivatives are all but infinite at the first step of a fit, as at a jump."""
+
+    asked = 0
+
+    def linearize(self, z: np.ndarray, pushes: list[int] | None = None) -> Linearization:
+        self.asked += 1
+        linear = super().linearize(z, pushes)
+        if self.asked != 2:
+            return linear
+        by_z = [1e16 * J for J in linear.by_z]
+        return Linearization(linear.residuals, by_z, [1e16 * J for J in linear.by_inputs])
+
+
+def test_a_step_to_where_the_equations_cannot_be_solved_is_shortened() -> None:
+    problem, _, z0, A = make_problem()
+    expected = fit_map(problem, z0, A, NoiseModel())
+    steep = copy(problem)
+    steep.__class__ = SteepOnce
+    found = fit_map(steep, z0, A, NoiseModel())
+    assert steep.asked > 2
+    np.testing.assert_allclose(found.z, expected.z, atol=0.05)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridpush_drake.identification.friction_gradient import calc_gradient_std
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.noise import NoiseModel
@@ -154,7 +155,7 @@ def test_the_noise_that_a_fit_supposed_is_that_of_its_predictions() -> None:
     found = identify(
         obj, make_pokes(obj, truth, 4, 1, noise=NOISE), ensemble=MapEnsemble(noise=rough)
     )
-    assert found.noise == rough
+    assert found.noise == replace(rough, friction_gradient=calc_gradient_std(obj.prior))
     assert found.noise_scale.pose == pytest.approx(found.noise_std / 0.008)
     log = make_pokes(obj, truth, 2, 9, observations=1)
     surer = replace(found, noise=replace(rough, tip=1e-5, log_contact_friction=1e-4))

@@ -1,5 +1,6 @@
 """Closed loops notice when an object moves unlike what was learned of it, and fall back to pokes."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,10 @@ from shapely import Polygon
 
 from gridpush_drake.bench.pregrasp.world import LEARNER, is_over
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification import surprise
 from gridpush_drake.identification.learning import describe_prior, identify
-from gridpush_drake.identification.prediction import predict_spread
+from gridpush_drake.identification.prediction import calc_pose_error, predict, predict_spread
 from gridpush_drake.identification.surprise import Judgment, SurpriseRecord, judge_push
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -39,7 +41,7 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.robot_status import PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.helpers.changing_world import ChangingEdgeWorld, ChangingWorld
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
@@ -104,6 +106,41 @@ def test_a_push_is_judged_by_its_predicted_region() -> None:
     # Only the last pose counts.
     first_off = np.vstack([off[:1], seen.poses_observed[1:]])
     assert not judge_push(found, replace(seen, poses_observed=first_off)).surprises
+
+
+SHIFTS = ((1e-3, 0.0, 0.0), (-1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, -1e-3, 0.0))
+"""A millimeter to each side."""
+
+
+def find_forks(obj: GridObject, truth: CellParameters) -> Iterator[ObservedPush]:
+    """Pushes that begin a millimeter beside where they are seen, and therefore end far off."""
+    rng = np.random.default_rng(0)
+    while True:
+        place = rng.uniform(0, obj.edges.perimeter)
+        angle = rng.uniform(-0.8, 0.8)
+        push = Push.on_outline(obj, place, angle, 0.08, radius=0.01, speed=0.03)
+        poses = (np.zeros(3), *SHIFTS)
+        ends = [simulate(obj, truth, push, q, regime="quasi_static").final_pose for q in poses]
+        far = [end for end in ends[1:] if calc_pose_error(obj, ends[0], end).cell > 0.02]
+        if len(far) >= 2:
+            yield ObservedPush("fork", push, np.zeros(3), np.array([push.duration]), far[0][None])
+
+
+def test_a_push_that_a_millimeter_decides_is_no_surprise(hammer) -> None:
+    truth = load_end(hammer, 1, 4.0)
+    found = identify(hammer, make_pokes(hammer, truth, 8, 5, noise=(5e-4, 3e-3)))
+    judged = ((seen, judge_push(found, seen)) for seen in find_forks(hammer, truth))
+    fork, judgment = next(one for one in judged if one[1].distance > one[1].limit)
+    assert judgment.drawn and not judgment.surprises and not judgment.is_clear
+    # Halfway between its ends nothing ends.
+    predicted = predict(hammer, found.params, PushLog((fork,)), physics=found.physics)[0].poses[-1]
+    between = (predicted + fork.final_pose) / 2
+    assert judge_push(found, replace(fork, poses_observed=between[None])).surprises
+    # Nor does the same object with its load at the other end move so in any of the draws.
+    other = make_pokes(hammer, load_end(hammer, -1), 6, 9, noise=(5e-4, 3e-3))
+    turned = [judge_push(found, seen) for seen in other]
+    assert sum(one.surprises for one in turned) >= 3
+    assert not any(one.drawn for one in turned)
 
 
 def test_what_cannot_be_judged_is_not() -> None:

@@ -34,6 +34,7 @@ from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.absolute import LOG_MASS, AbsoluteEstimate
 from gridpush_drake.identification.evidence import PushEvidence
 from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.identification.friction_gradient import calc_gradient_std, draw_gradients
 from gridpush_drake.identification.hypotheses import SmoothField
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
@@ -317,8 +318,10 @@ class UncertainModel:
         belief = self.belief
         if belief is not None:
             belief = replace(belief, covariance=factor**2 * belief.covariance)
+        gradient = min(factor * self.noise.friction_gradient, calc_gradient_std(self.obj.prior))
         return replace(
             self,
+            noise=replace(self.noise, friction_gradient=gradient),
             posterior=self.posterior.widen(factor),
             force=force,
             evidence=None if self.evidence is None else self.evidence.relax(factor),
@@ -356,9 +359,11 @@ class UncertainModel:
         """Further models that agree with the pushes, which slides are tried on."""
         if self.posterior is None:
             return ()
-        return tuple(
-            self.posterior.draw_parameters(self.params, self.sample_count, self.seed, self.evidence)
+        draws = self.posterior.draw_parameters(
+            self.params, self.sample_count, self.seed, self.evidence
         )
+        # Over the edge it matters where the center of mass is, and not only that of friction.
+        return tuple(draw_gradients(self.obj, draws, self.noise.friction_gradient, self.seed))
 
     def require_posterior(self) -> Posterior:
         """The posterior, which a poke can narrow.
