@@ -158,7 +158,7 @@ def demo(
         scenario.directives = make_robot_directives(robot, grasping=chosen.grasps)
     if camera is None and scenario_file is None:
         scenario.camera.use("ideal" if chosen.needs_poses else _choose_camera())
-    resolved = resolve(scenario, scenario_file, told=told)
+    resolved = resolve(scenario, scenario_file or chosen.scenario, told=told)
     chosen.check(resolved)
 
     # Everything that can be refused is refused now, before minutes are spent

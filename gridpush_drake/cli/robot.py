@@ -43,6 +43,7 @@ from gridpush_drake.cli.open_link import (
 )
 from gridpush_drake.cli.output import losable_outputs
 from gridpush_drake.cli.twin import (
+    DEFAULT_SCENARIO,
     ObjectFile,
     RealtimeRate,
     Scenario,
@@ -138,7 +139,7 @@ def robot(
         tell_nothing(scenario, task)
     # In simulation the robot waits until an answer is calculated; a real arm does not stand still
     scenario.simulation.answer_delay = None
-    resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
+    resolved = prepare_link(resolve(scenario, scenario_file or DEFAULT_SCENARIO, told=obj), ros2)
 
     # Whatever can be refused is refused now, before the robot is spoken to
     chosen.check(resolved, list_link_faults(resolved, is_told=obj is not None))

@@ -16,7 +16,7 @@ from gridpush_drake.cli.open_link import (
     open_link,
     prepare_link,
 )
-from gridpush_drake.cli.twin import Scenario, read_robot_scenario
+from gridpush_drake.cli.twin import DEFAULT_SCENARIO, Scenario, read_robot_scenario
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.objects.object_file import dump_object
 from gridpush_drake.station.lcm.picture_tracker import PictureTracker
@@ -67,7 +67,7 @@ def tracker(
     Example: gridpush tracker --scenario cell.yaml --out object.yaml
     """
     scenario, obj = read_robot_scenario(scenario_file, object_file, None)
-    resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
+    resolved = prepare_link(resolve(scenario, scenario_file or DEFAULT_SCENARIO, told=obj), ros2)
     # Several objects are told apart by their outlines, which the scenario names.
     is_given = object_file is not None or bool(resolved.others)
     if not is_given:

@@ -21,7 +21,9 @@ from gridpush_drake.cli.open_link import (
     open_link,
     prepare_link,
 )
+from gridpush_drake.errors import StationError
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.station.lcm.robot_messages import find_arm_messages
 from gridpush_drake.station.lcm.twin import MakeTwin, Twin
 from gridpush_drake.station.lcm.twin_camera import PictureProcess
 from gridpush_drake.station.lcm.twin_link import TwinLink
@@ -101,7 +103,12 @@ def twin(
     Example: gridpush twin --scenario grasp
     """
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
-    resolved = prepare_link(resolve(scenario, scenario_file, told=obj), ros2)
+    source = scenario_file or DEFAULT_SCENARIO
+    resolved = prepare_link(resolve(scenario, source, told=obj), ros2)
+    try:
+        find_arm_messages(resolved.robot)
+    except StationError as error:
+        raise StationError(f"{source}: {error}") from error
     network = open_link(Ros2Role.ROBOT, resolved, ros2, lcm)
     link = TwinLink(network.bus, resolved.robot, others=len(scenario.others))
     if isinstance(network.bus, LinkBus):

@@ -74,6 +74,21 @@ def test_what_does_not_suit_the_task_is_told_before_the_robot_is_spoken_to(
     refuses("robot", "--task", task, "--scenario", path, says=[f"{path}: ", *says])
 
 
+def test_what_does_not_suit_the_shipped_scenario_names_it_and_others(refuses, monkeypatch):
+    monkeypatch.delattr("gridpush_drake.cli.robot.open_link")
+    says = ["error: grasp: others: empty", "The shipped scenarios separate, rearrange and fetch"]
+    refuses("robot", "--task", "separate", says=says)
+
+
+def test_a_twin_whose_messages_nobody_knows_is_refused_before_a_link_is_opened(
+    refuses, monkeypatch, tmp_path
+):
+    monkeypatch.delattr("gridpush_drake.cli.twin.open_link")
+    path = tmp_path / "cell.yaml"
+    path.write_text("robot: gantry\n")
+    refuses("twin", "--scenario", path, says=[f"{path}: robot.yaml of gantry has no messages"])
+
+
 def test_a_station_that_cannot_be_made_is_refused_before_the_robot_is_spoken_to(
     refuses, monkeypatch, tmp_path
 ):
