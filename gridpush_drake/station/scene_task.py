@@ -218,7 +218,8 @@ class SceneTask(StationTask[SceneTaskRecord]):
         if not scenario.others:
             faults.append(
                 f"{scenario.names.name_rest()}: empty; expected other objects on the table: "
-                "this task is for several. The shipped scenarios separate, rearrange and fetch have them"
+                "this task is for several. "
+                "The shipped scenarios separate, rearrange and fetch have them"
             )
         if scenario.base != "free":
             faults.append(f"base is {scenario.base}; expected free, as the other objects are")
