@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import describe_object
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.robot_status import (
     GraspOutcome,
@@ -137,7 +138,9 @@ def test_an_object_out_of_sight_is_lost_after_a_while():
     now = watch(loop, now, hidden, PushStatus(), 0.2, times=2)
     assert not now.status.over
     now = watch(loop, now, hidden, PushStatus(), 9.0, times=1)
-    assert now.status.mode is SceneMode.LOST and "Object 1" in now.status.reason
+    assert now.status.mode is SceneMode.LOST
+    name = describe_object(now.belief.objects, 1)
+    assert now.status.reason == f"Not seen for {loop.options.timeout:g} s: {name}."
 
 
 def test_it_is_given_up_after_as_many_pushes_as_asked():

@@ -363,7 +363,7 @@ def test_what_the_camera_does_not_find_ends_the_task_with_its_message():
     task.station.CoverCamera(task.simulator.get_mutable_context())
     task.simulator.AdvanceTo(0.1)
     record = task.make_record()
-    record.last = SceneStatus(SceneMode.LOST, "Object 1 has not been seen for 3 s.")
+    record.last = SceneStatus(SceneMode.LOST, "Not seen for 3 s: pliers.")
     status, message = task.judge(record, SimpleNamespace(idle=0.0, unseen=0.0))
     assert status is TaskStatus.LOST and message == record.last.reason
     assert np.isfinite(record.poses).all()  # nothing fell: it is only not seen

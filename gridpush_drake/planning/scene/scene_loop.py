@@ -17,6 +17,7 @@ from enum import StrEnum
 import numpy as np
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.scene.bodies import describe_object
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.planning.closed_loop import LoopOptions
@@ -181,8 +182,9 @@ class SceneLoop:
         if not np.isfinite(seen.poses).all():
             hidden = np.flatnonzero(~np.isfinite(seen.poses).all(axis=1)).tolist()
             if seen.time - now.last_seen > self.options.timeout:
-                numbers = ", ".join(str(b) for b in hidden)
-                reason = f"Object {numbers} has not been seen for {self.options.timeout:g} s."
+                objects = now.belief.objects
+                names = " and ".join(describe_object(objects, b) for b in hidden)
+                reason = f"Not seen for {self.options.timeout:g} s: {names}."
                 return now.turn_to(SceneMode.LOST, reason)
             return replace(now, seen=())
         before = now.seen or tuple(step.poses for step in now.steps[-1:])
