@@ -18,7 +18,7 @@ section 8.
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from math import ceil
 
 import numpy as np
 import shapely
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
-from gridpush_drake.identification.absolute import AbsoluteEstimate
+from gridpush_drake.identification.absolute import LOG_MASS, AbsoluteEstimate
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
@@ -78,6 +78,19 @@ SLIDE_TIME = 6.0
 SLIDE_LENGTH = 0.1
 """How far a slide moves an object, m."""
 
+SLIDE_TURN = 0.8
+"""How far a slide turns an object, rad."""
+
+LEAST_GAIN = 0.003
+"""By how much a slide must bring an object nearer to where it can be pressed, m, if it can be
+pressed where it lies, too."""
+
+LIKE_HEADING = 0.2
+"""Difference of two headings from which on they count as different, rad."""
+
+LEAST_RATE = 0.5
+"""Share of the best press's rate that another press must have for a slide to go there instead."""
+
 SOME_EDGE = Edge(point=(0.0, 0.0), angle=0.0)
 """An edge for which rests are worked out, before they are moved to the table's own edges."""
 
@@ -123,6 +136,7 @@ class WeighingPlanner(PreGraspPlanner):
 
     weighing: WeighingOptions = WeighingOptions()
     withstood: int = 0
+    _mass_factor: float = 1.0
 
     # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
     @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -168,21 +182,44 @@ class WeighingPlanner(PreGraspPlanner):
             belief: what is held of its mass and center of mass.
         """
         # A heavy object may lie still wherever its center of mass is farthest from the edge. If
-        # there is no other press, one is made that tilts it with the center where it is expected.
-        for surely in (True, False):
-            here = self._find_press(pose, model, belief, surely)
-            rests = self._list_rests(pose, model, belief, surely)
-            rate = 0.0 if here is None else _calc_rate(self._calc_gain(belief, here), 0.0)
-            goals: list[PreGraspGoal] = []
-            if rests and rate < rests[0].rate:
-                goals = self._choose_goals(rests)
-            if goals:
-                slide = self._slide(pose, model, goals, "where it can be weighed")
-                if slide is not None:
-                    return slide
-            if here is not None:
-                return PreGraspDecision("weigh", "it is weighed where it lies", press=here.target)
+        # there is no other press, one is made that tilts it with the center where it is expected;
+        # and if there is none of these, one that tilts it if it is lighter than it is expected.
+        lighter = self._suppose_lighter(belief)
+        for planner, surely in ((self, True), (self, False), (lighter, False)):
+            # Slides end only nearly where they should, and the press should be possible all the
+            # same.
+            for room in (SLIDE_ERROR, 0.0):
+                decision = planner._weigh_with(pose, model, belief, surely, room)
+                if decision is not None:
+                    return decision
         return None
+
+    def _weigh_with(
+        self,
+        pose: Array,
+        model: UncertainModel,
+        belief: AbsoluteEstimate,
+        surely: bool,
+        room: float,
+    ) -> PreGraspDecision | None:
+        """Decides as `_decide_to_weigh`, by presses of one kind; see `_list_rests`."""
+        here = self._find_press(pose, model, belief, surely)
+        rests = self._list_rests(pose, model, belief, surely, room)
+        rate = 0.0 if here is None else _calc_rate(self._calc_gain(belief, here), 0)
+        goals = self._choose_goals(rests) if rests and rate < rests[0].rate else []
+        planner = self if here is None else self._ask_gain(LEAST_GAIN)
+        slide = planner._slide_to_weigh(pose, model, goals)
+        if slide is not None:
+            return slide
+        if here is not None:
+            return PreGraspDecision("weigh", "it is weighed where it lies", press=here.target)
+        return None
+
+    def _slide_to_weigh(
+        self, pose: Array, model: UncertainModel, goals: Sequence[PreGraspGoal]
+    ) -> PreGraspDecision | None:
+        """Decides on a push towards one of some goals where the object can be weighed."""
+        return self._slide(pose, model, goals, "where it can be weighed") if goals else None
 
     def suppose_heavier(self) -> "WeighingPlanner":
         """Makes a planner that presses where less force would do.
@@ -199,12 +236,19 @@ class WeighingPlanner(PreGraspPlanner):
         """Height of the object's top, m."""
         return self.weighing.top or self.obj.height or DEFAULT_TOP
 
+    def _suppose_lighter(self, belief: AbsoluteEstimate) -> "WeighingPlanner":
+        """Makes a planner that supposes a mass one standard deviation less than is believed."""
+        lighter = copy(self)
+        std = float(np.sqrt(belief.covariance[LOG_MASS, LOG_MASS]))
+        lighter._mass_factor = float(np.exp(-std))
+        return lighter
+
     def _make_rules(self, belief: AbsoluteEstimate) -> PressRules:
         """Makes the rules of a press, which suppose the mass that is known by now."""
         rules = self.weighing.sequence.rules
         known = belief.presses or belief.pushes
         mass = belief.total_mass if known else rules.mass
-        return replace(rules, mass=mass * HEAVIER**self.withstood)
+        return replace(rules, mass=mass * HEAVIER**self.withstood * self._mass_factor)
 
     def _calc_gain(self, belief: AbsoluteEstimate, planned: PlannedPress) -> float:
         """Calculates the share of what is open that a press is expected to take away."""
@@ -249,23 +293,30 @@ class WeighingPlanner(PreGraspPlanner):
         return bool(along.min() >= room and along.max() <= edge.length - room)
 
     def _list_rests(
-        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, surely: bool = True
+        self,
+        pose: Array,
+        model: UncertainModel,
+        belief: AbsoluteEstimate,
+        surely: bool = True,
+        room: float = 0.0,
     ) -> list["_Rest"]:
         """Lists poses at the edge at which a press tells much, those first that tell it soonest.
 
         Those at which the object is stable at the worst go before others. A slide is cut short of
         all others, so that the object would be pushed about before them.
+
+        Args:
+            pose: (3,) where the object lies, X_WB, m and rad.
+            model: what is known of it.
+            belief: what is held of its mass and center of mass.
+            surely: see `plan_press`.
+            room: how far off the object may lie, m, and the press is still possible.
         """
         masses = model.masses
         slide = self.options.slide
         kept = calc_kept_margin(masses, pose, self.surface, slide.margin, slide.inset)
         rules = self._make_rules(belief)
-        # Slides end only nearly where they should, and the press must be possible all the same.
-        rules = replace(
-            rules,
-            pose_error=rules.pose_error + SLIDE_ERROR,
-            min_arm=rules.min_arm + SLIDE_ERROR,
-        )
+        rules = replace(rules, pose_error=rules.pose_error + room, min_arm=rules.min_arm + room)
         # The edges differ only in where they are: what is told by a press is the same at each.
         telling = [
             (planned, self._calc_gain(belief, planned))
@@ -291,7 +342,7 @@ class WeighingPlanner(PreGraspPlanner):
                 # Of the headings that are full turns apart, the nearest one is meant.
                 moved.pose[2] = pose[2] + wrap_angle(moved.pose[2] - pose[2])
                 goal = self._make_goal(pose, moved, masses)
-                rate = _calc_rate(gain, goal.travel)
+                rate = _calc_rate(gain, _count_slides(pose, moved.pose))
                 found.append(_Rest(moved, goal, goal.margin >= kept, rate))
         found.sort(key=lambda one: (not one.stable, -one.rate))
         return found
@@ -304,10 +355,28 @@ class WeighingPlanner(PreGraspPlanner):
         return list_rests(self.obj, centers, heading, SOME_EDGE, self._top, rules, surely=surely)
 
     def _choose_goals(self, rests: Sequence["_Rest"]) -> list[PreGraspGoal]:
-        """Chooses the first rests at which the arm can press."""
-        # The arm is asked last, for that takes longest.
-        reached = (one.goal for one in rests if self._can_press(one.planned.target, one.goal.pose))
-        return list(islice(reached, MAX_RESTS))
+        """Chooses the first rests at which the arm can press, of different headings.
+
+        Each of them tells about as soon as the first one. One push may be safe where another is
+        not, and rests that are turned alike need about the same push.
+        """
+        chosen: list[_Rest] = []
+        for one in rests:
+            if len(chosen) == MAX_RESTS or (chosen and one.rate < LEAST_RATE * chosen[0].rate):
+                break
+            heading = one.goal.pose[2]
+            if any(abs(heading - other.goal.pose[2]) < LIKE_HEADING for other in chosen):
+                continue
+            # The arm is asked last, for that takes longest.
+            if self._can_press(one.planned.target, one.goal.pose):
+                chosen.append(one)
+        return [one.goal for one in chosen]
+
+    def _ask_gain(self, gain: float) -> "WeighingPlanner":
+        """Makes a planner whose slides must bring the object nearer by a distance, m."""
+        asking = copy(self)
+        asking.options = replace(self.options, slide=replace(self.options.slide, min_gain=gain))
+        return asking
 
     def _make_goal(
         self, pose: Array, planned: PlannedPress, masses: PlausibleMassSet
@@ -325,14 +394,19 @@ class WeighingPlanner(PreGraspPlanner):
         )
 
 
-def _calc_rate(gain: float, travel: float) -> float:
+def _count_slides(pose: Array, goal: Array) -> int:
+    """Estimates how many slides bring an object from a pose (3,) to another."""
+    distance = float(np.linalg.norm(goal[:2] - pose[:2]))
+    return ceil(distance / SLIDE_LENGTH + abs(float(goal[2] - pose[2])) / SLIDE_TURN)
+
+
+def _calc_rate(gain: float, slides: int) -> float:
     """Calculates how fast a press tells, 1/s: the logarithm of what it leaves open, by time.
 
     Args:
         gain: share of what is open that the press is expected to take away.
-        travel: how far the object must be slid to it, mean of the cells, m.
+        slides: number of slides to it.
     """
-    slides = np.ceil(travel / SLIDE_LENGTH)
     return float(-np.log1p(-gain) / (PRESS_TIME + slides * SLIDE_TIME))
 
 
