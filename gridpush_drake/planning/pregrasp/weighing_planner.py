@@ -132,11 +132,12 @@ class WeighingPlanner(PreGraspPlanner):
         weighing: when and how it weighs.
         withstood: number of presses that the object withstood, for each of which it is supposed to
             be heavier.
+        mass_factor: factor on the mass that is believed, for a planner that supposes another one.
     """
 
     weighing: WeighingOptions = WeighingOptions()
     withstood: int = 0
-    _mass_factor: float = 1.0
+    mass_factor: float = 1.0
 
     # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
     @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -240,7 +241,7 @@ class WeighingPlanner(PreGraspPlanner):
         """Makes a planner that supposes a mass one standard deviation less than is believed."""
         lighter = copy(self)
         std = float(np.sqrt(belief.covariance[LOG_MASS, LOG_MASS]))
-        lighter._mass_factor = float(np.exp(-std))
+        lighter.mass_factor = float(np.exp(-std))
         return lighter
 
     def _make_rules(self, belief: AbsoluteEstimate) -> PressRules:
@@ -248,7 +249,7 @@ class WeighingPlanner(PreGraspPlanner):
         rules = self.weighing.sequence.rules
         known = belief.presses or belief.pushes
         mass = belief.total_mass if known else rules.mass
-        return replace(rules, mass=mass * HEAVIER**self.withstood * self._mass_factor)
+        return replace(rules, mass=mass * HEAVIER**self.withstood * self.mass_factor)
 
     def _calc_gain(self, belief: AbsoluteEstimate, planned: PlannedPress) -> float:
         """Calculates the share of what is open that a press is expected to take away."""
