@@ -162,10 +162,10 @@ def test_every_public_name_is_there():
 
 
 def test_reads_numbers():
-    assert parse_numbers("--start", "-0.1,2e-3", "x,y") == (-0.1, 0.002)
+    assert parse_numbers("--start", "-0.1,2e-3", "x,y", "m") == (-0.1, 0.002)
     for text in ("", "1", "1,2,3", "1,b", "1,nan", "1;2"):
-        with pytest.raises(OptionError, match=r"--start.*x,y"):
-            parse_numbers("--start", text, "x,y")
+        with pytest.raises(OptionError, match=r"--start.*x,y \(m\)"):
+            parse_numbers("--start", text, "x,y", "m")
 
 
 LATE = """
