@@ -160,7 +160,10 @@ class WeighingPlanner(PreGraspPlanner):
         weighing = self._decide_to_weigh(q, model, model.belief)
         if weighing is None:
             return decision
-        return replace(weighing, reason=f"{decision.reason}; {weighing.reason}")
+        why = decision.reason
+        if decision.action == "slide":
+            why = f"the goal has a stability margin of {decision.margin * MM:.0f} mm at the worst"
+        return replace(weighing, reason=f"{why}; {weighing.reason}")
 
     def _may_weigh(self, model: UncertainModel, pokes: int, slides: int) -> bool:
         """Says whether it is time to weigh, and mass or center are not known well enough yet."""
