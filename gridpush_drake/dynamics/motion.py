@@ -244,20 +244,21 @@ class RawJacobian:
             mass = mass + other[..., columns.MASS : columns.INERTIA + 1] @ moments
         return np.asarray(mass)
 
+    def calc_friction(self) -> Array:
+        """(R, 3, n) by the cells' frictions. Where loads shift, the kernel was asked for them."""
+        n = len(self.mass)
+        if self.shifted:
+            return self.J[..., n + columns.OTHER + 1 :]
+        return np.asarray(self.J[..., :n] * (self.mass * self.gravity))
+
     def expand(self) -> Jacobian:
         """Applies the chain rule."""
         n = self.cell_columns
         other = self.other
-        load = self.J[..., :n]
         nothing = np.empty((*self.J.shape[:2], 0))
         mass = self.calc_mass() if self.by_cells else nothing
+        friction = self.calc_friction() if self.by_cells else nothing
         more = self.J[..., n + columns.OTHER :]
-        if not self.by_cells:
-            friction = nothing
-        elif self.shifted:
-            friction = more[..., 1:]
-        else:
-            friction = load * (self.mass * self.gravity)
         start = other[..., columns.START_X : columns.START_Y + 1]
         return Jacobian(
             steps=self.steps,

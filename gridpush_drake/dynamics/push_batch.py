@@ -152,21 +152,21 @@ class PushBatch:
         derivatives = np.zeros((self.offsets[-1], 3, n + 3 + extra))
         for group in self._groups:
             shifted = shifts_loads(params, group.table)
-            spread = along is not None and group.table is not None
-            width = count_columns(n, shifted, with_friction=spread)
+            changes = along if group.table is not None else None
+            width = count_columns(n, shifted, with_friction=changes is not None)
             J = np.empty((len(group.rows), 3, width))
             poses[group.rows], _ = self._run(group, params, J)
             raw = RawJacobian.of_parameters(
                 self.obj, params, self.physics, steps=group.steps, J=J, shifted=shifted
             )
-            derivatives[group.rows, :, :n] = raw.calc_mass()
+            by_mass = raw.calc_mass()
+            derivatives[group.rows, :, :n] = by_mass
             derivatives[group.rows, :, n] = raw.other[..., CONTACT_FRICTION]
             derivatives[group.rows, :, n + 1 : n + 3] = raw.other[..., START_X : START_Y + 1]
-            if along is not None and spread:
-                blocks = raw.expand()
+            if changes is not None:
                 # With mu_i m_i held, m_i changes as 1 / mu_i.
-                held = blocks.friction * params.friction - blocks.mass * params.mass
-                derivatives[group.rows, :, n + 3 :] = held @ along
+                held = raw.calc_friction() * params.friction - by_mass * params.mass
+                derivatives[group.rows, :, n + 3 :] = held @ changes
         return poses, derivatives
 
     def _run(

@@ -12,9 +12,6 @@ FRICTION_STD = 0.2
 """Standard deviation of log mu from cell to cell. Where the bounds of an object's friction allow
 less, it is what they allow."""
 
-UNIFORM_WIDTH = 12.0**0.5
-"""Width of a uniform distribution, in its standard deviations."""
-
 MIN_CENTER_STD = 1e-4
 """Smallest standard deviation of a given center of mass, m. A smaller one is raised to it, for with
 a sharper one the fit's equations are singular."""
@@ -47,11 +44,10 @@ class CenterOfMass:
         """
         if prior.center_of_mass is None:
             return None
-        bounds_std = float(np.log(prior.friction_max / prior.friction_min)) / UNIFORM_WIDTH
         return cls(
             at=prior.center_of_mass,
             std=max(prior.center_of_mass_std, MIN_CENTER_STD),
-            friction_std=min(FRICTION_STD, bounds_std),
+            friction_std=min(FRICTION_STD, prior.log_friction_std),
         )
 
     def make_whitening(self, obj: GridObject, z: Array) -> tuple[Array, float]:

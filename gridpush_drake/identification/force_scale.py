@@ -186,8 +186,7 @@ def calc_force_scale(
 
     # How much the weight rubs that the finger carried is not known: its friction is that of the
     # object, and an error of that is common to all pushes.
-    friction_std = (obj.prior.friction_max - obj.prior.friction_min) / np.sqrt(12)
-    carried = float((friction_std * lifts[right].mean() / mean) ** 2)
+    carried = float((obj.prior.friction_std * lifts[right].mean() / mean) ** 2)
 
     # An error of the normalized loads is common to all pushes, and does not average out.
     few = [one for one, use in zip(timed, right, strict=True) if use][:MAX_DRAWN_PUSHES]

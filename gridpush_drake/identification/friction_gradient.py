@@ -45,8 +45,7 @@ def calc_gradient_std(prior: PhysicalPrior) -> float:
     """
     if prior.center_of_mass is not None:
         return 0.0
-    spread = float(np.log(prior.friction_max / prior.friction_min)) / np.sqrt(12)
-    return min(FRICTION_GRADIENT, spread)
+    return min(FRICTION_GRADIENT, prior.log_friction_std)
 
 
 def calc_arms(obj: GridObject) -> Array:

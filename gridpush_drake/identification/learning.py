@@ -24,7 +24,7 @@ from gridpush_drake.identification.baselines.search import (
     SearchStatus,
     run_search,
 )
-from gridpush_drake.identification.center_of_mass import UNIFORM_WIDTH, CenterOfMass
+from gridpush_drake.identification.center_of_mass import CenterOfMass
 from gridpush_drake.identification.fit_average import MapEnsembleFit
 from gridpush_drake.identification.force_scale import calc_force_scale
 from gridpush_drake.identification.friction_gradient import HeldFriction, calc_gradient_std
@@ -456,11 +456,10 @@ def _make_result(
     relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
 
     # Between its bounds, slow pushes say nothing of a friction coefficient by itself: uniform.
-    friction_std = (obj.prior.friction_max - obj.prior.friction_min) / UNIFORM_WIDTH
     log_contact_friction_std = np.sqrt(fit.covariance[CONTACT_FRICTION, CONTACT_FRICTION])
     std = CellParameters(
         mass=np.maximum(mass * relative_std, np.finfo(float).tiny),
-        friction=np.full(obj.n, friction_std),
+        friction=np.full(obj.n, obj.prior.friction_std),
         contact_friction=float(params.contact_friction * log_contact_friction_std),
     )
     return Identification(

@@ -359,7 +359,7 @@ def _describe(result: Identification) -> ModelSchema:
     obj = result.obj
     known = result.identifiability
     spread = result.posterior
-    usual = NoiseModel(friction_gradient=calc_gradient_std(obj.prior))
+    usual = _make_usual_noise(obj)
     return ModelSchema(
         gridpush_model=FORMAT_VERSION,
         method=result.method,
@@ -463,6 +463,11 @@ def _restore_absolute(schema: AbsoluteSchema) -> AbsoluteEstimate:
     )
 
 
+def _make_usual_noise(obj: GridObject) -> NoiseModel:
+    """Makes the noise model that a file leaves out: the default one, by the friction's bounds."""
+    return NoiseModel(friction_gradient=calc_gradient_std(obj.prior))
+
+
 def _describe_physics(physics: Physics) -> PhysicsSchema:
     """Sets the regime, and whatever else is not the default."""
     standard = asdict(Physics())
@@ -472,6 +477,11 @@ def _describe_physics(physics: Physics) -> PhysicsSchema:
         if name == "regime" or value != standard[name]
     }
     return PhysicsSchema(**told)
+
+
+def _restore_noise(schema: NoiseSchema | None, obj: GridObject) -> NoiseModel:
+    """Makes the noise model again of what a file says, or leaves out."""
+    return _make_usual_noise(obj) if schema is None else NoiseModel(**schema.model_dump())
 
 
 def _restore(schema: ModelSchema) -> Identification:
@@ -487,8 +497,6 @@ def _restore(schema: ModelSchema) -> Identification:
         prior=schema.object.to_prior(),
         height=schema.object.height,
     )
-    usual = NoiseModel(friction_gradient=calc_gradient_std(obj.prior))
-    noise = usual if schema.noise is None else NoiseModel(**schema.noise.model_dump())
     cells = schema.cells
     params = CellParameters(
         mass=np.array(cells.mass),
@@ -537,7 +545,7 @@ def _restore(schema: ModelSchema) -> Identification:
         force=force,
         absolute=absolute,
         interval_scale=schema.interval_scale,
-        noise=noise,
+        noise=_restore_noise(schema.noise, obj),
     )
 
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 
 from gridpush_drake.identification.identifiability import calc_identifiability
-from gridpush_drake.identification.learning import UNIFORM_WIDTH
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import Identification, IdentificationStatus
@@ -52,10 +51,9 @@ def _make_model(found: SceneIdentification, body: int) -> Identification:
     )
     share = posterior.calc_share()
     relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
-    friction_std = (obj.prior.friction_max - obj.prior.friction_min) / UNIFORM_WIDTH
     std = CellParameters(
         mass=np.maximum(params.mass * relative_std, np.finfo(float).tiny),
-        friction=np.full(obj.n, friction_std),
+        friction=np.full(obj.n, obj.prior.friction_std),
         contact_friction=float(params.contact_friction * np.sqrt(posterior.covariance[-1, -1])),
     )
     status = IdentificationStatus.LEARNED

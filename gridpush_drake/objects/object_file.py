@@ -62,6 +62,9 @@ _RANGES = {
 """Least and greatest value of each field of a prior; beyond them calculations overflow."""
 
 
+UNIFORM_WIDTH = 12.0**0.5
+"""Width of a uniform distribution, in its standard deviations."""
+
 UNTOLD_FRICTION = (0.1, 0.9)
 """Least and greatest friction coefficient of a cell against the table where nothing is told."""
 
@@ -102,6 +105,16 @@ class PhysicalPrior:
     contact_friction_std: float = 0.15
     pusher_radius: float | None = None
     push_height: float | None = None
+
+    @property
+    def friction_std(self) -> float:
+        """Standard deviation of a coefficient that may be anything between its bounds."""
+        return (self.friction_max - self.friction_min) / UNIFORM_WIDTH
+
+    @property
+    def log_friction_std(self) -> float:
+        """Standard deviation of its logarithm, if that is evenly distributed between its bounds."""
+        return float(np.log(self.friction_max / self.friction_min)) / UNIFORM_WIDTH
 
     def forget(self) -> "PhysicalPrior":
         """Makes the prior of an object of which nothing is told: mass, center or friction."""

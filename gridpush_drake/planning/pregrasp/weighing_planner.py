@@ -27,6 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
 from gridpush_drake.identification.absolute import LOG_MASS, AbsoluteEstimate
+from gridpush_drake.notebook import MM
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
@@ -51,9 +52,6 @@ from gridpush_drake.planning.weighing.sequence import (
     calc_open,
     with_sure_force,
 )
-
-MM = 1e3
-"""Millimeters in a meter."""
 
 DEFAULT_TOP = 0.03
 """Height of an object whose file does not tell it, m."""
@@ -130,13 +128,11 @@ class WeighingPlanner(PreGraspPlanner):
 
     Attributes:
         weighing: when and how it weighs.
-        withstood: number of presses that the object withstood, for each of which it is supposed to
-            be heavier.
-        mass_factor: factor on the mass that is believed, for a planner that supposes another one.
+        mass_factor: factor on the mass that is believed, for a planner that supposes another one,
+            as after a press that the object withstood.
     """
 
     weighing: WeighingOptions = WeighingOptions()
-    withstood: int = 0
     mass_factor: float = 1.0
 
     # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
@@ -190,25 +186,25 @@ class WeighingPlanner(PreGraspPlanner):
         # and if there is none of these, one that tilts it if it is lighter than it is expected.
         lighter = self._suppose_lighter(belief)
         for planner, surely in ((self, True), (self, False), (lighter, False)):
+            here = planner._find_press(pose, model, belief, surely)
             # Slides end only nearly where they should, and the press should be possible all the
             # same.
             for room in (SLIDE_ERROR, 0.0):
-                decision = planner._weigh_with(pose, model, belief, surely, room)
+                rests = planner._list_rests(pose, model, belief, surely, room)
+                decision = planner._choose_press(pose, model, belief, here, rests)
                 if decision is not None:
                     return decision
         return None
 
-    def _weigh_with(
+    def _choose_press(
         self,
         pose: Array,
         model: UncertainModel,
         belief: AbsoluteEstimate,
-        surely: bool,
-        room: float,
+        here: PlannedPress | None,
+        rests: Sequence["_Rest"],
     ) -> PreGraspDecision | None:
-        """Decides as `_decide_to_weigh`, by presses of one kind; see `_list_rests`."""
-        here = self._find_press(pose, model, belief, surely)
-        rests = self._list_rests(pose, model, belief, surely, room)
+        """Decides as `_decide_to_weigh`, between a press where the object lies and other rests."""
         rate = 0.0 if here is None else _calc_rate(self._calc_gain(belief, here), 0)
         goals = self._choose_goals(rests) if rests and rate < rests[0].rate else []
         planner = self if here is None else self._ask_gain(LEAST_GAIN)
@@ -231,9 +227,7 @@ class WeighingPlanner(PreGraspPlanner):
         It is for an object that did not tilt with the greatest force, so that it is heavier, or its
         center of mass farther inside, than was supposed.
         """
-        heavier = copy(self)
-        heavier.withstood = self.withstood + 1
-        return heavier
+        return self._suppose(HEAVIER)
 
     @property
     def _top(self) -> float:
@@ -242,17 +236,21 @@ class WeighingPlanner(PreGraspPlanner):
 
     def _suppose_lighter(self, belief: AbsoluteEstimate) -> "WeighingPlanner":
         """Makes a planner that supposes a mass one standard deviation less than is believed."""
-        lighter = copy(self)
         std = float(np.sqrt(belief.covariance[LOG_MASS, LOG_MASS]))
-        lighter.mass_factor = float(np.exp(-std))
-        return lighter
+        return self._suppose(float(np.exp(-std)))
+
+    def _suppose(self, factor: float) -> "WeighingPlanner":
+        """Makes a planner that supposes a mass which is another one by a factor."""
+        other = copy(self)
+        other.mass_factor = self.mass_factor * factor
+        return other
 
     def _make_rules(self, belief: AbsoluteEstimate) -> PressRules:
         """Makes the rules of a press, which suppose the mass that is known by now."""
         rules = self.weighing.sequence.rules
         known = belief.presses or belief.pushes
         mass = belief.total_mass if known else rules.mass
-        return replace(rules, mass=mass * HEAVIER**self.withstood * self.mass_factor)
+        return replace(rules, mass=mass * self.mass_factor)
 
     def _calc_gain(self, belief: AbsoluteEstimate, planned: PlannedPress) -> float:
         """Calculates the share of what is open that a press is expected to take away."""
