@@ -6,6 +6,7 @@ from .dynamics.simulation import simulate as simulate
 from .dynamics.simulation import simulate_batch as simulate_batch
 from .errors import GridPushError as GridPushError
 from .identification.learning import identify as identify
+from .identification.model import Model as Model
 from .identification.model_file import read_model as read_model
 from .identification.model_file import write_model as write_model
 from .identification.prediction import predict as predict

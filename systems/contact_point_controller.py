@@ -4,9 +4,8 @@ from dataclasses import replace
 
 from pydrake.systems.framework import Context
 
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import LoopOptions, Observation
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal_loop import PushToGoalLoop, PushToGoalState
@@ -53,24 +52,22 @@ class ContactPointController(ObjectController[PushToGoalState]):
 
     def __init__(
         self,
-        obj: GridObject,
+        model: Model,
         rules: GoalRules | None = None,
         *,
-        params: CellParameters | None = None,
         options: LoopOptions | None = None,
         answer_delay: float | None = 0.0,
     ) -> None:
         """Declares the system.
 
         Args:
-            obj: the object.
+            model: one object, with its parameters.
             rules: table, obstacles, finger, arm, tolerance of the goal, and how pushes are chosen.
-            params: the model before anything was learned; that of the object's prior by default.
             options: options of the loop.
             answer_delay: time after which a decision is taken, s; None for real time, see
                 `worker.make_worker`.
         """
-        super().__init__(obj, PushToGoalLoop(obj, rules, params, options), answer_delay)
+        super().__init__(model.obj, PushToGoalLoop(model, rules, options), answer_delay)
         self._goal_pose = self.DeclareVectorInputPort("goal_pose", 3)
         self._declare_vector(
             "push_command",

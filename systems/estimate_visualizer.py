@@ -29,6 +29,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -353,7 +354,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         try:
             push = Push(command.start, velocity, duration, self._radius)
             params = CellParameters(mass, friction, mu)
-            motion = simulate(self._obj, params, push, pose, physics=self._physics)
+            motion = simulate(Model(self._obj, params, self._physics), push, pose)
         except GridPushError:
             # An estimate or a command that is out of range; the system that made it says why.
             return EMPTY

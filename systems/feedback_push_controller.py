@@ -209,7 +209,7 @@ class FeedbackPushController(AbstractStateSystem[FeedbackPushState]):
 
     def _draw(self, learned: Identification) -> Sequence[CellParameters]:
         """Draws models that agree with what was learned."""
-        return learned.samples(self._options.ensemble, self._seed)
+        return learned.draws(self._options.ensemble, self._seed)
 
     def _go_on(self, context: Context, now: FeedbackPushState) -> FeedbackPushState:
         time = context.get_time()

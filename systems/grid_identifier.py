@@ -30,6 +30,7 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import METHODS, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
@@ -256,6 +257,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         no_pushes = PushLog((), SOURCE, table=None if table is None else np.asarray(table))
         super().__init__(IdentifierState(log=no_pushes), period)
         self.obj = obj
+        self._model = Model(obj, physics=used)
         self.max_learning_pushes = max_learning_pushes
         self.warm_start = warm_start
         self._worker = make_worker(answer_delay)
@@ -265,7 +267,6 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         self._learning: dict[str, Any] = {
             "method": method,
             "seed": seed,
-            "physics": used,
             "ensemble": ensemble,
             "progress": progress,
         }
@@ -298,7 +299,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
                 prior's.
         """
         chosen = self.select(log)
-        return identify(self.obj, chosen, start=start, friction=friction, **self._learning)
+        return identify(self._model, chosen, start=start, friction=friction, **self._learning)
 
     def LearnAll(self, context: Context) -> Identification | None:
         """Learns from all pushes and weighings so far, at once, and leaves the outputs alone.

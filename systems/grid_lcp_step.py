@@ -28,6 +28,7 @@ from gridpush_drake.dynamics.push import DEFAULT_DT
 from gridpush_drake.dynamics.simulation import count_columns, get_edges
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.identification.model import Model
 from gridpush_drake.interop.differentiable import calc_velocity_block
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
@@ -143,9 +144,7 @@ class PushStep:
             point=np.zeros(2),
         )
         record = run_kernel(
-            self.obj,
-            params,
-            self.physics,
+            Model(self.obj, params, self.physics),
             pose=q,
             velocity=np.zeros(POSE_SIZE),
             dts=np.array([self.dt]),
@@ -190,12 +189,10 @@ def GridLcpStep_(T: Any) -> Any:
 
         def _construct(
             self,
-            obj: GridObject,
-            params: CellParameters | None = None,
+            model: Model,
             dt: float = DEFAULT_DT,
             *,
             pusher_radius: float | None = None,
-            physics: Physics | None = None,
             table: ArrayLike | None = None,
             pose: ArrayLike = (0.0, 0.0, 0.0),
             converter: Any = None,
@@ -203,11 +200,9 @@ def GridLcpStep_(T: Any) -> Any:
             """Declares the system.
 
             Args:
-                obj: the object.
-                params: default parameters; the prior's by default.
+                model: one object, with its parameters and physics.
                 dt: step, s.
                 pusher_radius: of the disc, m; by default the prior's, or DEFAULT_PUSHER_RADIUS.
-                physics: friction law, spin, gravity and tolerances; "auto" is "quasi_static" here.
                 table: (K, 2) corners in W of the table's top, m; endless by default.
                 pose: (3,) at the beginning, m and rad.
                 converter: Drake's, between scalar types.
@@ -217,9 +212,11 @@ def GridLcpStep_(T: Any) -> Any:
                     friction law has no exact gradients.
                 ParameterError: `params` belongs to another object.
             """
+            obj = model.obj
+            params = model.params
             used = CellParameters.uniform(obj) if params is None else params
             used.center_of_mass(obj)
-            step = PushStep(obj, dt, pusher_radius, physics, table)
+            step = PushStep(obj, dt, pusher_radius, model.physics, table)
             start = check_vector(SimulationError, "pose", pose, POSE_SIZE)
             self._declare(step, used, start, converter)
 

@@ -28,13 +28,13 @@ from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, make_memory
 from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
-from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
+from gridpush_drake.dynamics.physics import Regime, make_physics
 from gridpush_drake.dynamics.push import DEFAULT_DT
 from gridpush_drake.dynamics.simulation import count_columns, get_edges
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
@@ -90,13 +90,11 @@ class GridLcpSystem(LeafSystem):
 
     def __init__(
         self,
-        obj: GridObject,
-        params: CellParameters | None = None,
+        model: Model,
         dt: float = DEFAULT_DT,
         regime: Regime | None = None,
         pusher_radius: float | None = None,
         *,
-        physics: Physics | None = None,
         pose: ArrayLike = (0.0, 0.0, 0.0),
         velocity: ArrayLike = (0.0, 0.0, 0.0),
         table: ArrayLike | None = None,
@@ -104,14 +102,11 @@ class GridLcpSystem(LeafSystem):
         """Declares the system.
 
         Args:
-            obj: the object.
-            params: default parameters; the prior's by default.
+            model: one object, with its parameters and physics.
             dt: step, s. At 0.01 s a pusher of 0.1 m/s moves 1 mm a step.
             regime: takes the place of the one in `physics`. "auto", the default, is "inertial"
                 here, which holds at every speed: how fast the pusher will go is not known.
             pusher_radius: of the disc, m; by default the prior's, or DEFAULT_PUSHER_RADIUS.
-            physics: friction law, spin, gravity and tolerances, such as `Identification.physics`;
-                `Physics()` by default.
             pose: (3,) at the beginning, m and rad.
             velocity: (3,) at the beginning, m/s and rad/s.
             table: (K, 2) corners in W of the table's top, m, see `simulate`; endless by default.
@@ -120,6 +115,9 @@ class GridLcpSystem(LeafSystem):
             SimulationError: an argument is out of range.
             ParameterError: `params` belongs to another object.
         """
+        obj = model.obj
+        params = model.params
+        physics = model.physics
         super().__init__()
         if not (np.isfinite(dt) and dt > 0):
             raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
@@ -242,7 +240,7 @@ class GridLcpSystem(LeafSystem):
         J = np.empty((1, 3, count_columns(self.obj.n, shifted, with_friction=True)))
         self._run(context, context.get_discrete_state(_MEMORY).CopyToVector(), J)
         raw = RawJacobian.of_parameters(
-            self.obj, params, self.physics, steps=np.array([1]), J=J, shifted=shifted
+            Model(self.obj, params, self.physics), steps=np.array([1]), J=J, shifted=shifted
         )
         output.set_value(raw.expand())
 
@@ -271,9 +269,7 @@ class GridLcpSystem(LeafSystem):
         state = context.get_discrete_state(_STATE).CopyToVector()
         row_of_step = np.array([-1, 0 if len(J) else -1])
         return run_kernel(
-            self.obj,
-            self.get_cache_entry(self._params).Eval(context),
-            self.physics,
+            Model(self.obj, self.get_cache_entry(self._params).Eval(context), self.physics),
             pose=state[:3],
             velocity=state[3:],
             dts=np.array([self.dt]),

@@ -21,9 +21,9 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array, transform_shape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import LoopOptions, Pose
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushStatus
@@ -115,8 +115,7 @@ class PokeRegion:
 
 
 def choose_poke(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     pose: ArrayLike,
     command_id: int,
     seed: int,
@@ -134,8 +133,7 @@ def choose_poke(
     candidates that keep the object in `region.keep_in` go before others.
 
     Args:
-        obj: the object.
-        params: parameters by which its motion is predicted.
+        model: one object, with its parameters.
         pose: (3,) X_WB of the object, m and rad.
         command_id: number of the command.
         seed: seed of the draws.
@@ -148,6 +146,7 @@ def choose_poke(
         The command, or None if no candidate fits; and the number of candidates that were looked
         at, with those passed over.
     """
+    obj = model.obj
     q = np.array(pose, dtype=np.float64)
     # The best of the fitting candidates that leave the region, and how bad it is: whether the
     # object leaves `keep_in`, and how far from the center it ends.
@@ -157,7 +156,7 @@ def choose_poke(
         command = draw_poke(obj, q, command_id, seed, attempt, style)
         if not fits(obj, q, command, style, region) or (reach is not None and not reach(command)):
             continue
-        poses = predict_poke(obj, params, q, command, style)
+        poses = predict_poke(model, q, command, style)
         cells = obj.cells_at(poses[-1])
         if np.linalg.norm(cells - obj.cells_at(q), axis=1).mean() < style.min_motion:
             continue
@@ -229,8 +228,7 @@ def fits(
 
 
 def predict_poke(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     pose: Array,
     command: PushCommand,
     style: RandomPokeOptions,
@@ -241,7 +239,7 @@ def predict_poke(
     """
     velocity = (command.end - command.start) / command.distance * command.speed
     push = Push(command.start, velocity, command.distance / command.speed, style.tip_radius)
-    motion = simulate(obj, params, push, pose, regime="quasi_static", record=[])
+    motion = simulate(model, push, pose, regime="quasi_static", record=[])
     rows = np.linspace(0, len(motion.poses) - 1, WAYPOINTS + 1).round().astype(int)[1:]
     return motion.poses[rows]
 
@@ -310,13 +308,12 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
 
     def __init__(
         self,
-        obj: GridObject,
+        model: Model,
         region: PokeRegion,
         seed: int = 0,
         num_pushes: int = 8,
         style: RandomPokeOptions | None = None,
         *,
-        params: CellParameters | None = None,
         reach: Reach | None = None,
         test_pushes: int = 0,
         test_distance: float = 0.10,
@@ -326,13 +323,11 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         """Declares the system.
 
         Args:
-            obj: the object.
+            model: one object, with its parameters.
             region: where the tip may be, and where the object must stay.
             seed: seed of the draws.
             num_pushes: number of pushes to be executed.
             style: how to push.
-            params: parameters by which the object's motion is predicted; those of an even object by
-                default.
             reach: returns whether the arm can carry out a command; None if it always can.
             test_pushes: number of pushes to be executed after those.
             test_distance: length of these pushes, m.
@@ -351,14 +346,14 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
             raise PushError(f"period is {period!r}; expected a positive number (s)")
         super().__init__(PokePolicyState(), period)
         self._worker = make_worker(answer_delay)
-        self.obj = obj
+        self.obj = model.obj
         self.region = region
         self.style = style or RandomPokeOptions()
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self.num_pushes = num_pushes
         self.test_pushes = test_pushes
         self._test_style = replace(self.style, distance=(test_distance, test_distance))
-        self._params = CellParameters.uniform(obj) if params is None else params
+        self._model = model
         self._reach = reach
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._status = self.DeclareAbstractInputPort("status", AbstractValue.Make(PushStatus()))
@@ -390,8 +385,7 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         style = self._test_style if is_test else self.style
         choose = partial(
             choose_poke,
-            obj=self.obj,
-            params=self._params,
+            model=self._model,
             pose=np.array(pose),
             command_id=now.command.command_id + 1,
             seed=int(context.get_numeric_parameter(int(self._seed)).value()[0]),

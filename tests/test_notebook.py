@@ -11,7 +11,9 @@ from shapely import Polygon
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.identification.prediction import predict, predict_spread
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.prediction import predict
+from gridpush_drake.identification.spread import predict_spread
 from gridpush_drake.notebook import choose_colors, describe_range, draw_cells, make_table
 from gridpush_drake.objects.cells import Cells
 from gridpush_drake.objects.parameters import CellParameters
@@ -35,7 +37,7 @@ def records():
     obj = replace(make_block(), height=0.03)
     params = CellParameters(np.linspace(0.01, 0.03, obj.n), np.full(obj.n, 0.4), 0.35)
     push = Push((-0.08, 0.01), (0.05, 0.0), 1.0, 0.004)
-    motion = simulate(obj, params, push, regime="quasi_static", gradients=True)
+    motion = simulate(Model(obj, params), push, regime="quasi_static", gradients=True)
     pushed = make_pushed_block()
     log, found = pushed.log, make_identification()
     poses = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.5]])
@@ -59,7 +61,7 @@ def records():
     record.status, record.duration = TaskStatus.HELD, 41.9
     (spread, *_), (prediction, *_) = (
         predict_spread(found, log),
-        predict(pushed.obj, params_of(pushed), log),
+        predict(Model(pushed.obj, params_of(pushed)), log),
     )
     return {
         "object": (obj, ["'block'", "18 cells of 20.0 mm", "2 parts", "120 x 60 mm", "30 mm high"]),

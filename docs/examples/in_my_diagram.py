@@ -6,7 +6,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import MatrixGain, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from gridpush_drake import CellParameters, GridIdentifier, GridLcpSystem, GridObject
+from gridpush_drake import CellParameters, GridIdentifier, GridLcpSystem, GridObject, Model
 
 plate = GridObject.from_outline(
     [[-0.07, -0.04], [0.07, -0.04], [0.07, 0.04], [-0.07, 0.04]], max_cells=40
@@ -23,7 +23,9 @@ times = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1) /
 builder = DiagramBuilder()
 way = PiecewisePolynomial.FirstOrderHold(times, np.transpose(path))
 finger = builder.AddSystem(TrajectorySource(way, 1))
-world = builder.AddSystem(GridLcpSystem(plate, truth, regime="quasi_static", pusher_radius=0.006))
+world = builder.AddSystem(
+    GridLcpSystem(Model(plate, truth), regime="quasi_static", pusher_radius=0.006)
+)
 learner = builder.AddSystem(GridIdentifier(plate, pusher_radius=0.006, engaged_below=0.05))
 flat = builder.AddSystem(MatrixGain(np.eye(6)[[0, 1, 3, 4]]))  # x, y and their velocities
 builder.Connect(finger.get_output_port(), flat.get_input_port())

@@ -8,12 +8,11 @@ import numpy as np
 from gridpush_drake import (
     CellParameters,
     GridObject,
+    Model,
     ObservedPush,
     Push,
     PushLog,
     identify,
-    predict,
-    simulate,
     write_model,
 )
 
@@ -26,7 +25,7 @@ rng = np.random.default_rng(0)
 rows = []
 for k, place in enumerate(np.linspace(0.0, box.edges.perimeter, 8, endpoint=False)):
     push = Push.on_outline(box, place + 0.02, 0.0, 0.06, radius=0.006, speed=0.03, clearance=0.001)
-    motion = simulate(box, truth, push)
+    motion = Model(box, truth).simulate(push)
     some = np.linspace(0, len(motion.times) - 1, 8).astype(int)[1:]
     seen = motion.poses[some] + [0.0005, 0.0005, 0.003] * rng.standard_normal((7, 3))
     rows.append(ObservedPush(f"push_{k}", push, np.zeros(3), motion.times[some], seen))
@@ -36,11 +35,11 @@ PushLog(tuple(rows), source="an example").write_csv("pushes.csv", force=True)
 obj = GridObject.from_yaml("box.yaml")
 log = PushLog.read_csv("pushes.csv")
 
-model = identify(obj, log.subset(range(7)))
+model = identify(Model(obj), log.subset(range(7)))
 print(model.message)
 write_model("model.yaml", model, force=True)
 
-(predicted,) = predict(obj, model.params, log.subset([7]))
+(predicted,) = model.predict(log.subset([7]))
 miss = obj.cells_at(predicted.poses[-1]) - obj.cells_at(log[7].final_pose)
 error = np.linalg.norm(miss, axis=1).mean()
 print(f"The last push is predicted with an error of {1e3 * error:.1f} mm.")

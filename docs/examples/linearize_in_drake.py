@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 from pydrake.systems.primitives import FirstOrderTaylorApproximation
 
-from gridpush_drake import CellParameters, GridObject
+from gridpush_drake import GridObject, Model
 from gridpush_drake.systems import GridLcpStep
 
 side = [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]
@@ -12,7 +12,7 @@ box = GridObject.from_outline(side, max_cells=64)
 dt, speed, radius = 0.05, 0.04, 0.006
 
 # A finger pushes the middle of the left side along x
-step = GridLcpStep(box, CellParameters.uniform(box), dt, pusher_radius=radius)
+step = GridLcpStep(Model(box), dt, pusher_radius=radius)
 nominal = np.array([-0.05 - radius, 0.0, speed, 0.0])
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gridpush_drake import CellParameters, GridObject, Push, simulate
+from gridpush_drake import CellParameters, GridObject, Model, Push
 from gridpush_drake.objects import find_shipped_object
 
 # A hammer whose head (part 2) is four times as heavy, cell for cell, as its handle (part 1)
@@ -11,7 +11,7 @@ params = CellParameters.by_part(hammer, mass={1: 0.005, 2: 0.02}, friction=0.35)
 
 # A finger of 6 mm radius goes straight towards the outline, 5 cm in one second
 push = Push.on_outline(hammer, 0.1, angle=0.0, distance=0.05, radius=0.006, duration=1.0)
-motion = simulate(hammer, params, push, gradients=True)
+motion = Model(hammer, params).simulate(push, gradients=True)
 
 x, y, theta = motion.final_pose
 print(

@@ -2,15 +2,7 @@
 
 import numpy as np
 
-from gridpush_drake import (
-    CellParameters,
-    GridObject,
-    ObservedPush,
-    Push,
-    PushLog,
-    identify,
-    simulate,
-)
+from gridpush_drake import CellParameters, GridObject, Model, ObservedPush, Push, PushLog, identify
 from gridpush_drake.objects import find_shipped_object
 
 wrench = GridObject.from_yaml(find_shipped_object("combination_wrench"))
@@ -23,7 +15,7 @@ def push(name):
     while True:
         place = rng.uniform(0, wrench.edges.perimeter)
         trial = Push.on_outline(wrench, place, 0.0, 0.05, radius=0.005, speed=0.03, clearance=0.001)
-        motion = simulate(wrench, truth, trial)
+        motion = Model(wrench, truth).simulate(trial)
         if motion.status == "ok" and np.linalg.norm(motion.final_pose[:2]) > 0.01:
             rows = np.linspace(0, len(motion.times) - 1, 8).astype(int)[1:]
             seen = motion.poses[rows] + [0.0005, 0.0005, 0.003] * rng.standard_normal((7, 3))
@@ -32,7 +24,7 @@ def push(name):
 
 log = PushLog(tuple(push(f"push_{k}") for k in range(5)), source="an example")
 for count in (1, 2, 5):
-    model = identify(wrench, log.subset(range(count)))
+    model = identify(Model(wrench), log.subset(range(count)))
     known = model.identifiability
     spread = 1e3 * np.sqrt(np.diag(known.center_of_friction_covariance))
     miss = 1e3 * np.linalg.norm(known.center_of_friction - truth.relative_friction() @ wrench.p_BC)

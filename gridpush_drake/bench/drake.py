@@ -24,6 +24,7 @@ from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, MS, Table, Value
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Regime
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -191,7 +192,7 @@ def run_job(job: Job) -> StationScore:
         learned = record.estimates[-1].params
         physics = record.estimates[-1].physics
     before, after, floor = (
-        calc_mean_cell_error(obj, params, held_out, physics)
+        calc_mean_cell_error(Model(obj, params, physics), held_out)
         for params in (uniform, learned, record.truth)
     )
     return StationScore(
@@ -402,7 +403,7 @@ def _time_pushes(obj: GridObject, regime: Regime) -> list[float]:
     push = make_bench_push(obj)
     builder = DiagramBuilder()
     lcp = builder.AddSystem(
-        GridLcpSystem(obj, CellParameters.random(obj, seed=0), DT, regime, RADIUS)
+        GridLcpSystem(Model(obj, CellParameters.random(obj, seed=0)), DT, regime, RADIUS)
     )
     states = np.column_stack([push.xy, np.tile(push.velocity, (len(push.xy), 1))])
     source = builder.AddSystem(

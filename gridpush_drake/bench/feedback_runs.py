@@ -25,6 +25,7 @@ from shapely.geometry.polygon import orient
 
 from gridpush_drake.bench.feedback_worlds import FINGER, SIGHT, Case, make_case
 from gridpush_drake.geometry.se2 import Array, make_direction, transform, wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions
@@ -275,7 +276,7 @@ def make_follower(job: Job, case: Case, goal: ArrayLike | PosePath) -> TimedFoll
         params = case.truth
     elif case.learned is not None:
         params = case.learned.params
-        draws = case.learned.samples(options.ensemble, job.seed)
+        draws = case.learned.draws(options.ensemble, job.seed)
     return TimedFollower(
         case.obj, params, goal, FINGER, draws=draws, options=options, seed=job.seed
     )
@@ -320,9 +321,11 @@ def run_strokes(job: Job, case: Case, pose: Array, goal: Array, tip: Array) -> F
         angle_std=SIGHT.angle_std,
         seed=job.seed,
     )
-    contact = ContactOptions(radius=FINGER.radius, speed=FINGER.speed, physics=learned.physics)
+    contact = ContactOptions(radius=FINGER.radius, speed=FINGER.speed)
     rules = GoalRules(contact=contact, robustness=None, tolerance=STROKE_TOLERANCE)
-    run = push_to_goal(world, obj, goal, rules, params=learned.params, learner=None)
+    run = push_to_goal(
+        world, Model(obj, learned.params, learned.physics), goal, rules, learner=None
+    )
     end = world.truth.pose
     return make_result(
         job,

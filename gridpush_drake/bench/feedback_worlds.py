@@ -13,6 +13,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -153,7 +154,7 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> Case:
     pokes = None
     if learns:
         pokes = PushLog(tuple(draw_poke(pokes_world, obj, rng, i) for i in range(POKES)))
-        learned = identify(obj, pokes, seed=seed, regime="quasi_static")
+        learned = identify(Model(obj), pokes, seed=seed, regime="quasi_static")
     return Case(obj, truth, learned, make_world, pokes)
 
 

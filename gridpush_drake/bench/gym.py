@@ -25,6 +25,7 @@ from gridpush_drake.bench.timing import one_core
 from gridpush_drake.errors import MissingExtraError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.goal.next_push import GoalRules
@@ -351,7 +352,9 @@ def _push_to_goal(world: EnvironmentWorld, seed: int) -> None:
     assert episode.goal is not None
     constraints = PushConstraints(game.surface, finger_inset=-FINGER.distance_range[1])
     rules = GoalRules(constraints, FINGER, tolerance=AIM, max_pushes=game.options.max_pushes)
-    push_to_goal(world, _hide(episode.shape.obj), episode.goal, rules, learner=Learner(seed=seed))
+    push_to_goal(
+        world, Model(_hide(episode.shape.obj)), episode.goal, rules, learner=Learner(seed=seed)
+    )
 
 
 def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:

@@ -19,6 +19,7 @@ from gridpush_drake.bench.table import ALL, Table
 from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array, transform, wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -184,9 +185,9 @@ def push_hidden(kind: str, seed: int, use_model: bool) -> tuple[Array | None, fl
     obj = GridObject.from_outline(outline, parts={2: right}, max_cells=MAX_CELLS, name=kind)
     truth = sample_ground_truth(obj, seed)
     believed = CellParameters.uniform(obj)
-    push, start = draw_push(obj, truth, seed, ROD_RADIUS)
-    motion = simulate(obj, truth, push, start, regime="inertial")
-    predicted = simulate(obj, believed, push, start, regime="inertial")
+    push, start = draw_push(Model(obj, truth), seed, ROD_RADIUS)
+    motion = simulate(Model(obj, truth), push, start, regime="inertial")
+    predicted = simulate(Model(obj, believed), push, start, regime="inertial")
 
     # The object is seen, then hidden while it is pushed, then seen again.
     camera = make_overhead_camera(DISTANCE, at=motion.poses[:, :2].mean(axis=0))

@@ -10,8 +10,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import calc_yaw
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.identification.model import Model
 
 MUJOCO_TIME_STEP = 0.002
 """Time step of MuJoCo, its default, s."""
@@ -23,9 +22,7 @@ PUSHER_MASS = 1.0
 """Mass of the pusher in MuJoCo, kg."""
 
 
-def make_mujoco_push(
-    obj: GridObject, params: CellParameters, push: Push
-) -> Callable[[], np.ndarray]:
+def make_mujoco_push(model: Model, push: Push) -> Callable[[], np.ndarray]:
     """Prepares a push in MuJoCo: the cells are boxes of a free body, pushed by a sphere.
 
     Returns:
@@ -37,7 +34,7 @@ def make_mujoco_push(
     """
     import mujoco
 
-    model = mujoco.MjModel.from_xml_string(_describe_scene(obj, params, push))
+    model = mujoco.MjModel.from_xml_string(_describe_scene(model, push))
     data = mujoco.MjData(model)
     steps = round(push.duration / MUJOCO_TIME_STEP)
     targets = push.tip_at(np.arange(1, steps + 1) * MUJOCO_TIME_STEP) - push.start
@@ -54,11 +51,13 @@ def make_mujoco_push(
     return run
 
 
-def _describe_scene(obj: GridObject, params: CellParameters, push: Push) -> str:
+def _describe_scene(model: Model, push: Push) -> str:
     """Describes the scene in MJCF.
 
     A contact with the plane has the cell's friction, and one with the pusher has the pusher's.
     """
+    obj = model.obj
+    params = model.params
     half = obj.cell_size / 2
     boxes = "\n".join(
         f'<geom type="box" pos="{x} {y} 0" size="{half} {half} {half}" mass="{mass}" '

@@ -12,6 +12,7 @@ import numpy as np
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array, calc_yaw
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.mjcf import WALL_RADIUS, make_mjcf
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -56,7 +57,7 @@ class MujocoPlant:
         """
         self._mujoco: Any = import_extra("mujoco", "bench")
         kinds = self._mujoco
-        spec = kinds.MjSpec.from_string(make_mjcf(obj, params, HEIGHT))
+        spec = kinds.MjSpec.from_string(make_mjcf(Model(obj, params), HEIGHT))
         finger = spec.worldbody.add_body(name="finger", gravcomp=1)
         for axis in ((1, 0, 0), (0, 1, 0)):
             finger.add_joint(type=kinds.mjtJoint.mjJNT_SLIDE, axis=axis, armature=ARMATURE)

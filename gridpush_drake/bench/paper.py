@@ -45,6 +45,7 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.identification.learning import METHODS, identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -359,7 +360,7 @@ def run_job(job: Job) -> list[Score]:
     def score(
         method: str, budget: int, simulations: int, params: CellParameters, physics: Physics
     ) -> Score:
-        error = calc_mean_cell_error(case.obj, params, test, physics)
+        error = calc_mean_cell_error(Model(case.obj, params, physics), test)
         return Score(
             name=job.name,
             mass_set=job.mass_set,
@@ -376,7 +377,7 @@ def run_job(job: Job) -> list[Score]:
         for method in job.methods:
             if method == DEFAULT and budget != job.budgets[-1]:
                 continue
-            found = identify(case.obj, train, method=method, seed=job.seed, budget=budget)
+            found = identify(Model(case.obj), train, method=method, seed=job.seed, budget=budget)
             scores.append(score(method, budget, found.simulations, found.params, found.physics))
     return scores
 

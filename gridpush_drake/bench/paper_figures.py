@@ -37,6 +37,7 @@ from gridpush_drake.bench.table import MM, PERCENT, Table, calc_interval
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.report.draw import draw_cells, hide_axes, make_chart, make_grid, to_png, to_svg
@@ -293,10 +294,12 @@ def learn_map(job: MapJob) -> MassMap:
     protocol = make_protocol(job.data, job.seed)
     case = make_case(protocol, job.name, job.mass_set)
     split = protocol.splits[paper.TRAINING_PUSHES][job.mass_set]
-    found = identify(case.obj, case.log.subset(split.train), seed=job.seed)
+    found = identify(Model(case.obj), case.log.subset(split.train), seed=job.seed)
     masses = np.array(protocol.masses[job.name][job.mass_set])
     hidden = masses[read_object(protocol, job.name).labels - 1]
-    error = calc_mean_cell_error(case.obj, found.params, case.log.subset(split.test), found.physics)
+    error = calc_mean_cell_error(
+        Model(case.obj, found.params, found.physics), case.log.subset(split.test)
+    )
     mean = found.params.mass.mean()
     return MassMap(
         name=job.name,

@@ -47,6 +47,7 @@ from gridpush_drake.bench.table import (
 from gridpush_drake.bench.worlds import LCP, find_world
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -292,11 +293,13 @@ def _decide(job: Job) -> list[Decision]:
     options = ContactOptions()
     decisions = []
     for start, goal in protocol.pairs[: job.pairs]:
-        best = optimize_contact(obj, params, start, goal, method=EXHAUSTIVE, options=options)
+        best = optimize_contact(Model(obj, params), start, goal, method=EXHAUSTIVE, options=options)
         plans = [best]
         for method, budget in METHOD_BUDGETS.items():
             chosen = replace(options, budget=budget, seed=job.seed)
-            plans.append(optimize_contact(obj, params, start, goal, method=method, options=chosen))
+            plans.append(
+                optimize_contact(Model(obj, params), start, goal, method=method, options=chosen)
+            )
         decisions += [
             Decision(
                 name=job.name,
@@ -354,10 +357,9 @@ def _push_once(
     )
     done = push_to_goal(
         world,
-        hide_parts(obj),
+        Model(hide_parts(obj), hidden if knows_all else None),
         goal,
         rules,
-        params=hidden if knows_all else None,
         learner=Learner(seed=job.seed) if mode == LEARNING else None,
     )
     truth = world.truth

@@ -38,6 +38,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import AddGridObject, Base
@@ -203,7 +204,7 @@ def run_job(job: PlantJob) -> list[PlantScore]:
     scores = []
     for seed in job.seeds:
         params = sample_ground_truth(obj, seed, friction_by_part=True)
-        push, pose = draw_push(obj, params, seed, radius)
+        push, pose = draw_push(Model(obj, params), seed, radius)
         world.set_params(params)
         world.put(pose)
         world.execute(push)
@@ -213,7 +214,7 @@ def run_job(job: PlantJob) -> list[PlantScore]:
         moved = calc_pose_error(obj, motion.poses[-1], pose).cell
         for spin in SPINS:
             physics = Physics(regime="inertial", spin=spin)
-            expected = simulate(obj, params, push, pose, MODEL_TIME_STEP, physics=physics)
+            expected = simulate(Model(obj, params, physics), push, pose, MODEL_TIME_STEP)
             error = calc_pose_error(obj, expected.final_pose, motion.poses[-1])
             scores.append(
                 PlantScore(
@@ -232,14 +233,11 @@ def run_job(job: PlantJob) -> list[PlantScore]:
     return scores
 
 
-def draw_push(
-    obj: GridObject, params: CellParameters, seed: int, radius: float
-) -> tuple[Push, Array]:
+def draw_push(model: Model, seed: int, radius: float) -> tuple[Push, Array]:
     """Draws a push from a place of the outline inwards, and where the object lies.
 
     Args:
-        obj: the object.
-        params: its masses and frictions.
+        model: one object, with its parameters.
         seed: seed of the push and the pose.
         radius: radius of the pusher, m.
 
@@ -249,6 +247,7 @@ def draw_push(
     Raises:
         PushError: hardly any push moves the object.
     """
+    obj = model.obj
     rng = np.random.default_rng((seed, 3))
     for _ in range(TRIES):
         pose = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi)])
@@ -259,7 +258,7 @@ def draw_push(
         if obj.outline.distance(Point(point + normal * radius)) < (1 - 1e-6) * radius:
             continue
         push = Push.on_outline(obj, place, angle, DISTANCE, radius=radius, speed=SPEED, pose=pose)
-        last = simulate(obj, params, push, pose, regime="inertial").final_pose
+        last = simulate(model, push, pose, regime="inertial").final_pose
         if calc_pose_error(obj, last, pose).cell >= MIN_MOTION:
             return push, pose
     raise PushError(f"{obj.name}: none of {TRIES} random pushes moves it by {MIN_MOTION * MM:g} mm")
@@ -383,7 +382,7 @@ class PlantWorld(TrackedWorld):
         )
         self.pusher = AddPusher(self.plant, self.radius, push_height)
         self.handle = AddGridObject(
-            self.plant, self.scene_graph, obj, params, base, table=[table], **options
+            self.plant, self.scene_graph, Model(obj, params), base, table=[table], **options
         )
         # The pusher may be low, and must not rub on the table.
         tip = self.plant.GetCollisionGeometriesForBody(self.plant.GetBodyByName("tip", self.pusher))

@@ -28,6 +28,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import Array, make_direction
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.mask import read_labels
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
@@ -380,7 +381,7 @@ def place_disc(edges: OutlineEdges, x: float, side: int, radius: float) -> float
 
 def _observe(obj: GridObject, truth: CellParameters, name: str, push: Push) -> ObservedPush:
     times = make_path_times(push, "inertial")
-    simulation = simulate(obj, truth, push, times=times, regime="inertial")
+    simulation = simulate(Model(obj, truth), push, times=times, regime="inertial")
     every = round(len(times[1:]) * OBSERVED_EVERY / DURATION)
     return ObservedPush(
         name, push, simulation.poses[0], times[every::every], simulation.poses[every::every]

@@ -17,6 +17,7 @@ from gridpush_drake.bench.table import CONFIDENCE, MM, Mean, Share, Table, Value
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -100,7 +101,7 @@ class PokesAndStrokes(Learner):
     ) -> Identification | None:
         """Learns from the pokes and all strokes."""
         return identify(
-            obj,
+            Model(obj),
             PushLog((*self.pokes, *log)),
             seed=self.seed,
             regime="quasi_static",
@@ -124,7 +125,7 @@ def play_strokes(job: StrokeEpisode) -> StrokesPlayed:
     learner: Learner | None = None
     if job.player == LEARNED:
         learner = PokesAndStrokes(seed=job.seed, pokes=episode.log)
-        first = identify(obj, episode.log, seed=job.seed, regime="quasi_static")
+        first = identify(Model(obj), episode.log, seed=job.seed, regime="quasi_static")
         params = first.params
     elif job.player == TRUE:
         params = episode.hidden
@@ -137,7 +138,7 @@ def play_strokes(job: StrokeEpisode) -> StrokesPlayed:
         tolerance=TOLERANCE,
         max_pushes=game.options.max_pushes,
     )
-    run = push_to_goal(world, obj, episode.goal, rules, params=params, learner=learner)
+    run = push_to_goal(world, Model(obj, params), episode.goal, rules, learner=learner)
     end = world.episode
     return StrokesPlayed(
         player=job.player,

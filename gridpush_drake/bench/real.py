@@ -47,10 +47,10 @@ from gridpush_drake.bench.table import (
 )
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.prediction import calc_final_errors, predict
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.prediction import calc_final_errors
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers import find_importer
 from gridpush_drake.pushes.importers.mit import read_model_errors
 from gridpush_drake.pushes.push_log import PushLog
@@ -254,25 +254,23 @@ def run_job(job: Job) -> list[Score]:
     if job.kind == CMU:
         # the CMU's plates are even, so that their centers of mass are known
         models.append((CENTER, replace(obj, prior=replace(obj.prior, center_of_mass=(0.0, 0.0)))))
-    scores = [_score(job, UNIFORM, 0, obj, CellParameters.uniform(obj), test)]
+    scores = [_score(job, UNIFORM, 0, Model(obj), test)]
     for count in counts:
         train = log.subset(rest[:count])
-        for model, known in models:
-            found = identify(known, train, seed=job.seed)
-            scores.append(_score(job, model, count, obj, found.params, test))
+        for name, known in models:
+            found = identify(Model(known), train, seed=job.seed)
+            scores.append(_score(job, name, count, found, test))
     return scores
 
 
-def _score(
-    job: Job, model: str, training: int, obj: GridObject, params: CellParameters, test: PushLog
-) -> Score:
+def _score(job: Job, label: str, training: int, model: Model, test: PushLog) -> Score:
     """Predicts the held-out pushes with a model."""
-    motions = predict(obj, params, test, "quasi_static")
-    errors = [error for error in calc_final_errors(obj, motions, test) if error is not None]
+    motions = model.predict(test, "quasi_static")
+    errors = [error for error in calc_final_errors(model.obj, motions, test) if error is not None]
     return Score(
         name=job.name or job.path.stem,
         split=job.split,
-        model=model,
+        model=label,
         training=training,
         position=tuple(error.position for error in errors),
         angle=tuple(error.angle for error in errors),

@@ -16,6 +16,7 @@ from scipy.io import whosmat
 from gridpush_drake.bench.plant import draw_push
 from gridpush_drake.bench.protocol import MASS_RANGE, add_pose_noise, check_folder, hide_parts
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.world import SimulatedWorld
@@ -62,7 +63,7 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
     world = SimulatedWorld(obj, truth, (0.0, 0.0, 0.0))
     pushes = []
     for i in range(PUSHES):
-        push, pose = draw_push(obj, truth, first + i, radius)
+        push, pose = draw_push(Model(obj, truth), first + i, radius)
         world.put(pose)
         last = world.execute(push).final_pose
         before = add_pose_noise(pose, rng)

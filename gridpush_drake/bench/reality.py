@@ -41,6 +41,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -235,7 +236,7 @@ def run_job(job: Job) -> list[Score]:
     # What is believed of the object
     believed = [(EVEN, 0, CellParameters.uniform(obj))]
     for count in COUNTS:
-        found = identify(obj, log.subset(rest[:count]), seed=job.seed)
+        found = identify(Model(obj), log.subset(rest[:count]), seed=job.seed)
         believed.append((LEARNED, count, found.params))
 
     # What each simulator makes of it
@@ -273,7 +274,7 @@ def find_ends(engine: str, obj: GridObject, params: CellParameters, log: PushLog
         Of each push the object's last pose (3,), m and rad.
     """
     if engine == OURS:
-        return [motion.poses[-1] for motion in predict(obj, params, log, "quasi_static")]
+        return [motion.poses[-1] for motion in predict(Model(obj, params), log, "quasi_static")]
     radius = log[0].push.radius
     if engine == MUJOCO:
         plant = MujocoPlant(obj, params, radius)

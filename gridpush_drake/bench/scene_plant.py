@@ -30,6 +30,7 @@ from gridpush_drake.bench.scene_rows import PAIR_FRICTION, PUSHER_FRICTION
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.bodies import Scene
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import (
     PARTNER_STIFFNESS,
     MakeContactProperties,
@@ -66,7 +67,7 @@ def MakePlantScene(scene: Scene, push: Push) -> Callable[[Array], Array]:
     tip = plant.GetCollisionGeometriesForBody(plant.GetBodyByName("tip", pusher))
     handles = [
         AddGridObject(
-            plant, scene_graph, obj, params, table=[table], name=f"object_{b}", visual=False
+            plant, scene_graph, Model(obj, params), table=[table], name=f"object_{b}", visual=False
         )
         for b, (obj, params) in enumerate(zip(scene.objects, scene.params, strict=True))
     ]

@@ -36,6 +36,7 @@ from gridpush_drake.dynamics.push_batch import PushBatch
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -172,8 +173,10 @@ def _simulate(
     record: Sequence[int] | None,
 ) -> object:
     if record is None:
-        return simulate(obj, params, push, dt=DT, regime=regime)
-    return simulate(obj, params, push, dt=DT, regime=regime, gradients=True, record=record).jacobian
+        return simulate(Model(obj, params), push, dt=DT, regime=regime)
+    return simulate(
+        Model(obj, params), push, dt=DT, regime=regime, gradients=True, record=record
+    ).jacobian
 
 
 def _measure_push(
@@ -195,7 +198,9 @@ def _measure_push(
     if with_mujoco:
         announce("MuJoCo")
         try:
-            work = make_mujoco_push(obj, CellParameters.random(obj, seed=0), make_bench_push(obj))
+            work = make_mujoco_push(
+                Model(obj, CellParameters.random(obj, seed=0)), make_bench_push(obj)
+            )
             beside = measure(work, repetitions=3, warm_up=0)
             rows.append(_row("MuJoCo, cells as boxes, step 2 ms", beside, beside.median / plain))
         except ImportError:
@@ -252,17 +257,17 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
         announce(f"identification, {cells} cells, {pushes} pushes")
         obj, log = make_bench_log(cells, pushes)
         # What is compiled or loaded for the first identification is not timed.
-        identify(obj, log.subset(range(min(2, pushes))))
+        identify(Model(obj), log.subset(range(min(2, pushes))))
         repetitions = IDENTIFY_REPETITIONS if pushes < FEW else 1
         whole = measure(partial(identify, obj, log), repetitions, 0, process_time)
-        found = identify(obj, log)
+        found = identify(Model(obj), log)
         problem = PushProblem(obj, log, found.params, QUASI_STATIC)
         timed = [TimedPush.of(seen, QUASI_STATIC.regime) for seen in log]
         batch, single = (
             measure(work, repetitions, 1, process_time).median
             for work in (
                 partial(problem.linearize, problem.unknowns(found.params)),
-                partial(_simulate_singly, obj, found.params, timed),
+                partial(_simulate_singly, found.with_physics(QUASI_STATIC), timed),
             )
         )
         rows.append(
@@ -299,7 +304,7 @@ def _measure_decisions(obj: GridObject, draws: int, announce: Announce) -> Table
     params = CellParameters.random(obj, seed=0)
     goals = rng.uniform(-1.0, 1.0, (GOALS, 3)) * GOAL_REACH
     still = np.zeros(3)
-    optimize_contact(obj, params, still, goals[0])
+    optimize_contact(Model(obj, params), still, goals[0])
     times = [
         measure(partial(optimize_contact, obj, params, still, goal), 1, 0, process_time).median
         for goal in goals
@@ -310,13 +315,13 @@ def _measure_decisions(obj: GridObject, draws: int, announce: Announce) -> Table
     # With draws of a posterior.
     cells, count = DRAWN_LOG
     learned, log = make_bench_log(cells, count)
-    found = identify(learned, log)
+    found = identify(Model(learned), log)
     announce(f"decisions with {WEIGHED_DRAWS} draws")
     free = _time_weighed_decisions(found, GoalRules(), goals)
     table = SupportSurface.round((0.0, 0.0), TABLE_RADIUS)
     bounded = _time_weighed_decisions(found, GoalRules(PushConstraints(table)), goals)
     announce(f"{draws} models, {DRAWN_PUSHES} pushes")
-    models = found.samples(draws)
+    models = found.draws(draws)
     batch = PushBatch(learned, draw_random_pushes(learned, rng), QUASI_STATIC, approximate=True)
     batch.simulate(models[0])
     whole = measure(lambda: [batch.simulate(model) for model in models], 1, 0, process_time).median
@@ -344,11 +349,10 @@ def _time_weighed_decisions(found: Identification, rules: GoalRules, goals: Arra
     for goal in goals:
         decide = partial(
             decide_push,
-            obj=found.obj,
+            model=found,
             pose=np.zeros(3),
             goal=goal,
             made=0,
-            params=found.params,
             identification=found,
             rules=rules,
         )
@@ -387,9 +391,9 @@ def _measure_batches(obj: GridObject, repetitions: int, announce: Announce) -> T
     return Table("Pushes in a batch", columns, rows, [note])
 
 
-def _simulate_singly(obj: GridObject, params: CellParameters, timed: Sequence[TimedPush]) -> None:
+def _simulate_singly(model: Model, timed: Sequence[TimedPush]) -> None:
     for one in timed:
-        _ = one.simulate(obj, params, QUASI_STATIC, gradients="mass", record=one.rows).jacobian
+        _ = one.simulate(model, gradients="mass", record=one.rows).jacobian
 
 
 def _measure_start_up() -> Table:

@@ -10,6 +10,7 @@ from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -103,7 +104,7 @@ def make_bench_log(cells: int, pushes: int) -> tuple[GridObject, PushLog]:
         push = Push.on_outline(obj, place, angle, POKE, radius=POKE_RADIUS, speed=POKE_SPEED)
         times = np.linspace(0.0, push.duration, OBSERVED + 1)[1:]
         steps = make_times_with(push, times, "quasi_static")
-        motion = simulate(obj, truth, push, regime="quasi_static", times=steps)
+        motion = simulate(Model(obj, truth), push, regime="quasi_static", times=steps)
         noise = rng.normal(0.0, POSE_NOISE, (OBSERVED, 3))
         poses = motion.poses[np.searchsorted(steps, times)] + noise
         seen.append(ObservedPush(f"poke_{i}", push, np.zeros(3), times, poses))

@@ -24,6 +24,7 @@ from gridpush_drake.bench.table import ALL, MM, PERCENT, Table, Value
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import compose, wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception import (
@@ -115,8 +116,8 @@ def _track(job: TrackJob, begin: "Begin", tag: tuple[int, float] | None) -> Trac
     deviations: list[NDArray[np.float64]] = []
     frames = lost = 0
     for k in range(job.pushes):
-        push, pose = draw_push(obj, params, job.seed + k, ROD_RADIUS)
-        motion = simulate(obj, params, push, pose, regime="inertial")
+        push, pose = draw_push(Model(obj, params), job.seed + k, ROD_RADIUS)
+        motion = simulate(Model(obj, params), push, pose, regime="inertial")
         camera = make_overhead_camera(FAR, at=motion.poses[:, :2].mean(axis=0))
         color = COLORS[k % len(COLORS)]
         table = RenderedTable(

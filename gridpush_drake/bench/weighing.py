@@ -23,6 +23,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.absolute_errors import compare_with_truth
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
@@ -369,7 +370,7 @@ def push_and_learn(obj: GridObject, truth: CellParameters, seed: int) -> Identif
     """Pushes an object until forces tell its friction well enough, and learns from all pushes."""
     pushes = make_pushes(obj, truth, seed, PUSHES[-1])
     for count in PUSHES:
-        found = identify(obj, pushes[:count], seed=seed)
+        found = identify(Model(obj), pushes[:count], seed=seed)
         if found.force is not None and found.force.relative_std <= ENOUGH_FORCE:
             break
     return found
@@ -386,7 +387,7 @@ def make_pushes(obj: GridObject, truth: CellParameters, seed: int, count: int) -
         angle = rng.uniform(-SLANT, SLANT)
         push = Push.on_outline(obj, place, angle, PUSH_LENGTH, radius=radius, speed=PUSH_SPEED)
         times = make_path_times(push, "quasi_static")
-        motion = simulate(obj, truth, push, times=times, regime="quasi_static")
+        motion = simulate(Model(obj, truth), push, times=times, regime="quasi_static")
         force = motion.contact_forces.sum(axis=1)
         if not force.any():
             continue

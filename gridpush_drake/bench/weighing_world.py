@@ -23,6 +23,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import DEFAULT_HEIGHT, AddGridObject
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
@@ -175,7 +176,7 @@ class WeighingWorld:
         AddRimSpheres(plant, np.column_stack([np.zeros(count), rim]))
         self._finger = AddFinger(plant)
         self._handle = AddGridObject(
-            plant, scene_graph, obj, params, "free", table=[table], height=height
+            plant, scene_graph, Model(obj, params), "free", table=[table], height=height
         )
         plant.set_gravity_enabled(self._finger, False)
         plant.Finalize()

@@ -8,6 +8,7 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found, print_notice
 from gridpush_drake.identification.absolute import describe_weighed
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.mjcf import WriteMjcf
 from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 
@@ -117,17 +118,17 @@ def export(
             "model.yaml that gridpush identify wrote"
         )
     else:
-        drawn = loaded.model.samples(samples, seed)
+        drawn = loaded.model.draws(samples, seed)
     absolute = None if loaded.model is None else loaded.model.absolute
     note = "" if absolute is None else describe_weighed(absolute)
     if samples is not None and note:
         note = f"A draw of what is known: {note}"
     for params, path in zip(drawn, outs, strict=True):
         if chosen == "sdf":
-            WriteSdf(obj, params, path, force, base=base, height=height, note=note)
+            WriteSdf(Model(obj, params), path, force, base=base, height=height, note=note)
         else:
             write = WriteUrdf if chosen == "urdf" else WriteMjcf
-            write(obj, params, path, force, height=height, note=note)
+            write(Model(obj, params), path, force, height=height, note=note)
     if obj.prior.total_mass is None and absolute is None:
         print_notice(f"{obj.name}: its file has no total_mass; {mass:.3g} kg is assumed")
     source = "learned model" if loaded.model else "object, mass and friction spread evenly"

@@ -13,8 +13,8 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
 from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import identify as search
+from gridpush_drake.identification.model_check import calc_training_errors, doubt_center, doubt_fit
 from gridpush_drake.identification.model_file import write_model
-from gridpush_drake.identification.prediction import calc_training_errors, doubt_center, doubt_fit
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.identification.weighed_learning import learn_with_weighings
 from gridpush_drake.pushes.misplaced import explain_no_contact

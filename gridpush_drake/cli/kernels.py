@@ -16,7 +16,7 @@ from gridpush_drake.dynamics.warm_up import (
     is_compiled,
     make_square,
 )
-from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.contact import optimize_contact
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
@@ -48,13 +48,13 @@ def compile_contact_search() -> None:
     """Loads or compiles the kernels that choose where to push, by choosing one push."""
     obj = make_square()
     goal = [0.02, 0.0, 0.1]
-    optimize_contact(obj, CellParameters.uniform(obj), [0.0, 0.0, 0.0], goal)
+    optimize_contact(Model(obj), [0.0, 0.0, 0.0], goal)
 
 
 def compile_margins() -> None:
     """Loads or compiles the kernels of planning a grasp, by calculating one stability margin."""
     obj = make_square()
-    masses = PlausibleMassSet.of_masses(obj, CellParameters.uniform(obj))
+    masses = PlausibleMassSet.of_masses(Model(obj))
     calc_stability_margin(masses, [0.0, 0.0, 0.0], SupportSurface.round([0.0, 0.0], 1.0))
 
 

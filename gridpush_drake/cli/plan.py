@@ -9,6 +9,7 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
 from gridpush_drake.files import write_whole
+from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_plan import (
@@ -124,7 +125,7 @@ def plan(
         max_pushes=max_pushes,
     )
     options.compile_kernels()
-    found = plan_pushes(target.obj, target.params, start_pose, goal_pose, rules)
+    found = plan_pushes(Model(target.obj, target.params), start_pose, goal_pose, rules)
     _check_ends(found)
     if out is not None:
         write_plan(out, found, target.obj.name, radius, force)

@@ -14,17 +14,16 @@ from gridpush_drake.cli.console import MM, count_noun, print_json, print_line, p
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
     PoseError,
     Prediction,
-    Spread,
     calc_final_errors,
-    predict_spread,
     summarize_errors,
 )
-from gridpush_drake.identification.prediction import predict as predict_log
-from gridpush_drake.identification.problem import resolve_physics
+from gridpush_drake.identification.problem import find_fastest
+from gridpush_drake.identification.spread import Spread, predict_spread
 from gridpush_drake.pushes.misplaced import explain_no_contact
 
 COLUMNS = ("push", "x", "y", "theta")
@@ -64,15 +63,16 @@ def predict(
     target = options.load_target(model, largest_piece)
     full = options.load_log(pushes, target.obj, require_final=False)
     log = full.supported
-    physics = resolve_physics(target.make_physics(regime), target.obj, log, target.params)
+    supposed = Model(target.obj, target.params, target.make_physics(regime))
+    used = supposed.resolve(find_fastest(log))
     options.compile_kernels()
-    predictions = predict_log(target.obj, target.params, log, physics=physics)
+    predictions = used.predict(log)
     if all(prediction.status == MotionStatus.NO_CONTACT for prediction in predictions):
         raise PushLogError(explain_no_contact(target.obj, log))
     write_whole(out, _make_csv(predictions), force)
 
     errors = calc_final_errors(target.obj, predictions, log)
-    spreads = predict_spread(target.model, log, physics) if target.model else []
+    spreads = predict_spread(target.model, log, used.physics) if target.model else []
     summaries = summarize_errors(target.obj, predictions, log)
     radius_of_gyration = target.obj.radius_of_gyration
     # A learned model says how far off it expects 90 % of its predictions to be, which can be
@@ -85,7 +85,7 @@ def predict(
     found: dict[str, Any] = {
         "object": target.obj.name,
         "model": "learned" if target.model else "prior",
-        "regime": physics.regime,
+        "regime": used.physics.regime,
         "pushes": len(predictions),
         "untouched": [
             prediction.name

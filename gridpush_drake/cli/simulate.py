@@ -11,8 +11,8 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import simulate as simulate_push
 from gridpush_drake.files import write_whole
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.report.draw import to_png
@@ -97,7 +97,7 @@ def simulate(
     params = loaded.params if mass_seed is None else CellParameters.random(loaded.obj, mass_seed)
     physics = loaded.make_physics(regime)
     options.compile_kernels()
-    motion = simulate_push(loaded.obj, params, push, pose_W, physics=physics)
+    motion = Model(loaded.obj, params, physics).simulate(push, pose_W)
     chosen = motion.physics.regime
     if out is not None:
         # as many steps of the motion as poses are asked for, evenly in time, without the first

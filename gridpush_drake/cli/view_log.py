@@ -10,6 +10,7 @@ from gridpush_drake.cli.view_scene import describe_colors
 from gridpush_drake.display.cell_colors import Shown
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import exists, is_file
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import looks_like_model
 from gridpush_drake.identification.prediction import Prediction, predict, summarize_errors
 from gridpush_drake.pushes.push_log import PushLog
@@ -98,7 +99,7 @@ def predict_pushes(target: options.Target, picked: PushLog) -> list[Prediction] 
     if target.model is None:
         return None
     options.compile_kernels()
-    return predict(target.obj, target.params, picked, physics=target.make_physics("auto"))
+    return predict(Model(target.obj, target.params, target.make_physics("auto")), picked)
 
 
 def pick_pushes(path: Path, target: options.Target, names: list[str] | None) -> PushLog:

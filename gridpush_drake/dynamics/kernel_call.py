@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.cell_pooling import POOLED_FROM, CellPooling
 from gridpush_drake.dynamics.kernels.contact import Edges
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
@@ -31,9 +32,7 @@ where poses may be approximate: it leaves about the square of this."""
 
 
 def run_kernel(
-    obj: GridObject,
-    params: CellParameters,
-    physics: Physics,
+    bodies: Bodies,
     *,
     pose: Array,
     velocity: Array,
@@ -48,9 +47,7 @@ def run_kernel(
     """Simulates T steps.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
-        physics: with a regime other than "auto".
+        bodies: one object, with its parameters and physics.
         pose: (3,) q at the beginning, m and rad.
         velocity: (3,) of B's origin, m/s, and yaw rate, rad/s, at the beginning.
         dts: (T,) steps, s, or as `push.measure_steps` has them; the velocities are by the same.
@@ -68,7 +65,7 @@ def run_kernel(
         The record.
     """
     record = make_record(len(dts))
-    prepared = prepare_rollout(obj, params, physics, table, ahead)
+    prepared = prepare_rollout(bodies, table, ahead)
     if memory is None:
         memory = make_memory()
     rollout(
@@ -86,9 +83,7 @@ def run_kernel(
 
 
 def run_pushes(
-    obj: GridObject,
-    params: CellParameters,
-    physics: Physics,
+    bodies: Bodies,
     *,
     pushes: Pushes,
     row_of_step: IntArray,
@@ -106,7 +101,7 @@ def run_pushes(
     """
     poses = np.empty((rows, 3))
     touched = np.empty(len(pushes.radii), np.bool_)
-    prepared = prepare_rollout(obj, params, physics, table, approximate=approximate)
+    prepared = prepare_rollout(bodies, table, approximate=approximate)
     rollout_pushes(*prepared, pushes, row_of_step, poses, touched, J)
     return poses, touched
 
@@ -136,7 +131,7 @@ def run_models(
     row_of_step = np.full(count + 1, -1)
     for m, params in enumerate(models):
         rollout(
-            *prepare_rollout(obj, params, physics, table, approximate=approximate),
+            *prepare_rollout(Bodies(obj, params, physics), table, approximate=approximate),
             load=load,
             pose=pose,
             velocity=np.zeros(3),
@@ -152,9 +147,7 @@ def run_models(
 
 
 def prepare_rollout(
-    obj: GridObject,
-    params: CellParameters,
-    physics: Physics,
+    bodies: Bodies,
     table: Array | None,
     ahead: float | None = None,
     approximate: bool = False,
@@ -166,12 +159,14 @@ def prepare_rollout(
 
     The other arguments are those of `run_kernel`.
     """
+    obj = bodies.obj
+    physics = bodies.physics
     outline = _get_outline(obj)
-    body = _make_body(obj, params, physics, outline.cells)
-    support = make_support(obj, params, physics.gravity, table)
+    body = _make_body(bodies, outline.cells)
+    support = make_support(bodies, table)
     # Where loads shift, the rollout writes the law's k at every step; the body's must stay.
     k = body.k.copy() if support.active else body.k
-    law = physics.law.make(k, calc_spin_arm(obj, params), physics.used_spin)
+    law = physics.law.make(k, calc_spin_arm(obj, bodies.params), physics.used_spin)
     # Loads that shift would have to be brought to the nodes at every step.
     if approximate and isinstance(law, Isotropic) and obj.n >= POOLED_FROM and not support.active:
         law = law._replace(pool=CellPooling.of_object(obj).make_pool(k))
@@ -185,12 +180,15 @@ def prepare_rollout(
     return law, body, support, outline.edges, scheme
 
 
-def _make_body(obj: GridObject, params: CellParameters, physics: Physics, cells: Array) -> Body:
+def _make_body(bodies: Bodies, cells: Array) -> Body:
     """Collects what the kernels know of the object.
 
     All numbers are floats: for integers Numba would compile the kernels once more. Mass, center of
     mass and inertia stay zero in the quasi-static regime.
     """
+    obj = bodies.obj
+    params = bodies.params
+    physics = bodies.physics
     mass = 0.0
     com_x = 0.0
     com_y = 0.0
@@ -217,10 +215,10 @@ def shifts_loads(params: CellParameters, table: Array | None) -> bool:
     return params.push_height > 0 or table is not None
 
 
-def make_support(
-    obj: GridObject, params: CellParameters, gravity: float, table: Array | None
-) -> Support:
+def make_support(bodies: Bodies, table: Array | None) -> Support:
     """Collects what the loads depend on; `table` as in `run_kernel`."""
+    obj = bodies.obj
+    params = bodies.params
     if not shifts_loads(params, table):
         return _NO_SUPPORT
     com_x, com_y = map(float, params.center_of_mass(obj))
@@ -229,7 +227,7 @@ def make_support(
         active=True,
         mass=params.mass.copy(),
         friction=params.friction.copy(),
-        weight=params.total_mass * gravity,
+        weight=params.total_mass * bodies.physics.gravity,
         com_x=com_x,
         com_y=com_y,
         height=params.push_height,
@@ -260,20 +258,21 @@ _NO_SUPPORT = Support(
 """What the kernels are given where every cell bears its own weight."""
 
 
-def find_rest_loads(
-    obj: GridObject, params: CellParameters, gravity: float, pose: Array, table: Array | None
-) -> Array | None:
+def find_rest_loads(bodies: Bodies, pose: Array, table: Array | None) -> Array | None:
     """Calculates the loads (n,), N, of a body at rest at a pose (3,); None where there are none.
 
     `table` as in `run_kernel`.
     """
-    support = make_support(obj, params, gravity, np.empty((0, 4)) if table is None else table)
+    obj = bodies.obj
+    params = bodies.params
+    support = make_support(bodies, np.empty((0, 4)) if table is None else table)
     loads = make_loads(support)
     at_rest = make_state(pose, np.zeros(3), 0.0, 0.0)
     cells = _get_outline(obj).cells
     friction = np.empty(obj.n)  # filled with k, which is not wanted here
     held = find_loads(support, cells, float(obj.cell_size), at_rest, loads, friction)
-    return params.total_mass * gravity * params.mass * loads.share if held else None
+    weight = params.total_mass * bodies.physics.gravity
+    return weight * params.mass * loads.share if held else None
 
 
 def calc_reach(obj: GridObject) -> float:

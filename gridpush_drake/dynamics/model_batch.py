@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernel_call import calc_reach, find_rest_loads, run_models
 from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
@@ -92,6 +93,6 @@ def simulate_models(
         for m in np.flatnonzero(upright == len(times)).tolist():
             end = poses[m, -1]
             if measure_depth(edges, end[0], end[1])[0] < room:
-                held = find_rest_loads(obj, models[m], physics.gravity, end, edges)
+                held = find_rest_loads(Bodies(obj, models[m], physics), end, edges)
                 upright[m] -= held is None
     return ModelMotions(poses=poses, upright=upright)

@@ -7,13 +7,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels import forward_sensitivity as columns
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.notebook import count, describe_move, draw_paths, make_page
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 
 class MotionStatus(StrEnum):
@@ -188,9 +187,7 @@ class RawJacobian:
     @classmethod
     def of_parameters(
         cls,
-        obj: GridObject,
-        params: CellParameters,
-        physics: Physics,
+        bodies: Bodies,
         *,
         steps: IntArray,
         J: Array,
@@ -199,6 +196,9 @@ class RawJacobian:
         by_cells: bool = True,
     ) -> "RawJacobian":
         """Makes it of an object, its parameters, the physics, and what the kernel filled in."""
+        obj = bodies.obj
+        params = bodies.params
+        physics = bodies.physics
         return cls(
             steps=steps,
             J=J,

@@ -17,7 +17,6 @@ from gridpush_drake.dynamics.kernels.friction import LAWS
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS, FrictionLaw
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 Regime = Literal["auto", "inertial", "quasi_static"]
 """Whether masses act. "inertial": they do. "quasi_static": the limit of slow pushes, where only the
@@ -139,13 +138,6 @@ class Physics:
     def ahead(self) -> float:
         """Share of a step after which it looks at the body; 0.5 by the midpoint rule."""
         return HALFWAY if self.law.looks_ahead else 0.0
-
-    def resolve_for(self, obj: GridObject, params: CellParameters, speed: float) -> "Physics":
-        """Replaces "auto" as `resolve` does, with the mean friction of an object's parameters."""
-        if self.regime != "auto":
-            return self
-        mean_friction = float(params.friction @ params.mass / params.total_mass)
-        return self.resolve(obj, mean_friction, speed)
 
     def with_regime(self, regime: Regime | None) -> "Physics":
         """Replaces the regime; None leaves it as it is."""

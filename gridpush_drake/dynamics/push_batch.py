@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernel_call import run_pushes, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     CONTACT_FRICTION,
@@ -157,7 +158,7 @@ class PushBatch:
             J = np.empty((len(group.rows), 3, width))
             poses[group.rows], _ = self._run(group, params, J)
             raw = RawJacobian.of_parameters(
-                self.obj, params, self.physics, steps=group.steps, J=J, shifted=shifted
+                Bodies(self.obj, params, self.physics), steps=group.steps, J=J, shifted=shifted
             )
             by_mass = raw.calc_mass()
             derivatives[group.rows, :, :n] = by_mass
@@ -173,9 +174,7 @@ class PushBatch:
         self, group: _Group, params: CellParameters, J: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
         poses, touched = run_pushes(
-            self.obj,
-            params,
-            self.physics,
+            Bodies(self.obj, params, self.physics),
             pushes=group.pushes,
             row_of_step=group.row_of_step,
             J=J,

@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernel_call import (
     calc_reach,
     find_rest_loads,
@@ -26,12 +27,9 @@ from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
 from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJacobian
 from gridpush_drake.dynamics.physics import (
-    DEFAULT_PHYSICS,
-    GRAVITY,
     Physics,
     Regime,
     check_word,
-    make_physics,
 )
 from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times, measure_steps
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
@@ -90,14 +88,12 @@ class PushSteps(NamedTuple):
 
 
 def simulate(
-    obj: GridObject,
-    params: CellParameters,
+    bodies: Bodies,
     push: Push | ForcePush,
     pose: ArrayLike = (0.0, 0.0, 0.0),
     dt: float | None = None,
     gradients: bool | Literal["mass", "push", "paper"] = False,
     *,
-    physics: Physics | None = None,
     regime: Regime | None = None,
     velocity: ArrayLike = (0.0, 0.0, 0.0),
     times: ArrayLike | None = None,
@@ -111,8 +107,8 @@ def simulate(
     takes them where the step begins.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        bodies: one object, with its parameters and physics: friction law, regime, spin, gravity and
+            tolerances.
         push: the pusher's motion, or a force applied to the object.
         pose: (3,) q = (x, y, theta) of B in W at the beginning, m and rad.
         dt: step, s; the last one is shortened to end with the push. By default so short that the
@@ -122,8 +118,7 @@ def simulate(
             frictions, which is quicker where loads shift; "push" leaves out all that is by cells,
             which is quicker where they do not; "paper" the paper's closed form, of each step by
             itself.
-        physics: friction law, regime, spin, gravity and tolerances; `Physics()` by default.
-        regime: takes the place of the one in `physics`. "auto", the default, is "inertial" where
+        regime: takes the place of the one in the physics. "auto", the default, is "inertial" where
             the push is fast (see `physics.FAST_PUSH`), is a force or has a `velocity` before it,
             and for the paper's gradient; "quasi_static" otherwise.
         velocity: (3,) (vx, vy, w) of B's origin in W at the beginning; inertial regime only.
@@ -142,15 +137,14 @@ def simulate(
             is not on the table.
     """
     check_word("gradients", gradients, GRADIENTS)
-    if params.n != obj.n:
-        raise SimulationError(
-            f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has"
-        )
     q = check_vector(SimulationError, "pose", pose, 3)
     nu = check_vector(SimulationError, "velocity", velocity, 3)
-    asked = make_physics(physics, regime)
-    used = _resolve(asked, obj, params, push, needs_inertia=bool(nu.any()) or gradients == "paper")
-    _check_combination(used, params, push, nu, gradients)
+    needs_inertia = bool(nu.any()) or gradients == "paper"
+    if regime is not None:
+        bodies = bodies.with_physics(bodies.physics.with_regime(regime))
+    bodies = _resolve(bodies, push, needs_inertia)
+    used = bodies.physics
+    _check_combination(bodies, push, nu, gradients)
 
     # When the steps end, and which of their poses are differentiated.
     times = (
@@ -160,23 +154,19 @@ def simulate(
     rows = np.arange(count + 1) if record is None else check_record(record, count)
 
     return simulate_steps(
-        obj,
-        params,
+        bodies,
         push,
-        used,
         pose=q,
         velocity=nu,
         steps=PushSteps.of_record(push, times, rows, used.regime),
         gradients=gradients,
-        edges=find_edges_near(obj, push, q, table, used.inertial),
+        edges=find_edges_near(bodies.obj, push, q, table, used.inertial),
     )
 
 
 def simulate_steps(
-    obj: GridObject,
-    params: CellParameters,
+    bodies: Bodies,
     push: Push | ForcePush,
-    used: Physics,
     *,
     pose: Array,
     velocity: Array,
@@ -187,10 +177,8 @@ def simulate_steps(
     """Simulates a push whose steps are known; `simulate` says more, and checks what it is given.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        bodies: one object, with its parameters and physics, whose regime is not "auto".
         push: the pusher's motion, or a force.
-        used: physics, with a regime other than "auto".
         pose: (3,) q at the beginning, m and rad.
         velocity: (3,) of B's origin, m/s and rad/s.
         steps: the steps.
@@ -201,8 +189,9 @@ def simulate_steps(
         SimulationError: the paper's gradient is asked for where loads shift.
     """
     times, dts, rows, row_of_step = steps
+    physics = bodies.physics
     # Room for the derivatives, whose columns depend on whether loads shift.
-    shifted = shifts_loads(params, edges)
+    shifted = shifts_loads(bodies.params, edges)
     if shifted and gradients == "paper":
         raise SimulationError(
             "gradients: 'paper' knows no shifting loads; expected a push_height of 0 and no table"
@@ -210,14 +199,14 @@ def simulate_steps(
     J = np.empty((0, 3, 0))
     if gradients in EXACT:
         by_cells = shifted or gradients != "push"
-        width = count_columns(obj.n if by_cells else 0, shifted, with_friction=gradients is True)
+        width = count_columns(
+            bodies.obj.n if by_cells else 0, shifted, with_friction=gradients is True
+        )
         J = np.empty((len(rows), 3, width))
 
     load = _make_load(push, times)
     result = run_kernel(
-        obj,
-        params,
-        used,
+        bodies,
         pose=pose,
         velocity=velocity,
         dts=dts,
@@ -226,16 +215,14 @@ def simulate_steps(
         J=J,
         table=edges,
     )
-    if not used.inertial:
+    if not physics.inertial:
         # The kernel's velocities are by the pusher's path; they are wanted by time.
         result.velocities[1:] *= (dts / np.diff(times))[:, None]
 
     jacobian: Jacobian | RawJacobian | None = None
     if gradients in EXACT:
         jacobian = RawJacobian.of_parameters(
-            obj,
-            params,
-            used,
+            bodies,
             steps=rows,
             J=J,
             shifted=shifted,
@@ -243,7 +230,7 @@ def simulate_steps(
             by_cells=gradients != "push",
         )
     elif gradients == "paper":
-        jacobian = calc_paper_jacobian(obj, params, result, dts, rows, used)
+        jacobian = calc_paper_jacobian(bodies, result, dts, rows)
     has_pusher = load.radius > 0
     return Motion(
         times=times,
@@ -258,7 +245,7 @@ def simulate_steps(
         load_centers=result.load_centers,
         tips=result.tips,
         iterations=result.statuses[:, 1],
-        physics=used,
+        physics=physics,
         _jacobian=jacobian,
     )
 
@@ -279,11 +266,9 @@ def count_columns(n: int, shifted: bool, with_friction: bool) -> int:
 
 
 def calc_loads(
-    obj: GridObject,
-    params: CellParameters,
+    bodies: Bodies,
     pose: ArrayLike = (0.0, 0.0, 0.0),
     table: ArrayLike | None = None,
-    gravity: float = GRAVITY,
 ) -> Array | None:
     """Calculates what the cells of an object at rest bear, (n,) N; None if it tips.
 
@@ -293,21 +278,18 @@ def calc_loads(
     mass. Raises SimulationError: an argument is out of range.
     """
     edges = None if table is None else get_edges(table)
-    return find_rest_loads(
-        obj, params, gravity, check_vector(SimulationError, "pose", pose, 3), edges
-    )
+    return find_rest_loads(bodies, check_vector(SimulationError, "pose", pose, 3), edges)
 
 
 def simulate_batch(
-    obj: GridObject | Sequence[GridObject],
-    params: CellParameters | Sequence[CellParameters],
+    bodies: Bodies | Sequence[Bodies],
     pushes: Push | ForcePush | Sequence[Push | ForcePush],
     poses: ArrayLike = (0.0, 0.0, 0.0),
     *,
     workers: int | None = None,
     **options: Any,
 ) -> list[Motion]:
-    """Simulates many pushes, parameter sets or objects, or combinations of them, on all cores.
+    """Simulates many pushes, or one push of many models, or pairs of both, on all cores.
 
     Each argument is one for all, or a list; poses are (3,) or (count, 3).
 
@@ -323,18 +305,16 @@ def simulate_batch(
     starts = np.array(poses, dtype=np.float64)
     if starts.ndim not in (1, 2) or starts.shape[-1] != 3:
         raise SimulationError(f"poses of shape {starts.shape}; expected (3,) or (count, 3)")
-    lengths = [len(value) for value in (obj, params, pushes) if isinstance(value, Sequence)]
+    lengths = [len(value) for value in (bodies, pushes) if isinstance(value, Sequence)]
     lengths += [len(starts)] if starts.ndim == 2 else []
     count = max(lengths, default=1)
     if any(length != count for length in lengths):
         raise SimulationError(
-            f"objects, params, pushes and poses of lengths {lengths}; "
-            "expected equal lengths, or one for all"
+            f"bodies, pushes and poses of lengths {lengths}; expected equal lengths, or one for all"
         )
     jobs = [
         (
-            obj[i] if isinstance(obj, Sequence) else obj,
-            params[i] if isinstance(params, Sequence) else params,
+            bodies[i] if isinstance(bodies, Sequence) else bodies,
             pushes[i] if isinstance(pushes, Sequence) else pushes,
             starts[i] if starts.ndim == 2 else starts,
         )
@@ -423,29 +403,23 @@ def _find_status(has_pusher: bool, steps: Steps) -> MotionStatus:
     return MotionStatus.OK
 
 
-def _resolve(
-    physics: Physics,
-    obj: GridObject,
-    params: CellParameters,
-    push: Push | ForcePush,
-    needs_inertia: bool,
-) -> Physics:
+def _resolve(bodies: Bodies, push: Push | ForcePush, needs_inertia: bool) -> Bodies:
     """Replaces the regime "auto" by the one that suits a push."""
-    if physics.regime != "auto":
-        return physics
+    if bodies.physics.regime != "auto":
+        return bodies
     if needs_inertia or isinstance(push, ForcePush):
-        return replace(physics, regime="inertial")
-    return physics.resolve_for(obj, params, push.length / push.duration)
+        return bodies.with_physics(replace(bodies.physics, regime="inertial"))
+    return bodies.resolve(push.length / push.duration)
 
 
 def _check_combination(
-    physics: Physics,
-    params: CellParameters,
+    bodies: Bodies,
     push: Push | ForcePush,
     nu: Array,
     gradients: bool | str,
 ) -> None:
     """Refuses combinations that make no sense, with a SimulationError."""
+    physics = bodies.physics
     if not physics.inertial:
         if isinstance(push, ForcePush):
             raise SimulationError(
@@ -458,7 +432,7 @@ def _check_combination(
             )
         if nu.any():
             raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
-        check_friction(physics, params)
+        check_friction(physics, bodies.params)
     known = physics.law.gradients
     if (True if gradients in EXACT else gradients) not in known:
         words = ", ".join(map(repr, known))
@@ -501,27 +475,23 @@ a few of these."""
 
 
 def calc_step(
-    obj: GridObject,
-    params: CellParameters,
+    bodies: Bodies,
     q: ArrayLike,
     nu: ArrayLike,
     wrench: ArrayLike,
     dt: float,
     *,
-    physics: Physics = DEFAULT_PHYSICS,
     stiction_tolerance: float = STEP_STICTION,
 ) -> Array:
     """Takes one condensed inertial step at a fixed pose (`docs/theory/model.md`, section 3).
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        bodies: one object, with its parameters and physics.
         q: (3,) pose X_WB, m and rad; directions and arms are those at this pose, as in the paper's
             LCP.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
         wrench: (3,) force in W, N, and moment about B's origin, N m.
         dt: the step, s.
-        physics: friction law, spin and gravity.
         stiction_tolerance: takes the place of both tolerances in `physics`, m/s and as a share of
             the speed.
 
@@ -532,6 +502,8 @@ def calc_step(
         SimulationError: dt or the tolerance is not positive, the regime is "quasi_static", or the
             step was not solved.
     """
+    obj = bodies.obj
+    physics = bodies.physics
     if not 0 < dt < np.inf:
         raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
     if physics.regime == "quasi_static":
@@ -552,9 +524,7 @@ def calc_step(
         point=np.zeros(2),
     )
     record = run_kernel(
-        obj,
-        params,
-        used,
+        bodies.with_physics(used),
         pose=q,
         velocity=np.array(nu, dtype=np.float64),
         dts=np.array([float(dt)]),

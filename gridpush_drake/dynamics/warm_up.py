@@ -8,6 +8,7 @@ leave it in the cache: the first one finds it there when it gets so far.
 import numba
 import numpy as np
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.compiled import compile_for, get_cache
 from gridpush_drake.dynamics.kernels.forward_sensitivity import Columns, step_columns
 from gridpush_drake.dynamics.kernels.inputs import Body
@@ -20,7 +21,6 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 SIDE = 0.02
 """Side of a small square, m."""
@@ -51,16 +51,16 @@ def is_compiled() -> bool:
 def compile_rollouts() -> None:
     """Loads or compiles the kernels, by a push in each regime, by itself and in a batch."""
     obj = make_square()
-    params = CellParameters.uniform(obj)
+    bodies = Bodies(obj)
     push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)
     times = np.array([0.0, DURATION])
     rows = np.array([1])
     for regime in REGIMES:
-        simulate(obj, params, push, gradients=True, regime=regime)
+        simulate(bodies, push, gradients=True, regime=regime)
         batch = PushBatch(
             obj, [BatchPush(push, np.zeros(3), times, rows, None)], Physics(regime=regime)
         )
-        batch.differentiate(params)
+        batch.differentiate(bodies.params)
 
 
 def find_columns_signature() -> tuple[numba.types.Type, ...]:

@@ -18,6 +18,7 @@ from gridpush_drake.dynamics.simulation import calc_loads, simulate_batch
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
 from gridpush_drake.gym.known_shape import FINGER, KnownShape, load_shape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
@@ -280,8 +281,7 @@ class PushGame:
         pairs = list(zip(episodes, actions, strict=True))
         pushes = [episode.shape.make_push(action, episode.pose) for episode, action in pairs]
         motions = simulate_batch(
-            [episode.shape.obj for episode in episodes],
-            [episode.hidden for episode in episodes],
+            [Model(episode.shape.obj, episode.hidden) for episode in episodes],
             pushes,
             np.reshape([episode.true_pose for episode in episodes], (-1, 3)),
             workers=self.options.workers,
@@ -303,7 +303,9 @@ class PushGame:
         seen = self.add_noise(poses[rows], episode.rng)
         on_table = bool(find_supported(episode.shape.obj, poses, self.surface).all())
         if not on_table:
-            at_rest = calc_loads(episode.shape.obj, episode.hidden, poses[-1], self.surface.corners)
+            at_rest = calc_loads(
+                Model(episode.shape.obj, episode.hidden), poses[-1], self.surface.corners
+            )
             fallen = fallen or at_rest is None
         observed = ObservedPush(
             name=f"push_{len(episode.pushes) + 1}",

@@ -24,6 +24,7 @@ from gridpush_drake.gym.episode import (
     flatten_pose,
 )
 from gridpush_drake.gym.known_shape import KnownShape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import PushProblem
@@ -338,7 +339,8 @@ class Explore(PushGame):
             shape.make_push(np.append(place, HELD_OUT_DISTANCE), np.zeros(3)) for place in places
         ]
         ends = [
-            simulate(shape.obj, hidden, push, regime="quasi_static").final_pose for push in pushes
+            simulate(Model(shape.obj, hidden), push, regime="quasi_static").final_pose
+            for push in pushes
         ]
         held_out = PushLog(
             tuple(

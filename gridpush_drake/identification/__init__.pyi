@@ -12,6 +12,7 @@ from .load_prior import LoadPrior as LoadPrior
 from .load_prior import Setting as Setting
 from .load_prior import calc_prior_factor as calc_prior_factor
 from .map_ensemble import MapEnsemble as MapEnsemble
+from .model import Model as Model
 from .model_file import read_model as read_model
 from .model_file import write_model as write_model
 from .noise import NoiseModel as NoiseModel

@@ -23,8 +23,8 @@ from gridpush_drake.identification.absolute import (
     LOG_MASS,
     AbsoluteEstimate,
 )
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import Posterior
-from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 MAX_TILT_STEPS = 50
@@ -42,26 +42,24 @@ MAX_FRICTION = 1.5
 would ask for beyond it is not believed."""
 
 
-def make_absolute_parameters(
-    obj: GridObject, params: CellParameters, share: Array, numbers: Array
-) -> CellParameters:
+def make_absolute_parameters(model: Model, share: Array, numbers: Array) -> CellParameters:
     """Makes the parameters of an object with given absolute numbers.
 
     Args:
-        obj: the object.
-        params: whose contact friction, push height and patches are taken.
+        model: one object, with its parameters.
         share: (n,) k, positive, summing to one.
         numbers: (4,) log m, the center of mass, m, and log mu, as in `AbsoluteEstimate.mean`.
     """
-    a = tilt_to_center(share, obj.p_BC, numbers[CENTER])
+    a = tilt_to_center(share, model.obj.p_BC, numbers[CENTER])
     mass = float(np.exp(numbers[LOG_MASS]))
     friction = float(np.exp(numbers[LOG_FRICTION]))
-    return replace(params, mass=mass * a, friction=np.minimum(friction * share / a, MAX_FRICTION))
+    return replace(
+        model.params, mass=mass * a, friction=np.minimum(friction * share / a, MAX_FRICTION)
+    )
 
 
 def draw_absolute_parameters(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     posterior: Posterior,
     absolute: AbsoluteEstimate,
     count: int,
@@ -70,8 +68,7 @@ def draw_absolute_parameters(
     """Draws parameters that agree with pushes and weighings.
 
     Args:
-        obj: the object.
-        params: the estimate.
+        model: one object, with its parameters.
         posterior: the spread of the relative friction.
         absolute: mass, center of mass and mean friction.
         count: how many draws.
@@ -81,19 +78,20 @@ def draw_absolute_parameters(
         The parameters. Where no forces of pushes were measured, their mean friction is the
         estimate's.
     """
+    params = model.params
     shares, contact_friction = posterior.draw(count, seed)
     rng = np.random.default_rng((seed, ABSOLUTE))
     numbers = rng.multivariate_normal(absolute.mean, absolute.covariance, count)
     if not absolute.pushes:
         numbers[:, LOG_FRICTION] = np.log(params.mass @ params.friction / params.total_mass)
     return [
-        replace(make_absolute_parameters(obj, params, x, u), contact_friction=float(mu_c))
+        replace(make_absolute_parameters(model, x, u), contact_friction=float(mu_c))
         for x, u, mu_c in zip(shares, numbers, contact_friction, strict=True)
     ]
 
 
 def calc_relative_friction_std(
-    obj: GridObject, params: CellParameters, center_of_friction: Array, absolute: AbsoluteEstimate
+    model: Model, center_of_friction: Array, absolute: AbsoluteEstimate
 ) -> Array:
     """Calculates how well the friction of each cell is known, relative to itself.
 
@@ -106,14 +104,15 @@ def calc_relative_friction_std(
     of `draw_absolute_parameters`.
 
     Args:
-        obj: the object.
-        params: the estimate, as `make_absolute_parameters` makes it.
+        model: one object, with its parameters.
         center_of_friction: (2, 2) covariance of c_k, m².
         absolute: mass, center of mass and mean friction.
 
     Returns:
         (n,) standard deviations of log mu_i.
     """
+    obj = model.obj
+    params = model.params
     a = params.mass / params.total_mass
     arm = obj.p_BC - a @ obj.p_BC
     # The pseudoinverse is for cells that all lie on a line.

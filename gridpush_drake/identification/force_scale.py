@@ -19,8 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.physics import GRAVITY, Physics
+from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import TimedPush
 from gridpush_drake.objects.grid_object import GridObject
@@ -132,12 +133,14 @@ class ForceScale:
         high = min(self.bounds[1] / weight, obj.prior.friction_max)
         return (low, high) if low <= high else None
 
-    def rescale(self, obj: GridObject, params: CellParameters) -> CellParameters:
+    def rescale(self, model: Model) -> CellParameters:
         """Gives parameters the scale of the forces.
 
         The masses are scaled if the object's mass is not known, else the friction coefficients. If
         mass and forces contradict each other, the parameters stay as they are.
         """
+        obj = model.obj
+        params = model.params
         ratio = self.friction / (self.gravity * float(params.mass @ params.friction))
         if obj.prior.total_mass is None:
             return replace(params, mass=ratio * params.mass)
@@ -149,27 +152,24 @@ class ForceScale:
 
 
 def calc_force_scale(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     posterior: Posterior,
     log: PushLog,
-    physics: Physics,
     seed: int = 0,
 ) -> ForceScale | None:
     """Calculates the scale of the friction from the forces of slow pushes.
 
     Args:
-        obj: the object.
-        params: learned from the poses.
+        model: one object, with its parameters and physics.
         posterior: their spread.
         log: the pushes learned from, some with forces on the object.
-        physics: the physics that they were learned with, quasi-static.
         seed: seed of the draws from the posterior.
 
     Returns:
         The scale; None where no force was measured while an object was pushed steadily, or most
         point against the pusher.
     """
+    physics = model.physics
     with_force = [seen for seen in log if seen.force is not None]
     timed = [TimedPush.of(seen, physics.regime, log.table) for seen in with_force]
     if not timed:
@@ -177,7 +177,7 @@ def calc_force_scale(
 
     # Forces against the pusher's motion are wrong: of sign or frame. If as many are wrong as
     # right, none can be trusted.
-    scales, stds, lifts = _calc_scales(obj, params, timed, physics)
+    scales, stds, lifts = _calc_scales(model, timed)
     right = scales > 0
     against = int((np.isfinite(scales) & ~right).sum())
     if against >= right.sum():
@@ -186,12 +186,12 @@ def calc_force_scale(
 
     # How much the weight rubs that the finger carried is not known: its friction is that of the
     # object, and an error of that is common to all pushes.
-    carried = float((obj.prior.friction_std * lifts[right].mean() / mean) ** 2)
+    carried = float((model.obj.prior.friction_std * lifts[right].mean() / mean) ** 2)
 
     # An error of the normalized loads is common to all pushes, and does not average out.
     few = [one for one, use in zip(timed, right, strict=True) if use][:MAX_DRAWN_PUSHES]
-    draws = posterior.draw_parameters(params, DRAWS, seed)
-    drawn = [_calc_scales(obj, draw, few, physics)[0] for draw in draws]
+    draws = posterior.draw_parameters(model.params, DRAWS, seed)
+    drawn = [_calc_scales(model.with_params(draw), few)[0] for draw in draws]
     medians = [np.median(scales[scales > 0]) for scales in drawn if (scales > 0).any()]
     spread = float(np.var(np.log(medians))) if len(medians) > 1 else 0.0
     return ForceScale(
@@ -203,9 +203,7 @@ def calc_force_scale(
     )
 
 
-def _calc_scales(
-    obj: GridObject, params: CellParameters, pushes: Sequence[TimedPush], physics: Physics
-) -> tuple[Array, Array, Array]:
+def _calc_scales(model: Model, pushes: Sequence[TimedPush]) -> tuple[Array, Array, Array]:
     """Calculates K_p of each push, and how much of it the noise of the forces may be.
 
     Returns:
@@ -213,14 +211,15 @@ def _calc_scales(
         was measured. Its standard deviation (P,) by the noise of single forces, N. And the weight
         (P,) that the finger carried, on average, N: dK_p/dmu.
     """
-    whole = physics.gravity * float(params.mass @ params.friction)
+    params = model.params
+    whole = model.physics.gravity * float(params.mass @ params.friction)
     friction = float(params.mass @ params.friction) / params.total_mass
     scales = []
     sizes = []
     lifts = []
     squares = 0.0
     freedom = 0
-    for felt in _choose_forces(obj, params, pushes, physics, whole):
+    for felt in _choose_forces(model, pushes, whole):
         f = felt.model
         # Whatever weight the finger carries does not rub on the table: y_j = (K - mu s_j) f_j.
         y = felt.seen + friction * felt.lift[:, None] * f
@@ -241,17 +240,15 @@ def _calc_scales(
 
 
 def _choose_forces(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     pushes: Sequence[TimedPush],
-    physics: Physics,
     whole: float,
 ) -> list[_Felt]:
     """Chooses the forces of each push that count; `whole` is the whole friction, N."""
     felt = []
     steady = []
     for one in pushes:
-        motion = one.simulate(obj, params, physics, record=[])
+        motion = one.simulate(model, record=[])
         force = motion.contact_forces.sum(axis=1) / whole
         seen = one.observed
         assert seen.force_t is not None and seen.force is not None

@@ -14,6 +14,7 @@ from scipy.optimize import linprog
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.absolute import SIGMAS, AbsoluteEstimate, describe_sources
 from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import (
     CELLS,
     LEARNED_SHARE,
@@ -22,7 +23,6 @@ from gridpush_drake.identification.posterior import (
 )
 from gridpush_drake.notebook import make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 MM = 1e3
 """Millimeters in a meter."""
@@ -82,8 +82,7 @@ class Identifiability:
 
 
 def calc_identifiability(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     posterior: Posterior,
     force: ForceScale | None = None,
     absolute: AbsoluteEstimate | None = None,
@@ -91,8 +90,7 @@ def calc_identifiability(
     """Says what a posterior determines.
 
     Args:
-        obj: the object, with its friction bounds in `obj.prior`.
-        params: the estimate, whose total mass scales the mass bounds.
+        model: one object, with its parameters.
         posterior: what is known of the logarithms of the cells' friction.
         force: the scale that measured forces give; None where there are none.
         absolute: what weighings say; None of an object that was not weighed.
@@ -100,6 +98,8 @@ def calc_identifiability(
     Returns:
         The report.
     """
+    obj = model.obj
+    params = model.params
     share = posterior.calc_share()
     share_covariance = posterior.calc_share_covariance()
 

@@ -14,7 +14,7 @@ from numbers import Integral
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
+from gridpush_drake.dynamics.physics import Physics, Regime
 from gridpush_drake.errors import IdentificationError, ParameterError, PushLogWarning
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
@@ -31,6 +31,7 @@ from gridpush_drake.identification.friction_gradient import HeldFriction, calc_g
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.map_fit import calc_laplace
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import Screening
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
@@ -48,7 +49,7 @@ from gridpush_drake.identification.result import (
 )
 from gridpush_drake.identification.robust_fit import FitTask, Tracker, fit_robustly
 from gridpush_drake.identification.turned_poses import TurnedPoses, find_turned_poses
-from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
 from gridpush_drake.pushes.plausibility import check_plausible, explain_unused_forces
@@ -61,14 +62,12 @@ METHODS = ("default", *SEARCH_METHODS)
 # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def identify(
-    obj: GridObject,
+    model: Model,
     log: PushLogOrFile,
-    prior: PhysicalPrior | None = None,
     method: str = "default",
     seed: int = 0,
     *,
     regime: Regime | None = None,
-    physics: Physics | None = None,
     budget: int | None = None,
     ensemble: MapEnsemble | None = None,
     progress: Progress | None = None,
@@ -78,18 +77,18 @@ def identify(
     """Learns an object's masses and frictions from pushes.
 
     Args:
-        obj: the object.
+        model: the object, with what its `prior` says of it, and the friction law, spin, gravity and
+            tolerances of the simulations. What the model holds of masses and frictions is not used:
+            learning begins from loads that are the same everywhere. The default method needs a law
+            with exact gradients.
         log: the training pushes, or the name of their CSV file (`PushLog.read_csv`), with at least
             one observed pose each after the first. Pushes during which a part of the object hung
             over the table's edge are learned from only if the log has the table's corners, and only
             by the default method.
-        prior: what is known beforehand; `obj.prior` by default.
         method: one of METHODS: "default", the paper's, or a baseline.
         seed: seed of everything random.
-        regime: takes the place of the one in `physics`. "auto", the default, is the one that suits
-            the log's fastest push (`physics.FAST_PUSH`), for all of them.
-        physics: friction law, spin, gravity and tolerances of the simulations; `Physics()` by
-            default. The default method needs a law with exact gradients.
+        regime: takes the place of the one in the model's physics. "auto", the default, is the one
+            that suits the log's fastest push (`physics.FAST_PUSH`), for all of them.
         budget: largest number of pushes that a search simulates, for methods other than the
             default; DEFAULT_BUDGET_PER_PUSH times the number of pushes by default.
         ensemble: settings of the default method; its usual ones by default. A search calculates
@@ -119,11 +118,12 @@ def identify(
             true of the object, see `pushes.plausibility`; or its file cannot be read.
         TypeError: an argument is of another type, or they are swapped.
     """
-    check_types("identify", obj=(obj, (GridObject,)), log=(log, LOG_TYPES))
+    check_types("identify", model=(model, (Model,)), log=(log, LOG_TYPES))
+    obj = model.obj
     log = read_log(log, obj, require_final=True)
     if method not in METHODS:
         raise IdentificationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
-    asked = make_physics(physics, regime)
+    asked = model.physics.with_regime(regime)
     if method == "default" and True not in asked.law.gradients:
         raise IdentificationError(
             f"friction_law {asked.friction_law!r} has no exact gradients, which the default method "
@@ -131,7 +131,6 @@ def identify(
         )
     if not (isinstance(seed, Integral) and seed >= 0):
         raise IdentificationError(f"seed is {seed}; expected a whole number, 0 or more")
-    obj = obj if prior is None else replace(obj, prior=prior)
 
     # Poses that no motion of the pusher explains would spoil every later step.
     screened = _check_log(obj, log if method == "default" else log.on_table)
@@ -255,7 +254,7 @@ def _note_poor_fit(result: Identification, log: PushLog) -> Identification:
 
     A result that explains its pushes is returned as it is.
     """
-    poor = explain_poor_fit(result.obj, result.params, log, result.physics)
+    poor = explain_poor_fit(result, log)
     if poor is None:
         return result
     # What "default" says of itself is that it learned from the pushes. A search says how it ended.
@@ -449,9 +448,9 @@ def _make_result(
     # Measured forces give the common scale (section 10), but only those of slow pushes.
     force = None
     if screened.log and explain_unused_forces(obj, screened.log, physics.inertial) is None:
-        force = calc_force_scale(obj, params, posterior, screened.log, physics, seed)
+        force = calc_force_scale(Model(obj, params, physics), posterior, screened.log, seed)
     if force is not None:
-        params = force.rescale(obj, params)
+        params = force.rescale(Model(obj, params))
         mass = params.mass
     relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
 
@@ -463,11 +462,11 @@ def _make_result(
         contact_friction=float(params.contact_friction * log_contact_friction_std),
     )
     return Identification(
-        obj=obj,
-        params=params,
+        objects=(obj,),
+        parameters=(params,),
         std=std,
         posterior=posterior,
-        identifiability=calc_identifiability(obj, params, posterior, force),
+        identifiability=calc_identifiability(Model(obj, params), posterior, force),
         method=method,
         physics=physics,
         status=fit.status,

@@ -23,6 +23,7 @@ from gridpush_drake.identification.absolute import ABSOLUTE, AbsoluteEstimate
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.friction_gradient import calc_gradient_std
 from gridpush_drake.identification.identifiability import calc_identifiability
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.identification.posterior import GLOBALS, Posterior
@@ -525,11 +526,11 @@ def _restore(schema: ModelSchema) -> Identification:
     force = None if schema.force is None else ForceScale(**schema.force.model_dump())
     absolute = None if schema.absolute is None else _restore_absolute(schema.absolute)
     return Identification(
-        obj=obj,
-        params=params,
+        objects=(obj,),
+        parameters=(params,),
         std=std,
         posterior=posterior,
-        identifiability=calc_identifiability(obj, params, posterior, force, absolute),
+        identifiability=calc_identifiability(Model(obj, params), posterior, force, absolute),
         method=schema.method,
         physics=Physics(**schema.physics.model_dump()),
         status=schema.status,

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics, Regime
 from gridpush_drake.dynamics.push import make_times_with
@@ -73,16 +74,12 @@ class TimedPush:
         rows = np.searchsorted((times[:-1] + times[1:]) / 2, observed.t_observed)
         return cls(observed, times, rows, table)
 
-    def simulate(
-        self, obj: GridObject, params: CellParameters, physics: Physics, **options: Any
-    ) -> Motion:
+    def simulate(self, bodies: Bodies, **options: Any) -> Motion:
         """Simulates the push from its first observed pose, with further `options` of `simulate`."""
         return simulate(
-            obj,
-            params,
+            bodies,
             self.observed.push,
             self.observed.pose,
-            physics=physics,
             times=self.times,
             table=self.table,
             **options,
@@ -115,26 +112,23 @@ class Linearization:
         )
 
 
-def resolve_physics(
-    physics: Physics, obj: GridObject, log: PushLog, params: CellParameters | None = None
-) -> Physics:
+def find_fastest(log: PushLog) -> float:
+    """The mean speed of a log's fastest push, m/s; 0 of an empty log."""
+    return max((seen.push.length / seen.push.duration for seen in log), default=0.0)
+
+
+def resolve_physics(physics: Physics, obj: GridObject, log: PushLog) -> Physics:
     """Replaces the regime "auto" by the one that suits a log's fastest push.
 
     Args:
         physics: physics of the log's simulations.
         obj: the object.
-        log: its pushes; one regime is chosen for all of them.
-        params: masses and frictions of the object; by default the friction is the prior's.
+        log: its pushes; one regime is chosen for all of them, with the prior's friction.
 
     Returns:
         The physics, see `Physics.resolve`.
     """
-    if physics.regime != "auto":
-        return physics
-    fastest = max((seen.push.length / seen.push.duration for seen in log), default=0.0)
-    if params is not None:
-        return physics.resolve_for(obj, params, fastest)
-    return physics.resolve(obj, obj.prior.friction, fastest)
+    return physics.resolve(obj, obj.prior.friction, find_fastest(log))
 
 
 def make_even_parameters(obj: GridObject) -> CellParameters:

@@ -6,13 +6,13 @@ from enum import StrEnum
 
 import numpy as np
 
-from gridpush_drake.dynamics.physics import Physics, Regime
-from gridpush_drake.errors import IdentificationError
+from gridpush_drake.dynamics.physics import Regime
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.absolute import AbsoluteEstimate
 from gridpush_drake.identification.absolute_masses import draw_absolute_parameters
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import Identifiability
+from gridpush_drake.identification.model import Model, check_draws
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
@@ -84,19 +84,19 @@ class HypothesisEvidence:
     weight: float
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Identification(Model):
     """A learned model and how far it can be trusted.
 
     Attributes:
-        obj: the object.
-        params: the estimate of its cells' masses and frictions.
-        std: its standard deviations, in the same shape and units: mass (n,), friction (n,),
+        objects: the object; `obj` is it, too.
+        parameters: the estimate of its cells' masses and frictions; `params` is it, too.
+        physics: physics of the simulations; its regime is never "auto".
+        std: the estimate's standard deviations, in the same shape and units: mass (n,), friction (n,),
             contact_friction.
         posterior: the spread of the relative support friction and the contact friction.
         identifiability: what these data say and what they cannot say.
         method: the method that found it.
-        physics: physics of the simulations; its regime is never "auto".
         status: how it ended.
         message: the status in a sentence.
         history: the best loss so far along the search, simulations increasing.
@@ -121,13 +121,10 @@ class Identification:
             that was not.
     """
 
-    obj: GridObject
-    params: CellParameters
     std: CellParameters
     posterior: Posterior
     identifiability: Identifiability
     method: str
-    physics: Physics
     status: IdentificationStatus
     message: str
     history: tuple[HistoryEntry, ...]
@@ -195,31 +192,26 @@ class Identification:
         load_shift = self.load_shift_std / self.noise.load_shift
         return NoiseScale(pose, load_shift)
 
-    def samples(self, k: int, seed: int = 0) -> list[CellParameters]:
+    def draws(self, count: int, seed: int = 0) -> list[CellParameters]:
         """Draws parameter sets that agree with the pushes.
 
         Every cell's friction is the estimate's, unless the object was weighed: then masses and
         frictions vary as far as that leaves them open.
 
         Args:
-            k: how many.
+            count: how many.
             seed: seed of the draw.
 
         Returns:
             The parameter sets.
 
         Raises:
-            IdentificationError: k or the seed is negative.
+            IdentificationError: the count or the seed is negative.
         """
-        if k < 0 or seed < 0:
-            raise IdentificationError(
-                f"samples: k is {k}, seed {seed}; expected whole numbers, 0 or more"
-            )
+        check_draws(count, seed)
         if self.absolute is None:
-            return self.posterior.draw_parameters(self.params, k, seed)
-        return draw_absolute_parameters(
-            self.obj, self.params, self.posterior, self.absolute, k, seed
-        )
+            return self.posterior.draw_parameters(self.params, count, seed)
+        return draw_absolute_parameters(self, self.posterior, self.absolute, count, seed)
 
     @property
     def relative_friction(self) -> Array:

@@ -5,11 +5,10 @@ to plan, to be written to a file. What objects have in common, such as how rough
 other, stands in the `SceneIdentification` alone.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from gridpush_drake.identification.identifiability import calc_identifiability
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import Identification, IdentificationStatus
@@ -73,11 +72,11 @@ def _make_model(found: SceneIdentification, body: int) -> Identification:
         status = IdentificationStatus.EXPLAINS_LITTLE
         message = f"The model explains little of the pushes. {message}"
     return Identification(
-        obj=obj,
-        params=replace(params),
+        objects=(obj,),
+        parameters=(params,),
         std=std,
         posterior=posterior,
-        identifiability=calc_identifiability(obj, params, posterior),
+        identifiability=calc_identifiability(Model(obj, params), posterior),
         method=METHOD,
         physics=found.physics,
         status=status,

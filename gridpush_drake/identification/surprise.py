@@ -30,9 +30,9 @@ import numpy as np
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.friction_gradient import draw_gradients
-from gridpush_drake.identification.prediction import calc_end_covariance, calc_end_quantile
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.spread import calc_end_covariance, calc_end_quantile
 from gridpush_drake.notebook import MM
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 

@@ -28,6 +28,7 @@ from gridpush_drake.identification.absolute_masses import (
 )
 from gridpush_drake.identification.friction_gradient import HeldFriction, calc_gradient_std
 from gridpush_drake.identification.identifiability import calc_identifiability
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import (
     Identification,
     calc_center_of_friction,
@@ -163,12 +164,12 @@ def apply_absolute(found: Identification, estimate: AbsoluteEstimate) -> Identif
     if not estimate.pushes:
         supposed = float(found.params.mass @ found.params.friction) / found.params.total_mass
         numbers[LOG_FRICTION] = np.log(supposed)
-    params = make_absolute_parameters(obj, found.params, share, numbers)
+    params = make_absolute_parameters(Model(obj, found.params), share, numbers)
     # The scales' variances are added to those of the shares.
     relative = found.std.mass / found.params.mass
     log_mass = estimate.covariance[LOG_MASS, LOG_MASS]
     _, center_of_friction = calc_center_of_friction(found)
-    friction = calc_relative_friction_std(obj, params, center_of_friction, estimate)
+    friction = calc_relative_friction_std(Model(obj, params), center_of_friction, estimate)
     if not estimate.pushes:
         log_friction = estimate.covariance[LOG_FRICTION, LOG_FRICTION]
         friction = np.sqrt(friction**2 + log_friction)
@@ -179,10 +180,12 @@ def apply_absolute(found: Identification, estimate: AbsoluteEstimate) -> Identif
     )
     return replace(
         found,
-        params=params,
+        parameters=(params,),
         std=std,
         absolute=estimate,
-        identifiability=calc_identifiability(obj, params, found.posterior, found.force, estimate),
+        identifiability=calc_identifiability(
+            Model(obj, params), found.posterior, found.force, estimate
+        ),
     )
 
 

@@ -21,6 +21,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate_batch
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
@@ -180,14 +181,12 @@ class PushFunction:
 
         # Every push by itself, on all cores; the result does not depend on their number.
         motions = simulate_batch(
-            self.obj,
-            params,
+            [Model(self.obj, each, setting.physics) for each in params],
             pushes,
             pose,
             gradients=derive,
             record=None if setting.path else [-1],
             times=times,
-            physics=setting.physics,
             table=setting.table,
         )
         poses = np.array([motion.poses for motion in motions])

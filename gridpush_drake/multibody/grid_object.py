@@ -68,6 +68,7 @@ from shapely import Polygon, box, prepare
 from gridpush_drake.errors import ObjectError, ParameterError, require_positive
 from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -288,8 +289,7 @@ class GridObjectInPlant:
 def AddGridObject(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     base: Base = "planar",
     *,
     table: Iterable[GeometryId],
@@ -312,8 +312,7 @@ def AddGridObject(
     Args:
         plant: a discrete plant; its gravity field is the one that the spheres are made for.
         scene_graph: the plant's.
-        obj: the object.
-        params: its cells' masses and frictions.
+        model: one object, with its parameters.
         base: how it is held, "planar" or "free"; see the head of this module.
         table: collision geometries that the spheres stand on; top at z = 0.
         height: height of the object, m.
@@ -339,6 +338,7 @@ def AddGridObject(
             that name.
         ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
     """
+    obj = model.obj
     if base not in DEFAULT_DELTA:
         raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
     delta = DEFAULT_DELTA[base] if delta is None else delta
@@ -355,14 +355,14 @@ def AddGridObject(
         )
     layout = ContactSphereLayout.for_object(obj, spheres_per_cell)
     model_instance = plant.AddModelInstance(name)
-    body = plant.AddRigidBody(name, model_instance, MakeSpatialInertia(obj, params, height))
+    body = plant.AddRigidBody(name, model_instance, MakeSpatialInertia(model, height))
     joint = _hold(plant, body, base, delta)
     spheres: tuple[GeometryId, ...] = ()
     sides: tuple[GeometryId, ...] = ()
     visuals: tuple[GeometryId, ...] = ()
     if touches:
-        spheres = _add_spheres(plant, body, layout, params, delta, support)
-        sides = _add_sides(plant, body, obj, params, height, side_stiffness)
+        spheres = _add_spheres(plant, body, layout, model.params, delta, support)
+        sides = _add_sides(plant, body, model, height, side_stiffness)
     if visual:
         visuals = _add_visual(plant, scene_graph, body, obj, height, color)
     handle = GridObjectInPlant(
@@ -385,14 +385,11 @@ def AddGridObject(
     return handle
 
 
-def MakeSpatialInertia(
-    obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT
-) -> SpatialInertia:
+def MakeSpatialInertia(model: Model, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
     """Sums up the cells' inertia, each cell a homogeneous square prism.
 
     Args:
-        obj: the object.
-        params: its cells' masses.
+        model: one object, with its parameters.
         height: its height, m.
 
     Returns:
@@ -402,9 +399,11 @@ def MakeSpatialInertia(
         ParameterError: the parameters are of another number of cells, or Drake finds the masses
             unphysical.
     """
+    obj = model.obj
+    params = model.params
     params.center_of_mass(obj)  # says so where the numbers of cells differ
     total = SpatialInertia.Zero()
-    with refuse_unphysical(obj, params):
+    with refuse_unphysical(model):
         for (x, y), mass in zip(obj.p_BC, params.mass, strict=True):
             cell = SpatialInertia.SolidBoxWithMass(mass, obj.cell_size, obj.cell_size, height)
             total += cell.Shift([-x, -y, -height / 2])
@@ -412,8 +411,10 @@ def MakeSpatialInertia(
 
 
 @contextmanager
-def refuse_unphysical(obj: GridObject, params: CellParameters) -> Iterator[None]:
+def refuse_unphysical(model: Model) -> Iterator[None]:
     """Turns Drake's complaint about an inertia into a ParameterError that names the masses."""
+    obj = model.obj
+    params = model.params
     try:
         yield
     except RuntimeError as error:
@@ -494,13 +495,13 @@ def _add_spheres(
 def _add_sides(
     plant: MultibodyPlant,
     body: RigidBody,
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     height: float,
     stiffness: float,
 ) -> tuple[GeometryId, ...]:
     """Adds the boxes along and within the outline."""
-    properties = MakeSideProperties(params, stiffness)
+    obj = model.obj
+    properties = MakeSideProperties(model.params, stiffness)
 
     def add(name: str, flat: PlanarBox) -> GeometryId:
         X_BG = RigidTransform(RollPitchYaw(0, 0, flat.angle), [*flat.center, height / 2])

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.geometry.se2 import Array, IntArray, check_vector
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.grid_object import (
     GridObjectInPlant,
     MakeSideProperties,
@@ -79,22 +80,21 @@ def sample_ground_truth(
     return CellParameters(drawn.mass * (total / drawn.total_mass), friction, contact_friction)
 
 
-def resample_parameters(
-    obj: GridObject, params: CellParameters, other: GridObject
-) -> CellParameters:
+def resample_parameters(model: Model, other: GridObject) -> CellParameters:
     """Carries parameters over to another grid of the same object, such as one that a camera saw.
 
     Each cell takes mass by area and friction from the nearest one. Then masses are tilted, linearly
     over the object, so that total mass and center of mass are kept.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        model: one object, with its parameters.
         other: the same object on another grid, in the same frame.
 
     Returns:
         Parameters of the other grid's cells; `params` themselves where it is the same object.
     """
+    obj = model.obj
+    params = model.params
     if other is obj:
         return params
     nearest = cKDTree(obj.p_BC).query(other.p_BC)[1]
@@ -126,14 +126,11 @@ TRIES = 20_000
 """Largest number of draws of three feet."""
 
 
-def calc_support(
-    obj: GridObject, params: CellParameters, support: Support, seed: int, push_height: float
-) -> Array | None:
+def calc_support(model: Model, support: Support, seed: int, push_height: float) -> Array | None:
     """Says how stiff a body's feet are, one below each cell.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        model: one object, with its parameters.
         support: how it stands.
         seed: seed by which three feet are drawn.
         push_height: height of a pusher that must not tip the body from three feet, m.
@@ -145,6 +142,8 @@ def calc_support(
     Raises:
         ObjectError: no three feet are found.
     """
+    obj = model.obj
+    params = model.params
     even = params.total_mass / obj.n
     if support == "own_weight":
         return None
@@ -152,19 +151,16 @@ def calc_support(
         return np.full(obj.n, even)
     stiffness = np.full(obj.n, SOFT * even)
     margin = float(params.friction.max()) * push_height + FEET_SLACK
-    feet = draw_feet(obj, params, margin, np.random.default_rng((seed, 2)))
+    feet = draw_feet(model, margin, np.random.default_rng((seed, 2)))
     stiffness[feet] = params.total_mass / 3
     return stiffness
 
 
-def draw_feet(
-    obj: GridObject, params: CellParameters, margin: float, rng: np.random.Generator
-) -> IntArray:
+def draw_feet(model: Model, margin: float, rng: np.random.Generator) -> IntArray:
     """Draws three cells whose triangle holds the center of mass.
 
     Args:
-        obj: the object.
-        params: its cells' masses.
+        model: one object, with its parameters.
         margin: least distance of the center of mass from the triangle's sides, m.
         rng: the generator that draws.
 
@@ -174,7 +170,8 @@ def draw_feet(
     Raises:
         ObjectError: none are found.
     """
-    center = shapely.Point(params.center_of_mass(obj))
+    obj = model.obj
+    center = shapely.Point(model.params.center_of_mass(obj))
     for _ in range(TRIES):
         cells = rng.choice(obj.n, 3, replace=False)
         triangle = shapely.Polygon(obj.p_BC[cells])
@@ -280,7 +277,7 @@ def SetGridObjectParameters(
     Raises:
         ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
     """
-    inertia = MakeSpatialInertia(handle.obj, params, handle.height)
+    inertia = MakeSpatialInertia(Model(handle.obj, params), handle.height)
     borne = None if support is None else np.asarray(support, dtype=np.float64)
     spheres = handle.layout.make_properties(params, handle.delta, calc_gravity(plant), borne)
     side = MakeSideProperties(params, handle.side_stiffness)

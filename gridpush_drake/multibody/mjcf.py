@@ -28,9 +28,8 @@ from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.sdformat import add_note
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 TIME_STEP = 1e-3
 """Time step of the model, s."""
@@ -123,18 +122,19 @@ def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Ar
     return springs, slip, impedance
 
 
-def make_mjcf(obj: GridObject, params: CellParameters, height: float, note: str = "") -> str:
+def make_mjcf(model: Model, height: float, note: str = "") -> str:
     """Makes the model's text: a table at z = 0 and the object on it.
 
     Args:
-        obj: the object, whose name body and joint have.
-        params: its cells' masses and frictions.
+        model: one object, with its parameters.
         height: its height, m.
         note: a further comment for whoever reads the file, such as how well its numbers are known.
 
     Raises:
         ObjectError: the object's name is empty, or the height is not more than the feet's.
     """
+    obj = model.obj
+    params = model.params
     if not obj.name:
         raise ObjectError("name is empty; expected one for the body")
     if not FOOT_RADIUS < height < np.inf:
@@ -162,7 +162,7 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float, note: str 
     )
     body = _add(world, "body", name=obj.name, pos=(0, 0, 0))
     _add(body, "freejoint", name=obj.name)
-    _add_cells(body, obj, params, height)
+    _add_cells(body, model, height)
     for i, p in enumerate(obj.p_BC):
         _add(
             body,
@@ -176,7 +176,7 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float, note: str 
             conaffinity=0,
             group=3,
         )
-    _add_walls(body, obj, params)
+    _add_walls(body, model)
     contact = ElementTree.SubElement(mujoco, "contact")
     _add(contact, "exclude", body1="world", body2=obj.name)  # but for the pairs
     springs, slip, impedance = calc_springs(params.mass * GRAVITY, SINKAGE, 1 / params.total_mass)
@@ -197,8 +197,7 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float, note: str 
 
 
 def WriteMjcf(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     path: Path | str,
     force: bool,
     *,
@@ -208,8 +207,7 @@ def WriteMjcf(
     """Writes the model to a file.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        model: one object, with its parameters.
         path: the file.
         force: whether an existing file may be replaced.
         height: the object's height, m.
@@ -219,13 +217,14 @@ def WriteMjcf(
         OutputError: the file cannot be written.
         ObjectError: as `make_mjcf`.
     """
-    write_whole(path, make_mjcf(obj, params, height, note), force)
+    write_whole(path, make_mjcf(model, height, note), force)
 
 
-def _add_cells(body: Element, obj: GridObject, params: CellParameters, height: float) -> None:
+def _add_cells(body: Element, model: Model, height: float) -> None:
     """Adds the cells, which are seen and weigh, but touch nothing."""
+    obj = model.obj
     half = obj.cell_size / 2
-    for i, (p, mass) in enumerate(zip(obj.p_BC, params.mass, strict=True)):
+    for i, (p, mass) in enumerate(zip(obj.p_BC, model.params.mass, strict=True)):
         _add(
             body,
             "geom",
@@ -239,8 +238,10 @@ def _add_cells(body: Element, obj: GridObject, params: CellParameters, height: f
         )
 
 
-def _add_walls(body: Element, obj: GridObject, params: CellParameters) -> None:
+def _add_walls(body: Element, model: Model) -> None:
     """Adds the ring along the outline that a finger touches."""
+    obj = model.obj
+    params = model.params
     z = params.push_height
     for i, (a, b) in enumerate(zip(obj.edges.start, obj.edges.end, strict=True)):
         _add(

@@ -23,6 +23,7 @@ from pydrake.geometry import ProximityProperties
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.files import write_whole
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.grid_object import (
     DEFAULT_COLOR,
     DEFAULT_DELTA,
@@ -39,7 +40,6 @@ from gridpush_drake.multibody.grid_object import (
     refuse_unphysical,
 )
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 DRAKE = "http://drake.mit.edu"
 """XML namespace of Drake's elements."""
@@ -64,8 +64,7 @@ Element = ElementTree.Element
 
 
 def make_sdf(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     base: Base = "free",
     *,
     height: float = DEFAULT_HEIGHT,
@@ -78,8 +77,7 @@ def make_sdf(
     """Makes the model's text; the model and its link have the object's name.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        model: one object, with its parameters.
         base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z =
             0.
         height: height of the object, m; more than `SIDE_LIFT`.
@@ -94,6 +92,7 @@ def make_sdf(
         ParameterError: the parameters are of another number of cells, a friction is 2 or more, or
             Drake finds the masses unphysical.
     """
+    obj = model.obj
     if base not in DEFAULT_DELTA:
         raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
     is_reserved = obj.name == "world" or (obj.name[:2] == obj.name[-2:] == "__")
@@ -110,23 +109,21 @@ def make_sdf(
     sdf = Element("sdf", version=VERSION)
     sdf.append(ElementTree.Comment(NOTICE))
     add_note(sdf, note)
-    model = ElementTree.SubElement(sdf, "model", name=obj.name)
-    link = ElementTree.SubElement(model, "link", name=obj.name)
-    _add_inertia(link, obj, params, height)
-    _add_spheres(
-        link, obj, params, ContactSphereLayout.for_object(obj, spheres_per_cell), delta, gravity
-    )
-    _add_sides(link, obj, params, height, side_stiffness)
+    element = ElementTree.SubElement(sdf, "model", name=obj.name)
+    link = ElementTree.SubElement(element, "link", name=obj.name)
+    layout = ContactSphereLayout.for_object(obj, spheres_per_cell)
+    _add_inertia(link, model, height)
+    _add_spheres(link, model, layout, delta, gravity)
+    _add_sides(link, model, height, side_stiffness)
     _add_cells(link, obj, height)
     if base == "planar":
-        _add_joint(model, obj.name, delta)
+        _add_joint(element, obj.name, delta)
     ElementTree.indent(sdf)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(sdf, encoding="unicode") + "\n"
 
 
 def WriteSdf(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     path: Path | str,
     force: bool = False,
     *,
@@ -140,7 +137,7 @@ def WriteSdf(
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
-    text = make_sdf(obj, params, base, height=height, spheres_per_cell=spheres_per_cell, note=note)
+    text = make_sdf(model, base, height=height, spheres_per_cell=spheres_per_cell, note=note)
     write_whole(path, text, force)
 
 
@@ -150,10 +147,10 @@ def add_note(parent: Element, note: str) -> None:
         parent.append(ElementTree.Comment(f" {note.replace('--', '- -')} "))
 
 
-def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height: float) -> None:
+def _add_inertia(link: Element, model: Model, height: float) -> None:
     """Adds mass, center of mass and the inertia about it."""
-    M_BBo_B = MakeSpatialInertia(obj, params, height)
-    with refuse_unphysical(obj, params):
+    M_BBo_B = MakeSpatialInertia(model, height)
+    with refuse_unphysical(model):
         I_BBcm_B = M_BBo_B.Shift(M_BBo_B.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
     inertial = ElementTree.SubElement(link, "inertial")
     _add(inertial, "pose", [*M_BBo_B.get_com(), 0, 0, 0])
@@ -165,14 +162,13 @@ def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height:
 
 def _add_spheres(
     link: Element,
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     layout: ContactSphereLayout,
     delta: float,
     gravity: float,
 ) -> None:
     """Adds the contact spheres below the cells."""
-    properties = layout.make_properties(params, delta, gravity)
+    properties = layout.make_properties(model.params, delta, gravity)
     for i, (x, y) in enumerate(layout.p_BS):
         geometry = _add_collision(
             link, f"sphere_{i}", [x, y, SPHERE_RADIUS, 0, 0, 0], properties[i]
@@ -180,11 +176,10 @@ def _add_spheres(
         _add(ElementTree.SubElement(geometry, "sphere"), "radius", [SPHERE_RADIUS])
 
 
-def _add_sides(
-    link: Element, obj: GridObject, params: CellParameters, height: float, stiffness: float
-) -> None:
+def _add_sides(link: Element, model: Model, height: float, stiffness: float) -> None:
     """Adds the boxes along and within the outline."""
-    properties = MakeSideProperties(params, stiffness)
+    obj = model.obj
+    properties = MakeSideProperties(model.params, stiffness)
     for kind, boxes in (("edge", make_edge_boxes(obj)), ("inside", make_inner_boxes(obj))):
         for i, flat in enumerate(boxes):
             pose = [*flat.center, (height + SIDE_LIFT) / 2, 0, 0, flat.angle]
@@ -250,22 +245,20 @@ LIMIT = (
 """Notice in a URDF file, besides `NOTICE`."""
 
 
-def make_urdf(
-    obj: GridObject, params: CellParameters, *, height: float = DEFAULT_HEIGHT, note: str = ""
-) -> str:
+def make_urdf(model: Model, *, height: float = DEFAULT_HEIGHT, note: str = "") -> str:
     """Makes the text of a URDF model, whose robot and link have the object's name.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        model: one object, with its parameters.
         height: its height, m.
         note: a further comment for whoever reads the file.
 
     Raises:
         ObjectError, ParameterError: as `make_sdf`.
     """
+    obj = model.obj
     # It is the SDFormat model, said in URDF's words.
-    source = ElementTree.fromstring(make_sdf(obj, params, height=height)).find("model/link")
+    source = ElementTree.fromstring(make_sdf(model, height=height)).find("model/link")
     assert source is not None
     robot = Element("robot", name=obj.name)
     robot.append(ElementTree.Comment(NOTICE + LIMIT))
@@ -294,8 +287,7 @@ def make_urdf(
 
 
 def WriteUrdf(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     path: Path | str,
     force: bool = False,
     *,
@@ -307,7 +299,7 @@ def WriteUrdf(
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
-    write_whole(path, make_urdf(obj, params, height=height, note=note), force)
+    write_whole(path, make_urdf(model, height=height, note=note), force)
 
 
 def _add_shape(made: Element, part: Element) -> None:

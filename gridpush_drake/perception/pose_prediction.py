@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.bodies import Scene
@@ -137,7 +138,9 @@ def predict_pose(
         return before
     try:
         push = _make_push(last, now, model.radius)
-        motion = simulate(model.obj, read_params(), push, before.pose, regime="quasi_static")
+        motion = simulate(
+            Bodies(model.obj, read_params()), push, before.pose, regime="quasi_static"
+        )
     except GridPushError:
         return replace(before, known=False)
     if motion.status == MotionStatus.NO_CONTACT:

@@ -18,6 +18,7 @@ from gridpush_drake.errors import PushRefusedError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.surprise import SurpriseRecord
 from gridpush_drake.objects.grid_object import GridObject
@@ -77,7 +78,7 @@ class Learner:
         if not len(chosen) or chosen[-1] is not log[-1]:
             return before
         return identify(
-            obj,
+            Model(obj),
             chosen,
             seed=self.seed,
             regime="quasi_static",

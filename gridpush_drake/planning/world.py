@@ -32,6 +32,7 @@ from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.push_constraints import make_body
@@ -340,7 +341,7 @@ class SimulatedWorld(TrackedWorld):
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
         """Simulates a push of the object from a pose (3,), m and rad."""
         times = make_path_times(push, REGIME)
-        motion = simulate(self.obj, self.params, push, pose, times=times, regime=REGIME)
+        motion = simulate(Model(self.obj, self.params), push, pose, times=times, regime=REGIME)
         fell = self._support is not None and self._support.falls(motion.poses)
         return WorldMotion(times=times, poses=motion.poses, fell=fell)
 

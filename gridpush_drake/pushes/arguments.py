@@ -16,10 +16,11 @@ LOG_TYPES = (PushLog, str, PathLike)
 """Types that an argument that is a `PushLogOrFile` may have."""
 
 HINTS = {
-    GridObject: "a GridObject, such as GridObject.from_yaml reads",
-    PushLog: "a PushLog, or the name of its CSV file",
+    "GridObject": "a GridObject, such as GridObject.from_yaml reads",
+    "Model": "a Model, such as Model(obj) makes of a GridObject",
+    "PushLog": "a PushLog, or the name of its CSV file",
 }
-"""What is expected, by the first of an argument's types."""
+"""What is expected, by the name of the first of an argument's types."""
 
 
 def check_types(function: str, **arguments: tuple[Any, tuple[type, ...]]) -> None:
@@ -50,7 +51,7 @@ def check_types(function: str, **arguments: tuple[Any, tuple[type, ...]]) -> Non
             )
     first = arguments[wrong[0]][1][0]
     raise TypeError(
-        f"{function}: {found}; expected for {wrong[0]} {HINTS.get(first, f'a {first.__name__}')}"
+        f"{function}: {found}; expected for {wrong[0]} {HINTS.get(first.__name__, f'a {first.__name__}')}"
         + _suggest(wrong[0], arguments)
     )
 

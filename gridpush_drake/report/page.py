@@ -3,7 +3,6 @@
 import base64
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -11,16 +10,15 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 from matplotlib.figure import Figure
 
-from gridpush_drake import __version__
+from gridpush_drake import Model, __version__
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.identification.absolute import AbsoluteEstimate
+from gridpush_drake.identification.model_check import doubt_center
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
     calc_final_errors,
     calc_mean_cell_error,
-    doubt_center,
-    predict,
     summarize_errors,
 )
 from gridpush_drake.identification.result import Identification, IdentificationStatus
@@ -316,7 +314,7 @@ def make_report(
     outcomes = [outcome for comparison in reversed(compared) for outcome in comparison.outcomes]
     floor = None
     if truth is not None and held_out is not None and learning:
-        floor = calc_mean_cell_error(obj, truth, held_out, identification.physics)
+        floor = calc_mean_cell_error(Model(obj, truth, identification.physics), held_out)
 
     figures = _draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
     figures |= {
@@ -388,9 +386,8 @@ def _draw_figures(
 def _compare(result: Identification, log: PushLog, held_out: bool) -> _Comparison:
     """Predicts a log's pushes with uniform parameters, and as the model predicts them."""
     obj = result.obj
-    run = partial(predict, obj, log=log, physics=result.physics)
-    before = run(params=CellParameters.uniform(obj))
-    after = run(params=result.params)
+    before = Model(obj, physics=result.physics).predict(log)
+    after = result.predict(log)
     errors_before = calc_final_errors(obj, before, log)
     errors_after = calc_final_errors(obj, after, log)
     outcomes = []

@@ -16,9 +16,9 @@ from matplotlib.ticker import MaxNLocator
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
@@ -112,6 +112,7 @@ def calc_progress(
     predicted = []
     even = []
     supported = {seen.name for seen in log.supported}
+    uniform = Model(obj, physics=last.physics)
     for i, seen in enumerate(log):
         if seen.name not in supported or not len(seen.poses_observed):
             continue
@@ -119,8 +120,8 @@ def calc_progress(
         # The latest estimate that knows nothing of this push, nor of later ones.
         found = [one for one in stages if before.issuperset(one.push_names)][-1]
         names.append(seen.name)
-        predicted.append(_calc_error(obj, found.params, log.subset([i]), last))
-        even.append(_calc_error(obj, CellParameters.uniform(obj), log.subset([i]), last))
+        predicted.append(calc_mean_cell_error(found.with_physics(last.physics), log.subset([i])))
+        even.append(calc_mean_cell_error(uniform, log.subset([i])))
     return Progress(
         pushes=np.array([len(found.push_names) for found in stages]),
         center_std=np.array([calc_center_std(model) for model in known]),
@@ -184,9 +185,3 @@ def _draw_predicted(ax: Axes, progress: Progress) -> None:
 def _make_uncertain(found: Identification, log: PushLog) -> UncertainModel:
     used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
     return UncertainModel.of_identification(found, log=used)
-
-
-def _calc_error(
-    obj: GridObject, params: CellParameters, push: PushLog, last: Identification
-) -> float:
-    return calc_mean_cell_error(obj, params, push, last.physics)

@@ -9,6 +9,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.errors import StationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.posts import leave_out
@@ -216,7 +217,7 @@ def make_policy(station: Station, test_pushes: int = 0) -> PokePolicy:
         clearance=pokes.clearance,
     )
     return PokePolicy(
-        station.obj,
+        Model(station.obj),
         region,
         scenario.seed,
         pokes.count,

@@ -21,6 +21,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from shapely import Polygon
 
 from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.grid_object import (
     AddGridObject,
     ApplyGridObjectFilters,
@@ -112,9 +113,7 @@ def AddOthers(
         part = AddGridObject(
             plant,
             scene_graph,
-            other.obj,
-            # `SetOthersStart` writes the drawn truth into a Context
-            CellParameters.uniform(other.obj),
+            Model(other.obj),
             "free",
             table=table,
             height=other.height,

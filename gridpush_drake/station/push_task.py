@@ -10,6 +10,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
 from gridpush_drake.planning.goal.next_push import GoalRules
@@ -128,9 +129,7 @@ class PushTask(StationTask[PushTaskRecord]):
         self.controller = builder.AddNamedSystem(
             "controller",
             ContactPointController(
-                station.obj,
-                rules,
-                answer_delay=scenario.simulation.answer_delay,
+                Model(station.obj), rules, answer_delay=scenario.simulation.answer_delay
             ),
         )
         builder.Connect(goal.get_output_port(), self.controller.GetInputPort("goal_pose"))

@@ -24,6 +24,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError, ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.grid_object import AddGridObject, GridObjectInPlant
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
@@ -257,8 +258,7 @@ def _MakeScene(
         object_in_plant = AddGridObject(
             plant,
             scene_graph,
-            obj,
-            truth,
+            Model(obj, truth),
             scenario.base,
             table=(),
             touches=False,
@@ -271,8 +271,7 @@ def _MakeScene(
             other_in_plant = AddGridObject(
                 plant,
                 scene_graph,
-                other,
-                CellParameters.uniform(other),
+                Model(other),
                 "free",
                 table=(),
                 touches=False,

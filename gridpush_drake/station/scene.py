@@ -20,6 +20,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from gridpush_drake.errors import ObjectError, ScenarioError
 from gridpush_drake.files import is_file
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.ground_truth import calc_support, sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -254,7 +255,9 @@ def MakeSupport(
         ScenarioError: no three feet are found on which the object does not tip when it is pushed.
     """
     try:
-        return calc_support(obj, truth, scenario.truth.support, seed, scenario.finger.push_height)
+        return calc_support(
+            Model(obj, truth), scenario.truth.support, seed, scenario.finger.push_height
+        )
     except ObjectError as error:
         raise ScenarioError(f"truth.support: {error}") from error
 

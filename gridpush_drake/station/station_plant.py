@@ -12,6 +12,7 @@ from pydrake.geometry import GeometryId, Role, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import TABLE, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import (
@@ -123,7 +124,7 @@ class World:
         )
         if truth is resolved.truth:
             return self.truth
-        return resample_parameters(self.true_obj, truth, self.setting.obj)
+        return resample_parameters(Model(self.true_obj, truth), self.setting.obj)
 
 
 def AddWorld(
@@ -167,8 +168,7 @@ def AddWorld(
     object_in_plant = AddGridObject(
         plant,
         scene_graph,
-        true_obj,
-        resolved.truth,
+        Model(true_obj, resolved.truth),
         cast(Base, scenario.base),
         table=table,
         height=scenario.object_height,
@@ -196,7 +196,7 @@ def AddWorld(
         resolved=resolved,
         setting=setting,
         true_obj=true_obj,
-        truth=resample_parameters(true_obj, resolved.truth, setting.obj),
+        truth=resample_parameters(Model(true_obj, resolved.truth), setting.obj),
         scene_graph=scene_graph,
         robot_in_plant=instances,
         object_in_plant=object_in_plant,

@@ -11,6 +11,7 @@ from typing import Any
 
 from gridpush_drake.display.overlay import Mark, Phase, to_css
 from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.parameters import CellParameters
@@ -127,7 +128,7 @@ class IdentifyKind(TaskKind):
                 recording=recording,
             )
         learning = [
-            calc_mean_cell_error(record.obj, estimate.params, held_out, result.physics)
+            calc_mean_cell_error(Model(record.obj, estimate.params, result.physics), held_out)
             for estimate in (describe_prior(record.obj), *record.estimates)
         ]
         return make_report(
@@ -154,7 +155,7 @@ class IdentifyKind(TaskKind):
         compared = {"before": CellParameters.uniform(record.obj), "after": estimate.params}
         for name, params in compared.items():
             held_out_error = calc_mean_cell_error(
-                record.obj, params, record.held_out_log, estimate.physics
+                Model(record.obj, params, estimate.physics), record.held_out_log
             )
             summary[name] = {"held_out_cell_error": held_out_error}
             if center_errors:

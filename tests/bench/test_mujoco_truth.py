@@ -19,6 +19,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import rotate
+from gridpush_drake.identification.model import Model
 
 pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
 
@@ -76,7 +77,7 @@ def test_each_cell_bears_its_own_weight_and_moves_as_the_model_says():
     world.put((0, 0, 0))
     world.execute(push)
     motion = world.truth.motion
-    expected = simulate(obj, params, push, regime="quasi_static").final_pose
+    expected = simulate(Model(obj, params), push, regime="quasi_static").final_pose
     apart = np.linalg.norm(obj.cells_at(motion.poses[-1]) - obj.cells_at(expected), axis=1).mean()
     moved = np.linalg.norm(obj.cells_at(motion.poses[-1]) - obj.p_BC, axis=1).mean()
     assert moved > 0.02

@@ -20,9 +20,9 @@ from gridpush_drake.bench.protocol import (
 from gridpush_drake.bench.table import calc_interval
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
-from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.shared_data import shared_data
 
@@ -105,7 +105,7 @@ def test_ten_pushes_of_shipped_objects_are_as_many_millimeters_apart(name):
     assert [seen.push.start.tolist() for seen in case.log] == [
         push.start.tolist() for push in pushes
     ]
-    motions = [simulate(obj, CellParameters.uniform(obj), push) for push in pushes]
+    motions = [simulate(Model(obj), push) for push in pushes]
     assert max(abs(motion.gaps[0]) for motion in motions) < 1e-12
 
 
@@ -124,7 +124,7 @@ def test_ten_pushes_touch_at_their_start(name):
         np.testing.assert_allclose(seen.push.velocity, [0, -SPEED if i < 5 else SPEED])
         assert seen.push.duration == DURATION
         np.testing.assert_allclose(seen.t_observed, np.arange(1, 21) * 0.1)
-        motion = simulate(case.obj, CellParameters.uniform(case.obj), seen.push, seen.pose)
+        motion = simulate(Model(case.obj), seen.push, seen.pose)
         assert abs(motion.gaps[0]) < 1e-12
         assert motion.status == "ok"
 

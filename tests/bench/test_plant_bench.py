@@ -17,6 +17,7 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ObjectError, PushError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 
@@ -36,12 +37,12 @@ def params(obj):
 
 
 def test_one_push_ends_where_the_model_has_it(obj, params):
-    push, pose = draw_push(obj, params, 7, 0.01)
+    push, pose = draw_push(Model(obj, params), 7, 0.01)
     world = PlantWorld(obj, params, pose, radius=0.01)
     world.execute(push)
     motion = world.truth.motion
     expected = simulate(
-        obj, params, push, pose, 1e-3, physics=Physics(regime="inertial", spin="none")
+        Model(obj, params, Physics(regime="inertial", spin="none")), push, pose, 1e-3
     )
     assert world.tracking_error < 1e-5
     assert np.linalg.norm(motion.poses[-1, :2] - pose[:2]) > 0.01
@@ -71,7 +72,7 @@ def test_a_free_object_pushed_low_moves_as_the_model_has_it(obj, params):
     # the higher the push, the more load shifts to the cells in front
     push = Push.on_outline(obj, 0.02, 0.3, 0.03, radius=0.01, speed=0.05)
     expected = simulate(
-        obj, params, push, dt=2e-3, physics=Physics(regime="inertial", spin="none")
+        Model(obj, params, Physics(regime="inertial", spin="none")), push, dt=2e-3
     ).final_pose
     worlds = [
         PlantWorld(obj, params, radius=0.01, base="free", push_height=z) for z in (5e-4, 0.02)

@@ -31,6 +31,7 @@ from gridpush_drake.bench.study import Done
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -80,7 +81,7 @@ def test_mujoco_pushes_as_the_model_says():
     push = Push.on_outline(
         obj, 0.1, 0.2, 0.04, radius=0.008, speed=0.05, clearance=CLEARANCE, pose=pose
     )
-    expected = simulate(obj, params, push, pose, regime="inertial").final_pose
+    expected = simulate(Model(obj, params), push, pose, regime="inertial").final_pose
     assert calc_error(expected, pose) > 0.02
     plant = MujocoPlant(obj, params, push.radius)
     assert calc_error(plant.push(push, pose), expected) < 1e-3

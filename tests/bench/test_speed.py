@@ -8,6 +8,7 @@ from gridpush_drake.bench.speed import STUDY
 from gridpush_drake.bench.speed_cases import make_bench_push
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.made_identifications import make_block
@@ -34,7 +35,10 @@ def test_mujoco_pushes_as_we_do():
     obj = make_block()
     whole, params = make_bench_push(obj), CellParameters.uniform(obj)
     push = Push(whole.start, whole.velocity, 0.5, whole.radius)
-    expected, found = simulate(obj, params, push).final_pose, make_mujoco_push(obj, params, push)()
+    expected, found = (
+        simulate(Model(obj, params), push).final_pose,
+        make_mujoco_push(Model(obj, params), push)(),
+    )
     np.testing.assert_allclose(found[:2], expected[:2], atol=0.003)
     assert abs(found[2] - expected[2]) < 0.1
 

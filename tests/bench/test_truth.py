@@ -30,6 +30,7 @@ from gridpush_drake.bench.truth.sets import (
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.command_line import run_gridpush
@@ -75,7 +76,7 @@ def test_learns_from_a_set_that_is_there(folder, capsys):
 
 def test_the_region_is_the_covariances(folder):
     made = truth.read_set(folder / "three_feet" / "spray_bottle_0")
-    found = identify(made.obj, made.training)
+    found = identify(Model(made.obj), made.training)
     wide = replace(
         found, posterior=replace(found.posterior, covariance=4 * found.posterior.covariance)
     )

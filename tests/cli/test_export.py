@@ -102,7 +102,7 @@ def test_draws_of_a_model(gridpush, model, tmp_path):
     assert (document["samples"], document["seed"]) == (12, 3)
     assert not out.exists()
     found = make_identification()
-    for name, params in zip(names, found.samples(12, seed=3), strict=True):
+    for name, params in zip(names, found.draws(12, seed=3), strict=True):
         plant, _ = parse_sdf(tmp_path / name)
         body = plant.GetBodyByName("block")
         assert body.default_mass() == pytest.approx(params.total_mass, rel=1e-6)

@@ -7,8 +7,8 @@ from PIL import Image
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 GOAL = ("--goal", "0.15,0.1,0.8")
 TABLE = ("--table", "rectangle:0.8x0.6")
@@ -26,9 +26,7 @@ def test_writes_a_plan_that_can_be_followed(gridpush, block, tmp_path):
     pose = plan["start"]
     for step in plan["pushes"]:
         push = Push(step["start"], step["velocity"], step["duration"], plan["pusher_radius"])
-        pose = simulate(
-            obj, CellParameters.uniform(obj), push, pose, regime="quasi_static"
-        ).final_pose
+        pose = simulate(Model(obj), push, pose, regime="quasi_static").final_pose
         np.testing.assert_allclose(pose, step["pose"], atol=1e-5)
     assert plan["pushes"][-1]["error"] == plan["error"] <= 0.005
     with Image.open(picture) as image:

@@ -18,7 +18,7 @@ def test_predicts_final_poses_and_prints_errors(gridpush, model, pushes, tmp_pat
     for text in ("position", "angle", "cell", "combined", "mean", "median", "90 %", "mm", "°"):
         assert text in outcome.out
     learned, log = read_model(model), PushLog.read_csv(pushes)
-    expected = predict(learned.obj, learned.params, log.with_radius(0.004), learned.regime)
+    expected = predict(learned, log.with_radius(0.004), learned.regime)
     with out.open(newline="") as file:
         rows = list(csv.reader(file))
     assert rows[0] == ["push", "x", "y", "theta"]
@@ -96,9 +96,7 @@ def test_errors_of_each_push_and_their_summary_say_their_units(gridpush, model, 
     outcome = gridpush("predict", model, pushes, "--out", tmp_path / "predicted.csv", "--json")
     document = json.loads(outcome.out)
     learned, log = read_model(model), PushLog.read_csv(pushes)
-    expected = calc_final_errors(
-        learned.obj, predict(learned.obj, learned.params, log.with_radius(0.004)), log
-    )
+    expected = calc_final_errors(learned.obj, predict(learned, log.with_radius(0.004)), log)
     by_push = document["errors_by_push"]
     assert [error["push"] for error in by_push] == [seen.name for seen in log]
     rho = learned.obj.radius_of_gyration

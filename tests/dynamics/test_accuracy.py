@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import make_random_contents, make_random_push, refine
 from tests.helpers.shapes import SHAPES, make_shape
@@ -35,8 +36,10 @@ def measure(shape, regime, count, seed=1):
     for _ in range(count):
         params, push = make_random_contents(rng, obj), make_random_push(rng, obj)
         times = make_path_times(push, regime)
-        one = simulate(obj, params, push, regime=regime, gradients=True, record=[len(times) - 1])
-        two = simulate(obj, params, push, times=refine(times), regime=regime)
+        one = simulate(
+            Model(obj, params), push, regime=regime, gradients=True, record=[len(times) - 1]
+        )
+        two = simulate(Model(obj, params), push, times=refine(times), regime=regime)
         assert one.status == two.status == "ok"
         error = calc_cell_error(obj, one.final_pose, two.final_pose)
         rows.append(
@@ -91,8 +94,7 @@ def test_quasi_static_error_falls_with_the_square_of_the_step():
     push = Push((-0.055, 0.02), (0.05, 0.0), 2.0, 0.005)
     poses = [
         simulate(
-            obj,
-            params,
+            Model(obj, params),
             push,
             times=make_path_times(push, "quasi_static", step),
             regime="quasi_static",
@@ -129,8 +131,8 @@ def test_time_does_not_matter_to_a_quasi_static_push(changed):
             )
         else:
             push = Push.along([*t[:4], *(t[3:] + 5.0)], xy[[0, 1, 2, 3, 3, 4, 5]], radius)
-        even = simulate(obj, params, Push.along(t, xy, radius), regime="quasi_static")
-        motion = simulate(obj, params, push, regime="quasi_static")
+        even = simulate(Model(obj, params), Push.along(t, xy, radius), regime="quasi_static")
+        motion = simulate(Model(obj, params), push, regime="quasi_static")
         np.testing.assert_allclose(motion.final_pose, even.final_pose, rtol=0, atol=1e-9)
         turned = np.diff(motion.poses[:, 2]) / np.diff(motion.times)
         np.testing.assert_allclose(motion.velocities[1:, 2], turned, rtol=1e-9, atol=1e-12)
@@ -147,8 +149,8 @@ def test_a_pusher_that_rests_while_it_is_observed_moves_nothing(noise):
         path[4:-2] += rng.normal(0.0, noise, (100, 2))
         push = Push.along(np.concatenate([t[:4], rest, t[4:] + 2.0]), path, radius)
         times = make_times_with(push, rest, "quasi_static")
-        one = simulate(obj, params, Push.along(t, xy, radius), regime="quasi_static")
-        two = simulate(obj, params, push, times=times, regime="quasi_static")
+        one = simulate(Model(obj, params), Push.along(t, xy, radius), regime="quasi_static")
+        two = simulate(Model(obj, params), push, times=times, regime="quasi_static")
         assert calc_cell_error(obj, one.final_pose, two.final_pose) < 2e-4
 
 
@@ -157,9 +159,7 @@ def test_an_overlap_is_undone_by_a_pusher_that_only_rests():
     obj, overlap = make_shape("square", 9), 1e-4
     rest = [obj.outline.bounds[0] - 0.01 + overlap, 0.0]
     push = Push.along([0.0, 1.0, 2.0], [rest, rest, [0.05, 0.0]], 0.01)
-    motion = simulate(
-        obj, CellParameters.uniform(obj), push, times=[0.0, 0.2, 0.5], regime="quasi_static"
-    )
+    motion = simulate(Model(obj), push, times=[0.0, 0.2, 0.5], regime="quasi_static")
     np.testing.assert_allclose(motion.final_pose, [overlap, 0.0, 0.0], rtol=0, atol=1e-12)
 
 
@@ -176,7 +176,7 @@ def test_wanted_times_just_after_a_step_change_nothing(regime, share):
         both = make_times_with(push, wanted, regime)
         assert np.isin(wanted, both).all()
         one, two = (
-            simulate(obj, params, push, times=each, regime=regime) for each in (times, both)
+            simulate(Model(obj, params), push, times=each, regime=regime) for each in (times, both)
         )
         assert calc_cell_error(obj, one.final_pose, two.final_pose) < 1e-4
 
@@ -194,7 +194,7 @@ def test_samples_that_all_but_coincide_change_nothing(regime, gap):
             0.0, 1e-5, (9, 2)
         )
         push = Push.along(twice, path, radius)
-        one = simulate(obj, params, Push.along(t, xy, radius), regime=regime)
+        one = simulate(Model(obj, params), Push.along(t, xy, radius), regime=regime)
         for times in (None, make_times_with(push, twice[1:], regime)):
-            two = simulate(obj, params, push, times=times, regime=regime)
+            two = simulate(Model(obj, params), push, times=times, regime=regime)
             assert calc_cell_error(obj, one.final_pose, two.final_pose) < 2e-4

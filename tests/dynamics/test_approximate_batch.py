@@ -12,6 +12,7 @@ from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.dynamics.push import make_path_times
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
@@ -174,7 +175,7 @@ def test_loads_that_shift_and_the_inertial_regime_are_approximated_too(regime: s
     times = make_path_times(push, regime)
     one = BatchPush(push, STILL, times, np.array([len(times) - 1]), None)
     (end,), _ = PushBatch(obj, [one], physics, approximate=True).simulate(params)
-    exact = simulate(obj, params, push, times=times, physics=physics).final_pose
+    exact = simulate(Model(obj, params, physics), push, times=times).final_pose
     assert np.hypot(*(end - exact)[:2]) < POSITION_BOUND
     assert abs(end[2] - exact[2]) < ANGLE_BOUND
 

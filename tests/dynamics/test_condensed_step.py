@@ -12,6 +12,7 @@ from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_soc
 from gridpush_drake.dynamics.reference.maximal_solvers import solve_as_lcp, solve_as_qp
 from gridpush_drake.dynamics.simulation import calc_step, simulate
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import DT, make_random_step
 from tests.helpers.shapes import make_shape
@@ -47,7 +48,7 @@ def calc_disagreement(step, nu, xdot):
 
 def take_step(step, **physics):
     wrench = step.T.T @ step.F
-    return calc_step(step.obj, step.params, step.q, step.nu, wrench, DT, physics=Physics(**physics))
+    return calc_step(Model(step.obj, step.params, Physics(**physics)), step.q, step.nu, wrench, DT)
 
 
 def make_steps(case, count=40):
@@ -100,7 +101,7 @@ def test_isotropic_step_is_the_cone_program_s(case, spin):
     worst = 0.0
     for step in make_steps(case):
         nu = solve_isotropic_socp(
-            step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin
+            Model(step.obj, step.params), step.q, step.nu, step.T.T @ step.F, DT, spin=spin
         )
         worst = max(worst, calc_disagreement(step, take_step(step, spin=spin), step.T @ nu))
     print(f"{case}, {spin}: within {worst:.1e} m/s")
@@ -120,7 +121,7 @@ def test_the_cases_cover_what_they_say():
 def test_a_pure_moment_turns_a_body_about_its_center_of_mass_where_it_is_the_center_of_friction():
     obj = make_shape("square", 25)
     params = CellParameters.uniform(obj, total_mass=1.0, friction=0.3)
-    nu = calc_step(obj, params, (0.1, 0.2, 0.3), np.zeros(3), (0.0, 0.0, 2.0), DT)
+    nu = calc_step(Model(obj, params), (0.1, 0.2, 0.3), np.zeros(3), (0.0, 0.0, 2.0), DT)
     np.testing.assert_allclose(nu[:2], 0, atol=1e-12)
     assert nu[2] > 0.1
 
@@ -135,8 +136,10 @@ def test_quasi_static_push_is_the_limit_of_slow_inertial_ones():
         for speed in (0.1, 0.01, 0.001):
             push = Push.on_outline(obj, 0.03, 0.2, 0.05, radius=0.005, speed=speed)
             times = np.linspace(0, push.duration, 801)
-            limit = simulate(obj, params, push, times=times, regime="quasi_static").final_pose
-            pose = simulate(obj, params, push, times=times, regime="inertial").final_pose
+            limit = simulate(
+                Model(obj, params), push, times=times, regime="quasi_static"
+            ).final_pose
+            pose = simulate(Model(obj, params), push, times=times, regime="inertial").final_pose
             distances.append(
                 np.linalg.norm(obj.cells_at(pose) - obj.cells_at(limit), axis=1).mean()
             )
@@ -152,4 +155,4 @@ def test_bad_input_is_refused():
         with pytest.raises(SimulationError, match=next(iter(options))):
             take_step(step, **options)
     with pytest.raises(SimulationError, match="dt"):
-        calc_step(step.obj, step.params, step.q, step.nu, np.zeros(3), 0.0)
+        calc_step(Model(step.obj, step.params), step.q, step.nu, np.zeros(3), 0.0)

@@ -12,9 +12,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 
 BEGIN = """
 import numpy as np
-from gridpush_drake import CellParameters, GridObject, ObservedPush, Push, PushLog
-from gridpush_drake import Physics, simulate
-from gridpush_drake.identification.prediction import calc_training_errors
+from gridpush_drake import CellParameters, GridObject, Model, ObservedPush, Push, PushLog
+from gridpush_drake import Physics
+from gridpush_drake.identification.model_check import calc_training_errors
 import ribbed_friction
 
 obj = GridObject.from_outline([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]], max_cells=15)
@@ -27,7 +27,7 @@ def see(i):
     push = Push.on_outline(
         obj, 0.03 + 0.057 * i, 0.2 * (-1) ** i, 0.04, radius=0.008, speed=0.02, clearance=1e-4
     )
-    motion = simulate(obj, truth, push, physics=Physics(friction_law="ribbed"))
+    motion = Model(obj, truth, Physics(friction_law="ribbed")).simulate(push)
     return ObservedPush(f"push_{i}", push, np.zeros(3), [push.duration], motion.poses[-1:])
 
 
@@ -37,7 +37,7 @@ push = log[0].push
 
 END = """
 # the law is what was used, and not the isotropic one
-isotropic = simulate(obj, truth, push)
+isotropic = Model(obj, truth).simulate(push)
 assert motion.physics == Physics("ribbed", "quasi_static")
 assert np.abs(motion.final_pose - isotropic.final_pose).max() > 1e-3
 
@@ -54,7 +54,7 @@ assert 1.3 < ratio < 2.7, ratio  # 2 in truth, 2/3 of an even object
 
 # planned: the push ends where the law takes it
 assert plan.status == "ok"
-end = simulate(obj, model.params, plan.push.push, physics=ribbed).final_pose
+end = model.simulate(plan.push.push).final_pose
 assert np.abs(end - plan.push.pose).max() < 1e-9
 
 # in a Diagram, step by step as the core does it
@@ -70,7 +70,7 @@ for t in range(50):
     world.AdvanceTo((t + 1) * system.dt)
 stepped = system.GetOutputPort("pose").Eval(context)
 same_push = Push.along(times, tip, system.pusher_radius)
-core = simulate(obj, model.params, same_push, times=times, physics=system.physics)
+core = model.simulate(same_push, times=times)
 assert system.physics == model.physics
 np.testing.assert_allclose(stepped, core.final_pose, atol=1e-9)
 

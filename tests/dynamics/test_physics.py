@@ -8,6 +8,7 @@ from shapely.affinity import translate
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_objects import make_random_object, make_random_pose
@@ -20,7 +21,12 @@ NO_PUSH = {"point": (0.0, 0.0), "force": (0.0, 0.0)}
 
 def slide(obj, params, nu, duration, dt, pose=(0.0, 0.0, 0.0), **options):
     return simulate(
-        obj, params, ForcePush(**NO_PUSH, duration=duration), pose, dt, velocity=nu, **options
+        Model(obj, params),
+        ForcePush(**NO_PUSH, duration=duration),
+        pose,
+        dt,
+        velocity=nu,
+        **options,
     )
 
 
@@ -152,7 +158,7 @@ def test_below_the_static_limit_a_body_does_not_creep(share, moves):
     params = CellParameters.uniform(obj, total_mass=1.2, friction=0.35)
     limit = 0.35 * 1.2 * G
     push = ForcePush((0.0, 0.0), (0.6 * share * limit, 0.8 * share * limit), 10.0)
-    result = simulate(obj, params, push, (0.1, 0.2, 0.3))
+    result = simulate(Model(obj, params), push, (0.1, 0.2, 0.3))
     way = np.abs(obj.cells_at(result.poses) - obj.cells_at(result.poses[0])).max()
     print(f"{share}: the cells move by {way:.2e} m in 10 s")
     assert (way > 0.1) if moves else (way < 1e-6)
@@ -172,7 +178,7 @@ def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(share, move
         wrench = np.array([*f, point[0] * f[1] - point[1] * f[0]])
         return np.abs(
             solve_isotropic_socp(
-                obj, params, np.zeros(3), np.zeros(3), wrench, 0.01, spin="coupled"
+                Model(obj, params), np.zeros(3), np.zeros(3), wrench, 0.01, spin="coupled"
             )
         ).max()
 
@@ -180,7 +186,7 @@ def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(share, move
     for _ in range(40):
         middle = (low + high) / 2
         low, high = (low, middle) if starts(middle) > 1e-11 else (middle, high)
-    result = simulate(obj, params, ForcePush(point, share * high * direction, 10.0))
+    result = simulate(Model(obj, params), ForcePush(point, share * high * direction, 10.0))
     way = np.abs(obj.cells_at(result.poses[: 200 if moves else None]) - obj.p_BC).max()
     print(f"{share} of {high:.3f} N: the cells move by {way:.2e} m")
     assert (way > 1e-3) if moves else (way < 1e-6)
@@ -198,9 +204,9 @@ def test_turning_and_shifting_object_and_push_together_changes_nothing(regime):
         R = np.array([[c, -s], [s, c]])
         turned = Push(X[:2] + R @ push.start, R @ push.velocity, push.duration, push.radius)
         nu = np.array([0.01, 0.02, 0.3]) if regime == "inertial" else np.zeros(3)
-        one = simulate(obj, params, push, regime=regime, velocity=nu).poses
+        one = simulate(Model(obj, params), push, regime=regime, velocity=nu).poses
         other = simulate(
-            obj, params, turned, X, regime=regime, velocity=[*(R @ nu[:2]), nu[2]]
+            Model(obj, params), turned, X, regime=regime, velocity=[*(R @ nu[:2]), nu[2]]
         ).poses
         moved = np.column_stack([X[:2] + one[:, :2] @ R.T, one[:, 2] + X[2]])
         worst = max(worst, np.abs(other - moved).max())
@@ -222,8 +228,8 @@ def test_moving_the_body_frame_s_origin_changes_nothing(regime):
         )
         c, s = np.cos(pose[2]), np.sin(pose[2])
         there = np.array([*(pose[:2] - np.array([[c, -s], [s, c]]) @ d), pose[2]])
-        one = simulate(obj, params, push, pose, regime=regime)
-        other = simulate(shifted, params, push, there, regime=regime)
+        one = simulate(Model(obj, params), push, pose, regime=regime)
+        other = simulate(Model(shifted, params), push, there, regime=regime)
         worst = max(worst, np.abs(obj.cells_at(one.poses) - shifted.cells_at(other.poses)).max())
     print(f"{regime}: origins agree within {worst:.1e} m")
     assert worst < 1e-10
@@ -254,5 +260,5 @@ def test_one_cell_slides_spins_and_is_pushed():
         assert spin == "none" or abs(result.velocities[-1, 2]) < 1e-5
     push = Push((-0.01 - 0.005, 0.0), (0.05, 0.0), 0.4, 0.005)
     for regime in ("inertial", "quasi_static"):
-        end = simulate(obj, params, push, regime=regime).final_pose
+        end = simulate(Model(obj, params), push, regime=regime).final_pose
         np.testing.assert_allclose(end, [0.02, 0.0, 0.0], atol=1e-8)

@@ -13,6 +13,7 @@ from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import IdentificationError, SimulationError
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.objects.parameters import CellParameters
@@ -67,12 +68,12 @@ def test_a_simulation_says_which_regime_it_took():
     obj = make_shape("square", 36)
     params = CellParameters.uniform(obj)
     force = ForcePush((0.0, 0.0), (9.0, 0.0), 0.02)
-    assert simulate(obj, params, push_at(0.01)).physics == QUASI_STATIC
-    assert simulate(obj, params, push_at(1.0)).physics == Physics(regime="inertial")
-    assert simulate(obj, params, push_at(0.01), velocity=(0.1, 0, 0)).physics.inertial
-    assert simulate(obj, params, push_at(0.01), gradients="paper").physics.inertial
-    assert simulate(obj, params, force).physics.inertial
-    assert simulate(obj, params, push_at(0.01), physics=UNUSUAL).physics is UNUSUAL
+    assert simulate(Model(obj, params), push_at(0.01)).physics == QUASI_STATIC
+    assert simulate(Model(obj, params), push_at(1.0)).physics == Physics(regime="inertial")
+    assert simulate(Model(obj, params), push_at(0.01), velocity=(0.1, 0, 0)).physics.inertial
+    assert simulate(Model(obj, params), push_at(0.01), gradients="paper").physics.inertial
+    assert simulate(Model(obj, params), force).physics.inertial
+    assert simulate(Model(obj, params, UNUSUAL), push_at(0.01)).physics is UNUSUAL
 
 
 def test_a_regime_beside_physics_takes_its_place():
@@ -81,11 +82,16 @@ def test_a_regime_beside_physics_takes_its_place():
     assert make_physics(QUASI_STATIC, "inertial").regime == "inertial"
 
 
-@pytest.mark.parametrize("function", [simulate, predict, identify, GridLcpSystem, GridIdentifier])
-def test_one_default_everywhere(function):
+@pytest.mark.parametrize("function", [simulate, predict, identify, GridLcpSystem])
+def test_physics_is_the_model_s_everywhere(function):
     parameters = inspect.signature(function).parameters
+    assert "physics" not in parameters and parameters["regime"].default is None
+
+
+def test_one_default_everywhere():
+    parameters = inspect.signature(GridIdentifier).parameters
     assert parameters["physics"].default is None and parameters["regime"].default is None
-    assert ContactOptions().physics == Physics() and Physics().regime == "auto"
+    assert ContactOptions().physics is None and Physics().regime == "auto"
 
 
 def test_a_model_file_keeps_the_physics(tmp_path):
@@ -111,9 +117,9 @@ def test_a_model_file_of_an_earlier_release_is_read(tmp_path):
 def test_the_default_method_refuses_a_law_without_gradients():
     made = make_pushed_block()
     with pytest.raises(IdentificationError, match="'lagged' has no exact gradients"):
-        identify(made.obj, made.log, physics=Physics(friction_law="lagged"))
+        identify(Model(made.obj, physics=Physics(friction_law="lagged")), made.log)
     found = identify(
-        made.obj, made.log, method="random_search", budget=6, physics=Physics("lagged")
+        Model(made.obj, physics=Physics("lagged")), made.log, method="random_search", budget=6
     )
     assert found.physics == Physics("lagged", "inertial")
 

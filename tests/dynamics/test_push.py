@@ -10,6 +10,7 @@ from gridpush_drake.dynamics import DEFAULT_DT, DEFAULT_TIP_STEP, make_path_time
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 
@@ -195,7 +196,9 @@ def test_where_the_number_of_steps_changes_the_motion_hardly_does():
     obj = make_shape("square", 36)
     params, poses, counts = CellParameters.uniform(obj, 1.0, 0.4, 0.2), [], []
     for speed in (0.05 * (1 - 1e-6), 0.05, 0.05 * (1 + 1e-6)):
-        motion = simulate(obj, params, Push((-0.055, 0.02), (speed, 0.0), 0.1 / speed, 0.005))
+        motion = simulate(
+            Model(obj, params), Push((-0.055, 0.02), (speed, 0.0), 0.1 / speed, 0.005)
+        )
         poses.append(motion.final_pose)
         counts.append(len(motion.times) - 1)
     assert counts == [201, 200, 200]

@@ -9,6 +9,7 @@ from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -37,9 +38,15 @@ def make_pushes(regime: Regime, table: np.ndarray | None) -> list[BatchPush]:
 
 def simulate_one(params: CellParameters, one: BatchPush, regime: Regime) -> Motion:
     return simulate(
-        OBJ, params, one.push, one.pose, regime=regime, gradients="mass", times=one.times, record=one.rows,
+        Model(OBJ, params),
+        one.push,
+        one.pose,
+        regime=regime,
+        gradients="mass",
+        times=one.times,
+        record=one.rows,
         table=one.table,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("table", [None, TABLE], ids=["endless", "edge"])

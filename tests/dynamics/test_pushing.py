@@ -12,6 +12,7 @@ from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
@@ -35,7 +36,7 @@ def test_uniform_rod_pushed_at_its_end_turns_about_l_over_root_2(cells):
     obj = GridObject.from_outline(rectangle(length, width), max_cells=cells, name="rod")
     params = CellParameters.uniform(obj, total_mass=1.0, friction=0.3)
     push = Push((length / 2 - 1e-9, -width / 2 - radius), (0.0, 0.001), 0.02, radius)
-    result = simulate(obj, params, push, times=[0.0, 0.01, 0.02], regime="quasi_static")
+    result = simulate(Model(obj, params), push, times=[0.0, 0.01, 0.02], regime="quasi_static")
     _, vy, w = result.velocities[1]
     a = length / 2 + vy / w
     print(
@@ -64,7 +65,7 @@ def test_push_through_the_center_of_friction_does_not_turn(regime):
         center = params.relative_friction() @ obj.p_BC
         left = obj.outline.bounds[0]
         push = Push((left - 0.006, center[1]), (0.05, 0.0), 2.0, 0.005)
-        result = simulate(obj, params, push, regime=regime)
+        result = simulate(Model(obj, params), push, regime=regime)
         print(f"{shape}, {regime}: turns by {np.abs(result.poses[:, 2]).max():.1e} rad")
         assert result.final_pose[0] == pytest.approx(0.1 - 0.001, abs=1e-7)
         assert np.abs(result.poses[:, 2]).max() < 1e-10
@@ -82,11 +83,11 @@ def test_quasi_static_motion_knows_only_shares_of_friction():
         )
         faster = Push(push.start, 8 * push.velocity, push.duration / 8, push.radius)
         times = make_path_times(push, "inertial")
-        one = simulate(obj, params, push, times=times, regime="quasi_static").poses
+        one = simulate(Model(obj, params), push, times=times, regime="quasi_static").poses
         for others in (scaled, swapped):
-            other = simulate(obj, others, push, times=times, regime="quasi_static").poses
+            other = simulate(Model(obj, others), push, times=times, regime="quasi_static").poses
             np.testing.assert_allclose(other, one, atol=1e-9)
-        other = simulate(obj, params, faster, times=times / 8, regime="quasi_static").poses
+        other = simulate(Model(obj, params), faster, times=times / 8, regime="quasi_static").poses
         np.testing.assert_allclose(other, one, atol=1e-9)
 
 
@@ -104,7 +105,7 @@ def test_disc_in_a_notch_translates_the_block(regime):
     mass, mu, mu_c = 0.8, 0.35, 0.3
     params = CellParameters.uniform(obj, mass, mu, mu_c)
     push = Push((-0.06, 0.0), (0.02, 0.0), 10.0, 0.01)
-    result = simulate(obj, params, push, dt=0.01, regime=regime)
+    result = simulate(Model(obj, params), push, dt=0.01, regime=regime)
     assert result.status == "ok"
     assert result.penetration < 1e-6
     # the one step in which the disc arrives looks ahead along one side only
@@ -130,7 +131,7 @@ def test_disc_in_the_ring_of_a_wrench_drags_it(regime):
     params = CellParameters.uniform(obj, 0.4, 0.3, 0.3)
     hole = Point(-0.1, 0.0)
     push = Push((-0.1, 0.0), (0.0, 0.05), 3.0, 0.008)
-    result = simulate(obj, params, push, regime=regime)
+    result = simulate(Model(obj, params), push, regime=regime)
     assert result.status == "ok"
     assert result.penetration < 1e-4
     assert obj.outline.distance(hole) > 0.011
@@ -154,9 +155,7 @@ def walk_contacts(obj, params, push, regime, ahead=0.0):
     dts, tip, steps = np.diff(times), push.tip_at(times), len(times) - 1
     load = Load(tip, push.length, push.radius, np.zeros((steps, 3)), np.zeros(2))
     run = run_kernel(
-        obj,
-        params,
-        Physics(regime=regime),
+        Model(obj, params, Physics(regime=regime)),
         pose=np.zeros(3),
         velocity=np.zeros(3),
         dts=dts,
@@ -241,7 +240,7 @@ def test_contact_forces_of_a_push_balance_friction_and_momentum():
     mass, mu = 1.0, 0.3
     params = CellParameters.uniform(obj, mass, mu, 0.5)
     push = Push((-0.06, 0.0), (0.3, 0.0), 0.5, 0.01)
-    result = simulate(obj, params, push, dt=0.001)
+    result = simulate(Model(obj, params), push, dt=0.001)
     pushed = np.abs(result.contact_forces).sum(axis=(1, 2)) > 0
     gained = mass * np.diff(result.velocities[:, 0])
     friction = np.where(result.velocities[1:, 0] > 1e-6, -mu * mass * G, 0.0) * 0.001
@@ -255,7 +254,7 @@ def test_a_push_that_never_touches_is_flagged(regime):
     obj = make_shape("square", 25)
     params = CellParameters.uniform(obj, 1.0, 0.3)
     result = simulate(
-        obj, params, Push((0.2, 0.0), (0.0, 0.1), 1.0, 0.005), regime=regime, gradients=True
+        Model(obj, params), Push((0.2, 0.0), (0.0, 0.1), 1.0, 0.005), regime=regime, gradients=True
     )
     assert result.status == "no_contact"
     np.testing.assert_array_equal(result.poses, 0)
@@ -272,7 +271,7 @@ def test_starting_overlapped_is_flagged_and_clears_at_once(regime, depth):
     obj = make_shape("square", 25)
     params = CellParameters.uniform(obj, 1.0, 0.3)
     push = Push((-0.05 - 0.005 + depth, 0.01), (0.02, 0.0), 1.0, 0.005)
-    result = simulate(obj, params, push, regime=regime)
+    result = simulate(Model(obj, params), push, regime=regime)
     assert result.status == "started_overlapping"
     assert result.gaps[0] == pytest.approx(-depth)
     if regime == "quasi_static":
@@ -294,7 +293,7 @@ def test_a_fast_push_that_starts_overlapped_does_not_throw_the_object(depth):
         touching.radius,
     )
     coarse, fine = (
-        simulate(obj, params, push, dt=dt, gradients=dt > 0.001) for dt in (0.004, 0.0005)
+        simulate(Model(obj, params), push, dt=dt, gradients=dt > 0.001) for dt in (0.004, 0.0005)
     )
 
     def measure_distance(one, other):
@@ -303,12 +302,12 @@ def test_a_fast_push_that_starts_overlapped_does_not_throw_the_object(depth):
         ).max()
 
     assert measure_distance(coarse, fine) < 1e-4
-    assert measure_distance(fine, simulate(obj, params, touching)) < 1.5 * depth
+    assert measure_distance(fine, simulate(Model(obj, params), touching)) < 1.5 * depth
     assert fine.gaps[-1] > -1e-4
 
     def end(place):
         return simulate(
-            obj, params, Push(place, velocity, touching.duration, touching.radius), dt=0.004
+            Model(obj, params), Push(place, velocity, touching.duration, touching.radius), dt=0.004
         ).final_pose
 
     check_jacobian(end, push.xy[0], coarse.jacobian.start[-1], step=1e-6, rtol=1e-4, atol=1e-6)

@@ -50,7 +50,7 @@ def choose_pushes(rng):
 
 def judge_stability(rng):
     for x in (0.0, 0.03, 0.06):
-        masses = PlausibleMassSet.of_masses(obj, draw(rng))
+        masses = PlausibleMassSet.of_masses(Model(obj, draw(rng)))
         yield np.array(calc_stability_margin(masses, [x, 0, 0], SupportSurface.round([0, 0], 0.1)))
 
 

@@ -13,6 +13,7 @@ from gridpush_drake.dynamics.push import ForcePush, Push, make_path_times
 from gridpush_drake.dynamics.reference.paper_rollout import fill_paper_gradient
 from gridpush_drake.dynamics.simulation import calc_step, simulate, simulate_batch
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import make_random_contents, make_random_push
@@ -67,29 +68,31 @@ def params(obj):
 )
 def test_bad_arguments_are_refused(obj, params, push, options, message):
     with pytest.raises(SimulationError, match=message):
+        physics = None
         if "physics" in options:
-            options = {**options, "physics": Physics(**options["physics"])}
-        simulate(obj, params, push, **options)
+            physics = Physics(**options["physics"])
+            options = {key: value for key, value in options.items() if key != "physics"}
+        simulate(Model(obj, params, physics), push, **options)
 
 
 def test_parameters_of_another_object_are_refused(obj):
     other = make_shape("disc", 20)
     with pytest.raises(SimulationError, match=f"expected {obj.n}"):
-        simulate(obj, CellParameters.uniform(other), PUSH)
+        simulate(Model(obj, CellParameters.uniform(other)), PUSH)
 
 
 def test_quasi_static_regime_needs_friction(obj):
     smooth = CellParameters.uniform(obj, 1.0, 0.0)
     with pytest.raises(SimulationError, match="friction"):
-        simulate(obj, smooth, PUSH, regime="quasi_static")
+        simulate(Model(obj, smooth), PUSH, regime="quasi_static")
     with pytest.raises(SimulationError, match="friction"):
         weightless = Physics(regime="quasi_static", gravity=0.0)
-        simulate(obj, CellParameters.uniform(obj, 1.0, 0.3), PUSH, physics=weightless)
-    assert simulate(obj, smooth, PUSH).status == "ok"
+        simulate(Model(obj, CellParameters.uniform(obj, 1.0, 0.3), weightless), PUSH)
+    assert simulate(Model(obj, smooth), PUSH).status == "ok"
 
 
 def test_shapes_and_the_first_row(obj, params):
-    result = simulate(obj, params, PUSH, (0.0, 0.01, 0.2), 0.01, True)
+    result = simulate(Model(obj, params), PUSH, (0.0, 0.01, 0.2), 0.01, True)
     T, n = 50, obj.n
     assert result.times.shape == (T + 1,)
     assert result.poses.shape == result.velocities.shape == (T + 1, 3)
@@ -110,13 +113,14 @@ def test_shapes_and_the_first_row(obj, params):
 
 def test_without_gradients_the_jacobian_says_so(obj, params):
     with pytest.raises(SimulationError, match="gradients"):
-        _ = simulate(obj, params, PUSH).jacobian
+        _ = simulate(Model(obj, params), PUSH).jacobian
 
 
 @pytest.mark.parametrize("gradients", [True, "paper"])
 def test_gradients_leave_the_motion_alone(obj, params, gradients):
     np.testing.assert_array_equal(
-        simulate(obj, params, PUSH, gradients=gradients).poses, simulate(obj, params, PUSH).poses
+        simulate(Model(obj, params), PUSH, gradients=gradients).poses,
+        simulate(Model(obj, params), PUSH).poses,
     )
 
 
@@ -126,34 +130,34 @@ def test_default_steps_are_short_in_time_and_in_way(obj, params):
         Push(PUSH.start, (0.01, 0.0), 1.0, 0.01),
         Push(PUSH.start, (1.0, 0.0), 0.2, 0.01),
     ):
-        result = simulate(obj, params, push, regime="inertial")
+        result = simulate(Model(obj, params), push, regime="inertial")
         assert np.diff(result.times).max() <= 0.01 * (1 + 1e-9)
         assert np.linalg.norm(np.diff(result.tip, axis=0), axis=1).max() <= 0.001 * (1 + 1e-9)
         assert result.times[-1] == push.duration
     slow = Push(PUSH.start, (0.0001, 0.0), 100.0, 0.01)
-    assert len(simulate(obj, params, slow, regime="quasi_static").times) == 11
-    np.testing.assert_allclose(np.diff(simulate(obj, params, FORCE).times), 0.01)
+    assert len(simulate(Model(obj, params), slow, regime="quasi_static").times) == 11
+    np.testing.assert_allclose(np.diff(simulate(Model(obj, params), FORCE).times), 0.01)
 
 
 def test_last_step_is_shortened_to_the_push_s_end(obj, params):
-    np.testing.assert_allclose(simulate(obj, params, PUSH, dt=0.2).times, [0, 0.2, 0.4, 0.5])
-    np.testing.assert_allclose(simulate(obj, params, PUSH, dt=0.25).times, [0, 0.25, 0.5])
-    np.testing.assert_allclose(simulate(obj, params, PUSH, dt=3.0).times, [0, 0.5])
+    np.testing.assert_allclose(simulate(Model(obj, params), PUSH, dt=0.2).times, [0, 0.2, 0.4, 0.5])
+    np.testing.assert_allclose(simulate(Model(obj, params), PUSH, dt=0.25).times, [0, 0.25, 0.5])
+    np.testing.assert_allclose(simulate(Model(obj, params), PUSH, dt=3.0).times, [0, 0.5])
 
 
 def test_times_may_outlast_the_push_whose_pusher_then_stands(obj, params):
     times = np.linspace(0, 1.0, 101)
-    result = simulate(obj, params, PUSH, times=times)
+    result = simulate(Model(obj, params), PUSH, times=times)
     np.testing.assert_array_equal(result.times, times)
     np.testing.assert_allclose(result.tip[50:], np.broadcast_to(result.tip[50], (51, 2)))
     np.testing.assert_allclose(result.poses[-1], result.poses[60], atol=1e-9)
 
 
 def test_record_counts_from_the_end_as_numpy_does(obj, params):
-    whole = simulate(obj, params, PUSH, gradients=True)
-    chosen = simulate(obj, params, PUSH, gradients=True, record=[-1, 2, -4])
+    whole = simulate(Model(obj, params), PUSH, gradients=True)
+    chosen = simulate(Model(obj, params), PUSH, gradients=True, record=[-1, 2, -4])
     T = len(whole.times) - 1
-    forwards = simulate(obj, params, PUSH, gradients=True, record=[T, 2, T - 3])
+    forwards = simulate(Model(obj, params), PUSH, gradients=True, record=[T, 2, T - 3])
     for name in ("mass", "friction", "contact_friction"):
         part, same, every = (getattr(s.jacobian, name) for s in (chosen, forwards, whole))
         np.testing.assert_array_equal(part, same)
@@ -161,15 +165,15 @@ def test_record_counts_from_the_end_as_numpy_does(obj, params):
 
 
 def test_record_of_nothing(obj, params):
-    J = simulate(obj, params, PUSH, gradients=True, record=[]).jacobian
+    J = simulate(Model(obj, params), PUSH, gradients=True, record=[]).jacobian
     assert J.mass.shape == (0, 3, obj.n)
 
 
 def test_runs_are_reproducible_and_arguments_untouched(obj, params):
     pose, nu, times = np.array([0.0, 0.01, 0.2]), np.array([0.1, 0.0, 1.0]), np.linspace(0, 0.5, 77)
     given = [array.copy() for array in (pose, nu, times)]
-    one = simulate(obj, params, PUSH, pose, velocity=nu, times=times, gradients=True)
-    other = simulate(obj, params, PUSH, pose, velocity=nu, times=times, gradients=True)
+    one = simulate(Model(obj, params), PUSH, pose, velocity=nu, times=times, gradients=True)
+    other = simulate(Model(obj, params), PUSH, pose, velocity=nu, times=times, gradients=True)
     for before, after in zip(given, (pose, nu, times), strict=True):
         np.testing.assert_array_equal(before, after)
         assert after.flags.writeable
@@ -184,8 +188,7 @@ def make_batch(count):
     rng = np.random.default_rng(1)
     obj = make_shape("l_bracket", 30)
     return (
-        obj,
-        [make_random_contents(rng, obj) for _ in range(count)],
+        [Model(obj, make_random_contents(rng, obj)) for _ in range(count)],
         [make_random_push(rng, obj, length=0.05) for _ in range(count)],
         rng.normal(size=(count, 3)) * 0.001,
     )
@@ -198,33 +201,26 @@ def test_two_times_that_are_one_are_refused_where_there_is_inertia():
     with pytest.raises(
         SimulationError, match="two are all but the same; expected steps of at least 1e-09 s"
     ):
-        simulate(obj, CellParameters.uniform(obj), push, times=times)
-    assert (
-        len(
-            simulate(
-                obj, CellParameters.uniform(obj), push, times=times, regime="quasi_static"
-            ).poses
-        )
-        == 4
-    )
+        simulate(Model(obj), push, times=times)
+    assert len(simulate(Model(obj), push, times=times, regime="quasi_static").poses) == 4
 
 
 @pytest.mark.parametrize("workers", [0, float("nan")])
 def test_a_batch_needs_a_worker(workers):
     obj = make_shape("square", 9)
     with pytest.raises(SimulationError, match=f"workers is {workers}"):
-        simulate_batch(obj, CellParameters.uniform(obj), [], workers=workers)
+        simulate_batch(Model(obj), [], workers=workers)
 
 
 def test_batch_is_the_loop_whatever_the_workers():
-    obj, params, pushes, poses = make_batch(12)
+    models, pushes, poses = make_batch(12)
     loop = [
-        simulate(obj, *job, regime="quasi_static", gradients=True)
-        for job in zip(params, pushes, poses, strict=True)
+        simulate(*job, regime="quasi_static", gradients=True)
+        for job in zip(models, pushes, poses, strict=True)
     ]
     for workers in (1, 2, 5, None):
         batch = simulate_batch(
-            obj, params, pushes, poses, workers=workers, regime="quasi_static", gradients=True
+            models, pushes, poses, workers=workers, regime="quasi_static", gradients=True
         )
         for one, other in zip(loop, batch, strict=True):
             np.testing.assert_array_equal(one.poses, other.poses)
@@ -233,33 +229,33 @@ def test_batch_is_the_loop_whatever_the_workers():
 
 
 def test_batch_of_one_push_with_many_parameters_and_the_other_way_round():
-    obj, params, pushes, poses = make_batch(3)
+    models, pushes, poses = make_batch(3)
     for batch, jobs in (
-        (simulate_batch(obj, params, pushes[0]), [(p, pushes[0], np.zeros(3)) for p in params]),
-        (simulate_batch(obj, params[0], pushes), [(params[0], p, np.zeros(3)) for p in pushes]),
+        (simulate_batch(models, pushes[0]), [(m, pushes[0], np.zeros(3)) for m in models]),
+        (simulate_batch(models[0], pushes), [(models[0], p, np.zeros(3)) for p in pushes]),
         (
-            simulate_batch(obj, params[0], pushes[0], poses),
-            [(params[0], pushes[0], q) for q in poses],
+            simulate_batch(models[0], pushes[0], poses),
+            [(models[0], pushes[0], q) for q in poses],
         ),
-        (simulate_batch(obj, params[0], pushes[0]), [(params[0], pushes[0], np.zeros(3))]),
-        (simulate_batch(obj, [], pushes[0]), []),
+        (simulate_batch(models[0], pushes[0]), [(models[0], pushes[0], np.zeros(3))]),
+        (simulate_batch([], pushes[0]), []),
     ):
         assert len(batch) == len(jobs)
-        for result, (p, push, q) in zip(batch, jobs, strict=True):
-            np.testing.assert_array_equal(result.poses, simulate(obj, p, push, q).poses)
+        for result, (model, push, q) in zip(batch, jobs, strict=True):
+            np.testing.assert_array_equal(result.poses, simulate(model, push, q).poses)
 
 
 def test_batch_of_many_objects_is_the_loop():
     rng = np.random.default_rng(2)
     objects = [make_shape(name, 30) for name in ("l_bracket", "square", "l_bracket")]
-    params = [make_random_contents(rng, obj) for obj in objects]
+    models = [Model(obj, make_random_contents(rng, obj)) for obj in objects]
     pushes = [make_random_push(rng, obj, length=0.05) for obj in objects]
     for workers in (1, 2):
-        batch = simulate_batch(objects, params, pushes, workers=workers, regime="quasi_static")
-        for motion, *job in zip(batch, objects, params, pushes, strict=True):
+        batch = simulate_batch(models, pushes, workers=workers, regime="quasi_static")
+        for motion, *job in zip(batch, models, pushes, strict=True):
             np.testing.assert_array_equal(motion.poses, simulate(*job, regime="quasi_static").poses)
     with pytest.raises(SimulationError, match="lengths"):
-        simulate_batch(objects[:2], params, pushes)
+        simulate_batch(models[:2], pushes)
 
 
 def test_kernel_is_compiled_once_whatever_the_caller_s_arrays():
@@ -271,14 +267,15 @@ def test_kernel_is_compiled_once_whatever_the_caller_s_arrays():
         for push in (PUSH, FORCE, Push.along([0, 1], [[0, 0.2], [0, 0.1]], 0.01)):
             for gradients in (False, True, "paper"):
                 simulate(
-                    body,
-                    pickle.loads(pickle.dumps(params)),
+                    Model(body, pickle.loads(pickle.dumps(params))),
                     push,
                     np.zeros(6)[::2],
                     gradients=gradients,
                 )
-                simulate(body, params, push, times=np.linspace(0, 1, 9)[::2], gradients=gradients)
-    calc_step(obj, CellParameters.uniform(obj), (0, 0, 0), [0, 0, 1], (1, 2, 3), 0.01)
+                simulate(
+                    Model(body, params), push, times=np.linspace(0, 1, 9)[::2], gradients=gradients
+                )
+    calc_step(Model(obj), (0, 0, 0), [0, 0, 1], (1, 2, 3), 0.01)
     isotropic = [
         signature for signature in rollout.signatures if signature[0].instance_class is Isotropic
     ]
@@ -286,17 +283,17 @@ def test_kernel_is_compiled_once_whatever_the_caller_s_arrays():
 
 
 def test_batch_refuses_lists_of_different_lengths():
-    obj, params, pushes, poses = make_batch(3)
+    models, pushes, poses = make_batch(3)
     with pytest.raises(SimulationError, match="lengths"):
-        simulate_batch(obj, params, pushes[:2])
+        simulate_batch(models, pushes[:2])
     with pytest.raises(SimulationError, match="lengths"):
-        simulate_batch(obj, params, pushes, poses[:1])
+        simulate_batch(models, pushes, poses[:1])
     with pytest.raises(SimulationError, match="poses"):
-        simulate_batch(obj, params, pushes, np.zeros((3, 2)))
+        simulate_batch(models, pushes, np.zeros((3, 2)))
 
 
 def test_contact_points_lie_on_disc_and_outline(obj, params):
-    result = simulate(obj, params, PUSH, dt=0.005)
+    result = simulate(Model(obj, params), PUSH, dt=0.005)
     touching = result.modes[:, 0] > 0
     assert touching.sum() > 50
     middle = (result.tip[1:] + result.tip[:-1]) / 2
@@ -306,14 +303,14 @@ def test_contact_points_lie_on_disc_and_outline(obj, params):
 
 
 def test_lagged_friction_differs_little_while_directions_change_little(obj, params):
-    one = simulate(obj, params, PUSH, dt=0.001, physics=Physics(spin="separate")).final_pose
-    other = simulate(obj, params, PUSH, dt=0.001, physics=Physics(friction_law="lagged")).final_pose
+    one = simulate(Model(obj, params, Physics(spin="separate")), PUSH, dt=0.001).final_pose
+    other = simulate(Model(obj, params, Physics(friction_law="lagged")), PUSH, dt=0.001).final_pose
     assert 0 < np.abs(one - other).max() < 0.01
 
 
 def test_the_number_of_edges_and_split_edges_change_nothing(obj, params):
     split = GridObject("split", obj.p_BC, obj.cell_size, obj.labels, obj.outline.segmentize(0.007))
-    one, other = simulate(obj, params, PUSH), simulate(split, params, PUSH)
+    one, other = simulate(Model(obj, params), PUSH), simulate(Model(split, params), PUSH)
     np.testing.assert_allclose(one.poses, other.poses, atol=1e-9)
 
 
@@ -334,8 +331,8 @@ def test_derivatives_by_the_push_alone_are_those_of_the_whole_jacobian(obj, para
     high = replace(params, push_height=height)
     push = Push.on_outline(obj, 0.03, 0.7, 0.05, radius=0.01, speed=0.1)
     options = {"regime": regime, "record": [10, -1]}
-    whole = simulate(obj, high, push, gradients=True, **options)
-    short = simulate(obj, high, push, gradients="push", **options)
+    whole = simulate(Model(obj, high), push, gradients=True, **options)
+    short = simulate(Model(obj, high), push, gradients="push", **options)
     assert np.array_equal(short.poses, whole.poses)
     assert short.jacobian.mass.shape == short.jacobian.friction.shape == (2, 3, 0)
     for name in ("contact_friction", "start", "direction", "length", "pose", "contact_location"):

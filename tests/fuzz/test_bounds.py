@@ -23,12 +23,12 @@ from gridpush_drake.errors import (
     SimulationError,
 )
 from gridpush_drake.files import check_writable, make_folder, read_bytes, write_whole
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import looks_like_model, read_model
 from gridpush_drake.multibody.sdformat import make_sdf
 from gridpush_drake.objects.cells import MAX_CELLS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.mask import PGM_HEADER, read_labels
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import MAX_TABLE_NODES, make_distance_table
 from gridpush_drake.pushes.importers.bag import BagImporter
 from gridpush_drake.pushes.importers.cmu import CmuImporter
@@ -182,7 +182,7 @@ def test_numbers_that_are_too_many(tmp_path):
 def test_pushes_of_too_many_steps(push, options):
     obj = make_block()
     with pytest.raises(SimulationError, match=f"steps; expected at most {MAX_STEPS}"):
-        simulate(obj, CellParameters.uniform(obj), push, **options)
+        simulate(Model(obj), push, **options)
 
 
 def test_push_that_leaves_all_numbers():
@@ -235,7 +235,7 @@ def test_masses_that_drake_takes_for_unphysical():
         ParameterError,
         match=r"block: mass or height: cells of .* kg, 0\.\d+ m wide, make no inertia",
     ):
-        make_sdf(obj, CellParameters.uniform(obj), height=1e300)
+        make_sdf(Model(obj), height=1e300)
 
 
 def test_plans_for_objects_without_end():

@@ -10,10 +10,10 @@ from PIL import Image
 
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, ObjectWarning, PushLogWarning
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import WeighingLog
@@ -138,7 +138,7 @@ def survives(path, text, read) -> None:
 
 def read_and_push(path) -> None:
     obj = GridObject.from_yaml(path)
-    simulate(obj, CellParameters.uniform(obj), make_push(obj), regime="quasi_static")
+    simulate(Model(obj), make_push(obj), regime="quasi_static")
 
 
 def make_push(obj: GridObject):
@@ -169,7 +169,7 @@ def test_scenarios(place, data):
 @given(text=broken(LOG))
 def test_push_logs(place, block, text):
     def read(path) -> None:
-        predict(block, CellParameters.uniform(block), PushLog.read_csv(path, require_final=False))
+        predict(Model(block), PushLog.read_csv(path, require_final=False))
 
     survives(place / "pushes.csv", text, read)
 

@@ -17,6 +17,7 @@ from gridpush_drake.gym import PushEnvironment, PushVectorEnvironment
 from gridpush_drake.gym.environments import PICTURE_SIZE
 from gridpush_drake.gym.games import GAMES, PER_METER, REACHED
 from gridpush_drake.gym.known_shape import FINGER, OCCUPIED, PIXELS, PLACES, WINDOW, load_shape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.contact.trial import calc_goal_error
 
 NAMES = tuple(GAMES)
@@ -110,7 +111,7 @@ def test_a_push_moves_the_object_as_the_model_says():
     after, reward, *_ = env.step(action)
     push = before.shape.make_push(action, before.true_pose)
     motion = simulate(
-        before.shape.obj, before.hidden, push, before.true_pose, regime="quasi_static"
+        Model(before.shape.obj, before.hidden), push, before.true_pose, regime="quasi_static"
     )
     np.testing.assert_allclose(
         env.episode.true_pose, motion.final_pose, atol=2e-4
@@ -163,9 +164,13 @@ def test_an_object_pushed_on_and_on_falls_and_the_episode_ends():
     assert not info["is_success"]
     assert after.pushes[-1].overhang
     assert (
-        calc_loads(shape.obj, after.hidden, before.true_pose, env.game.surface.corners) is not None
+        calc_loads(Model(shape.obj, after.hidden), before.true_pose, env.game.surface.corners)
+        is not None
     )
-    assert calc_loads(shape.obj, after.hidden, after.true_pose, env.game.surface.corners) is None
+    assert (
+        calc_loads(Model(shape.obj, after.hidden), after.true_pose, env.game.surface.corners)
+        is None
+    )
     assert reward == pytest.approx(10 * (after.score - before.score) - 1)
 
 

@@ -9,6 +9,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
 
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.goal.next_push import GoalRules
@@ -93,7 +94,7 @@ def make_run(
 ) -> Run:
     """Makes it; the object begins at the origin. `learning` is the most pushes learned from."""
     builder = DiagramBuilder()
-    world = builder.AddSystem(GridLcpSystem(obj, truth, pusher_radius=rules.contact.radius))
+    world = builder.AddSystem(GridLcpSystem(Model(obj, truth), pusher_radius=rules.contact.radius))
     finger, camera = (
         builder.AddSystem(IdealFinger()),
         builder.AddSystem(Camera(5e-4, np.radians(0.2))),
@@ -108,7 +109,7 @@ def make_run(
             record=RecordOptions(pose_delay=DEFAULT_PERIOD),
         )
     )  # fmt: skip
-    controller = builder.AddSystem(ContactPointController(obj, rules, **options))
+    controller = builder.AddSystem(ContactPointController(Model(obj), rules, **options))
     executor = builder.AddSystem(PushExecutor((0.0, 0.0, 0.2), obj.outline, reach, STYLE))
     for start, port, sinks in (
         (source, "y0", [(controller, "goal_pose")]),

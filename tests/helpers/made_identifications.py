@@ -4,6 +4,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.identification.identifiability import calc_identifiability
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
@@ -34,10 +35,10 @@ def make_identification(obj: GridObject | None = None, seed: int = 0) -> Identif
         np.eye(n + 1),
     )
     history = tuple(HistoryEntry(10 * (i + 1), 0.01 * 0.7**i, "descent") for i in range(8))
-    known = calc_identifiability(obj, params, posterior)
+    known = calc_identifiability(Model(obj, params), posterior)
     return Identification(
-        obj=obj,
-        params=params,
+        objects=(obj,),
+        parameters=(params,),
         std=std,
         posterior=posterior,
         identifiability=known,

@@ -6,6 +6,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -47,6 +48,6 @@ def make_pushed_block(max_cells: int = 8) -> PushedBlock:
 
 def _observe(obj: GridObject, truth: CellParameters, i: int, push: Push) -> ObservedPush:
     times = make_path_times(push, "inertial")
-    poses = simulate(obj, truth, push, times=times, regime="inertial").poses
+    poses = simulate(Model(obj, truth), push, times=times, regime="inertial").poses
     rows = slice(OBSERVED_EVERY, None, OBSERVED_EVERY)
     return ObservedPush(f"push_{i}", push, poses[0], times[rows], poses[rows])

@@ -11,6 +11,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import AddGridObject, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose
@@ -85,7 +86,7 @@ def make_scene(
     table = add_table(plant, x=table_x)
     if before_object is not None:
         before_object(plant)
-    handle = AddGridObject(plant, scene_graph, obj, params, base, table=[table], **options)
+    handle = AddGridObject(plant, scene_graph, Model(obj, params), base, table=[table], **options)
     if after_object is not None:
         after_object(plant, scene_graph, handle, table)
     plant.Finalize()

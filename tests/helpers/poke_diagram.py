@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 from shapely import box
 
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.segmentation import RecordOptions
@@ -112,7 +113,7 @@ def make_poke_diagram(
     """Makes it; `spoiled` is the share of time with NaN in what is measured; `options` go to the identifier."""
     builder = DiagramBuilder()
     style = style or RandomPokeOptions()
-    world = builder.AddSystem(GridLcpSystem(obj, truth, pusher_radius=style.tip_radius))
+    world = builder.AddSystem(GridLcpSystem(Model(obj, truth), pusher_radius=style.tip_radius))
     finger, camera = builder.AddSystem(IdealFinger()), builder.AddSystem(Camera(*noise))
     options = {"record": RecordOptions(pose_delay=DEFAULT_PERIOD), **options}
     identifier = builder.AddSystem(
@@ -120,7 +121,7 @@ def make_poke_diagram(
             obj, engaged_below=OBJECT_HEIGHT, pusher_radius=style.tip_radius, seed=seed, **options
         )
     )
-    policy = builder.AddSystem(PokePolicy(obj, REGION, seed, pokes, style))
+    policy = builder.AddSystem(PokePolicy(Model(obj), REGION, seed, pokes, style))
     executor = builder.AddSystem(PushExecutor((0.0, 0.0, 0.2), obj.outline))
     for source, port, sinks in (
         (policy, "push_command", [(executor, "push_command")]),

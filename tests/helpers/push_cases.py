@@ -6,6 +6,7 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.random_objects import make_random_pose
@@ -55,7 +56,7 @@ class PushCase:
         params = CellParameters(values["mass"], values["friction"], contact_friction, push_height)
         push = Push.along(self.t, xy, self.radius)
         result = simulate(
-            self.obj, params, push, values["pose"], gradients=gradients, **self.options
+            Model(self.obj, params), push, values["pose"], gradients=gradients, **self.options
         )
         if not gradients:
             self.switched |= bool((result.modes != self.result.modes).any())

@@ -12,6 +12,7 @@ from gridpush_drake.dynamics.reference.maximal_lcp import (
     make_maximal_lcp,
     twist_to_cells,
 )
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_objects import (
@@ -43,8 +44,7 @@ class RandomStep:
         self, params: CellParameters | None = None, *, spanning_tree: bool = True
     ) -> MaximalLcp:
         return make_maximal_lcp(
-            self.obj,
-            params or self.params,
+            Model(self.obj, params or self.params),
             self.q,
             self.T @ self.nu,
             self.F,

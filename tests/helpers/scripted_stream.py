@@ -6,6 +6,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush
@@ -57,7 +58,7 @@ class Script:
             if max(before[2], after[2]) < 0.03:
                 push = Push(before[:2], velocity[:2], PERIOD, RADIUS)
                 self.q = simulate(
-                    self.obj, self.params, push, self.q, regime="quasi_static"
+                    Model(self.obj, self.params), push, self.q, regime="quasi_static"
                 ).final_pose
             self.p = after
         return self

@@ -9,6 +9,7 @@ from shapely import Point
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
@@ -99,7 +100,7 @@ def _try_push(
     push = Push(
         pose[:2] + _rotate(pose[2], p_BP), style.speed * direction, length / style.speed, radius
     )
-    motion = simulate(obj, truth, push, pose)
+    motion = simulate(Model(obj, truth), push, pose)
     moved = np.linalg.norm(obj.cells_at(motion.final_pose) - obj.cells_at(pose), axis=1).mean()
     if moved < style.min_motion:
         return None

@@ -4,6 +4,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -32,7 +33,7 @@ def make_pokes(
         push = Push(point + normal * (radius + 0.001), 0.02 * direction, length / 0.02, radius)
         times = np.linspace(0, push.duration, observations + 1)
         grid = np.linspace(0, push.duration, 20 * observations + 1)
-        simulation = simulate(obj, truth, push, times=grid, regime=regime)
+        simulation = simulate(Model(obj, truth), push, times=grid, regime=regime)
         poses = simulation.poses[::20][1:] + rng.normal(size=(observations, 3)) * [
             noise[0],
             noise[0],

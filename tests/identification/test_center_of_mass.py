@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.model_check import doubt_fit
 from gridpush_drake.identification.posterior import Posterior
-from gridpush_drake.identification.prediction import doubt_fit
 from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
@@ -14,7 +15,7 @@ from tests.identification.simulated_pokes import make_pokes
 def test_covariance_is_that_of_samples_where_the_spread_is_small() -> None:
     obj = make_shape("l_bracket", 20)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 0.2, 0.05), np.full(obj.n, 0.4), 0.35)
-    found = identify(obj, make_pokes(obj, truth, 3, 0))
+    found = identify(Model(obj), make_pokes(obj, truth, 3, 0))
     small = Posterior(
         found.posterior.mean, 0.01 * found.posterior.covariance, found.posterior.prior_covariance
     )
@@ -29,10 +30,10 @@ def test_covariance_is_that_of_samples_where_the_spread_is_small() -> None:
 def test_frictions_that_differ_move_the_center_of_mass_off_that_of_friction() -> None:
     obj = make_shape("square", 16)
     truth = CellParameters.uniform(obj)
-    found = identify(obj, make_pokes(obj, truth, 1, 0))
+    found = identify(Model(obj), make_pokes(obj, truth, 1, 0))
     friction = np.where(obj.p_BC[:, 0] > 0, 0.5, 0.25)
     mass = np.exp(found.posterior.mean[:-1]) / friction
-    uneven = replace(found, params=CellParameters(mass / mass.sum(), friction, 0.4))
+    uneven = found.with_params(CellParameters(mass / mass.sum(), friction, 0.4))
     center, covariance = calc_center_of_mass(uneven)
     np.testing.assert_allclose(center, mass @ obj.p_BC / mass.sum(), atol=1e-15)
     step = 1e-6
@@ -58,10 +59,10 @@ def test_a_center_of_mass_that_is_told_is_where_it_is_told_and_the_center_of_fri
     log = make_pokes(obj, truth, 6, 3, noise=(5e-4, 3e-3))
     for std in (1e-12, 0.0005, 0.002):
         told = replace(obj.prior, center_of_mass=(at[0], at[1]), center_of_mass_std=std)
-        found = identify(obj, log, told)
+        found = identify(Model(obj), log, told)
         np.testing.assert_array_equal(calc_center_of_mass(found)[0], at)
         np.testing.assert_allclose(found.identifiability.center_of_friction, at, atol=2e-3)
         assert doubt_fit(found) is None
     wrong = replace(told, center_of_mass=(at[0] - 0.03, at[1]))
-    doubt = doubt_fit(identify(obj, log, wrong))
+    doubt = doubt_fit(identify(Model(obj), log, wrong))
     assert doubt is not None and "center_of_mass.at" in doubt

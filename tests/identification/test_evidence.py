@@ -9,6 +9,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import rotate, transform
 from gridpush_drake.identification.evidence import PushEvidence, select_learned
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
@@ -32,7 +33,7 @@ def make_three_footed() -> CellParameters:
 @pytest.fixture(scope="module")
 def learned():
     log = make_pushes(OBJ, make_three_footed(), 6, seed=4)
-    return identify(OBJ, log), log
+    return identify(Model(OBJ), log), log
 
 
 def calc_slowly(found, log, dz):
@@ -48,7 +49,9 @@ def calc_slowly(found, log, dz):
     inputs = evidence._problem.linearize(found.posterior.mean).by_inputs
     for seen, J in zip(log, inputs, strict=True):
         times = np.union1d(np.linspace(0, seen.push.duration, 1001), seen.t_observed)
-        motion = simulate(OBJ, params, seen.push, seen.pose, times=times, regime=found.regime)
+        motion = simulate(
+            Model(OBJ, params), seen.push, seen.pose, times=times, regime=found.regime
+        )
         rows = []
         for time, pose in zip(seen.t_observed, seen.poses_observed, strict=True):
             made = motion.poses[int(np.argmin(np.abs(motion.times - time)))]
@@ -110,7 +113,7 @@ def test_what_was_refused_or_not_learned_from_does_not_judge(learned):
     _, log = learned
     flipped = replace(log[5], poses_observed=log[5].poses_observed + [0.0, 0.0, np.pi])
     spoilt = PushLog((*log[:5], flipped), log.source)
-    found = identify(OBJ, spoilt)
+    found = identify(Model(OBJ), spoilt)
     assert {outlier.push for outlier in found.outliers} == {log[5].name}
     used = select_learned(found, spoilt)
     assert [seen.name for seen in used] == [seen.name for seen in log[:5]]

@@ -13,6 +13,7 @@ from gridpush_drake.identification.identifiability import (
     calc_center_of_mass_box,
 )
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
@@ -48,7 +49,9 @@ def add_forces(
     rng, pushes = np.random.default_rng((9, seed)), []
     for i, seen in enumerate(log):
         times = make_path_times(seen.push, "quasi_static")
-        motion = simulate(obj, truth, seen.push, seen.pose, regime="quasi_static", times=times)
+        motion = simulate(
+            Model(obj, truth), seen.push, seen.pose, regime="quasi_static", times=times
+        )
         t = np.arange(0.0, seen.push.duration, 0.02)
         force = motion.contact_forces.sum(axis=1)[np.searchsorted(times, t, side="right") - 1]
         force = (
@@ -65,7 +68,7 @@ def learn(
 ) -> Identification:
     obj, truth = make_case(total_mass)
     log = make_pokes(obj, truth, count, seed, noise=(3e-4, 3e-3))
-    return identify(obj, add_forces(obj, truth, log, seed, backwards))
+    return identify(Model(obj), add_forces(obj, truth, log, seed, backwards))
 
 
 @pytest.mark.parametrize("count", [1, 3, 8])
@@ -97,7 +100,7 @@ def make_station_log(obj: GridObject, truth: CellParameters, contact: float, end
         places = seen.push.tip_at([0.0, slow, seen.push.duration])
         push = Push.along(np.array([0.0, slow, stop]), places, seen.push.radius)
         times = make_path_times(push, "quasi_static")
-        motion = simulate(obj, truth, push, seen.pose, regime="quasi_static", times=times)
+        motion = simulate(Model(obj, truth), push, seen.pose, regime="quasi_static", times=times)
         fine = np.linspace(0.0, stop, 400, endpoint=False)
         force = motion.contact_forces.sum(axis=1)[np.searchsorted(times, fine, side="right") - 1]
         force[fine > slow] *= end
@@ -113,8 +116,8 @@ def make_station_log(obj: GridObject, truth: CellParameters, contact: float, end
 def test_forces_of_a_finger_that_meets_the_object_or_stops_do_not_count() -> None:
     obj, truth = make_case()
     right = GRAVITY * truth.mass @ truth.friction
-    whole = identify(obj, make_station_log(obj, truth, 1.0, 1.0)).force
-    cut = identify(obj, make_station_log(obj, truth, 0.4, 0.1)).force
+    whole = identify(Model(obj), make_station_log(obj, truth, 1.0, 1.0)).force
+    cut = identify(Model(obj), make_station_log(obj, truth, 0.4, 0.1)).force
     assert whole.friction == pytest.approx(right, rel=0.02)
     assert cut.friction == pytest.approx(whole.friction, rel=1e-6)
 
@@ -123,7 +126,7 @@ def test_if_no_force_was_steady_all_of_them_count() -> None:
     obj, truth = make_case()
     log = make_station_log(obj, truth, 1.0, 1.0)
     few = [replace(seen, force_t=seen.force_t[-2:], force=seen.force[-2:]) for seen in log]
-    found = identify(obj, PushLog(tuple(few))).force
+    found = identify(Model(obj), PushLog(tuple(few))).force
     assert found.pushes == 4
     assert found.friction == pytest.approx(GRAVITY * truth.mass @ truth.friction, rel=0.05)
 
@@ -149,10 +152,10 @@ def test_a_push_that_is_too_short_to_become_steady_says_nothing() -> None:
         force_t=times,
         force=0.5 * force,
     )
-    params = identify(obj, log)
-    alone = calc_force_scale(obj, truth, params.posterior, log, params.physics)
+    params = identify(Model(obj), log)
+    alone = calc_force_scale(Model(obj, truth), params.posterior, log, params.physics)
     more = PushLog((*log, short, replace(short, name="again")))
-    with_short = calc_force_scale(obj, truth, params.posterior, more, params.physics)
+    with_short = calc_force_scale(Model(obj, truth), params.posterior, more, params.physics)
     assert with_short.pushes == alone.pushes == 4
     assert with_short.friction == pytest.approx(alone.friction, rel=1e-9)
 
@@ -167,8 +170,10 @@ def test_the_weight_that_the_finger_carries_does_not_rub(share: float) -> None:
         lift = share * GRAVITY * MASS * np.exp(-np.arange(20) / 10)
         left = 1 - lift / (GRAVITY * MASS)
         pushes.append(replace(seen, force=seen.force * left[:, None], lift_force=lift))
-    known = identify(obj, PushLog(tuple(pushes))).force
-    hidden = identify(obj, PushLog(tuple(replace(seen, lift_force=None) for seen in pushes))).force
+    known = identify(Model(obj), PushLog(tuple(pushes))).force
+    hidden = identify(
+        Model(obj), PushLog(tuple(replace(seen, lift_force=None) for seen in pushes))
+    ).force
     # The friction of what is carried is known no better than by its bounds, 0.25 and 0.5.
     assert known.friction == pytest.approx(right, rel=0.03)
     assert abs(hidden.friction / right - 1) > 0.08
@@ -255,7 +260,7 @@ def test_forces_that_point_backwards_are_left_out_or_not_believed_at_all() -> No
 
 def learn_without_forces(seed: int) -> Identification:
     obj, truth = make_case()
-    return identify(obj, make_pokes(obj, truth, 6, seed, noise=(3e-4, 3e-3)))
+    return identify(Model(obj), make_pokes(obj, truth, 6, seed, noise=(3e-4, 3e-3)))
 
 
 def test_without_forces_nothing_is_said_of_them() -> None:
@@ -296,7 +301,7 @@ def test_a_model_file_keeps_it(tmp_path) -> None:
 def test_real_forces_give_a_steel_block_a_likely_friction(name: str) -> None:
     """1.518 kg on hardboard and plywood, whose friction is between 0.2 and 0.5."""
     log, obj = CmuImporter().read(shared_data("cmu_pushes", f"{name}.txt"))
-    model = identify(obj, log[:10])
+    model = identify(Model(obj), log[:10])
     assert model.force is not None and model.force.pushes >= 9 and model.force.relative_std < 0.15
     low, high = model.force.calc_mean_friction_bounds(obj)
     assert 0.2 < low < high < 0.5

@@ -13,8 +13,9 @@ from gridpush_drake.identification.friction_gradient import (
     draw_gradients,
 )
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.prediction import predict_spread
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.spread import predict_spread
 from gridpush_drake.identification.weighed_model import hold_friction, weigh_model
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import Lift, WeighingLog
@@ -86,7 +87,7 @@ def test_its_spread_follows_from_what_is_told():
 def test_over_the_edge_less_is_known_of_a_push_until_the_object_is_weighed():
     obj, truth = make_half_rough("claw_hammer")
     obj = replace(obj, prior=replace(obj.prior, friction_min=0.1, friction_max=0.9))
-    found = identify(obj, make_pokes(obj, truth, 4, 0, noise=(5e-4, 3e-3)))
+    found = identify(Model(obj), make_pokes(obj, truth, 4, 0, noise=(5e-4, 3e-3)))
     assert found.noise.friction_gradient == FRICTION_GRADIENT
     even = replace(found, noise=replace(found.noise, friction_gradient=0.0))
     on_table = make_pokes(obj, truth, 2, 9)
@@ -107,6 +108,6 @@ def test_over_the_edge_less_is_known_of_a_push_until_the_object_is_weighed():
     weighed = weigh_model(found, WeighingLog(lifts=(lift,)))
     assert weighed.noise.friction_gradient < 0.2 * FRICTION_GRADIENT
     held = hold_friction(weighed)
-    again = identify(obj, make_pokes(obj, truth, 4, 0, noise=(5e-4, 3e-3)), friction=held)
+    again = identify(Model(obj), make_pokes(obj, truth, 4, 0, noise=(5e-4, 3e-3)), friction=held)
     assert again.noise.friction_gradient == held.gradient_std
     assert calc_widest(weighed, at_edge) < calc_widest(found, at_edge)

@@ -7,6 +7,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -39,7 +40,7 @@ def push_at_edge(obj: GridObject, truth: CellParameters, count: int, seed: int) 
         place = rng.uniform(0, obj.edges.perimeter)
         angle = rng.uniform(-0.4, 0.4)
         push = Push.on_outline(obj, place, angle, 0.05, radius=0.01, speed=0.03, pose=pose)
-        motion = simulate_near_edge(obj, truth, push, pose, TABLE)
+        motion = simulate_near_edge(Model(obj, truth), push, pose, TABLE)
         supported = find_supported(obj, motion.poses, TABLE).mean(axis=1)
         still = np.linalg.norm(motion.final_pose - pose) < 0.02
         if motion.fell or supported.max() > 0.95 or still:
@@ -66,7 +67,7 @@ def test_over_the_edge_pushes_are_learned_better_with_the_true_frictions() -> No
             obj, truth = make_half_rough(name)
             log = push_at_edge(obj, truth, LEARNED + 4, seed)
             found = identify(
-                obj,
+                Model(obj),
                 log[:LEARNED],
                 regime="quasi_static",
                 friction=HeldFriction(truth.friction) if held else None,
@@ -74,7 +75,7 @@ def test_over_the_edge_pushes_are_learned_better_with_the_true_frictions() -> No
             if held:
                 np.testing.assert_array_equal(found.params.friction, truth.friction)
             rest = log[LEARNED:]
-            predicted = predict(obj, found.params, rest, physics=found.physics)
+            predicted = predict(Model(obj, found.params, found.physics), rest)
             errors += [one.cell for one in calc_final_errors(obj, predicted, rest)]
         means[held] = np.mean(errors)
     # 1.9 mm and 0.8 mm.
@@ -84,8 +85,8 @@ def test_over_the_edge_pushes_are_learned_better_with_the_true_frictions() -> No
 def test_on_the_table_frictions_that_are_held_change_no_loads() -> None:
     obj, truth = make_half_rough("l_bracket")
     log = make_pokes(obj, truth, 4, 0, noise=(5e-4, 3e-3))
-    even = identify(obj, log)
-    held = identify(obj, log, friction=HeldFriction(truth.friction))
+    even = identify(Model(obj), log)
+    held = identify(Model(obj), log, friction=HeldFriction(truth.friction))
     np.testing.assert_allclose(held.posterior.calc_share(), even.posterior.calc_share(), rtol=1e-4)
     ratio = held.params.mass * held.params.friction / held.posterior.calc_share()
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
@@ -96,4 +97,4 @@ def test_frictions_that_cannot_be_held_are_refused() -> None:
     log = make_pokes(obj, truth, 2, 0)
     for bad in (truth.friction[1:], -truth.friction, np.full(obj.n, np.nan)):
         with pytest.raises(IdentificationError, match="one for each cell"):
-            identify(obj, log, friction=HeldFriction(bad))
+            identify(Model(obj), log, friction=HeldFriction(bad))

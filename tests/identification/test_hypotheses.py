@@ -32,6 +32,7 @@ from gridpush_drake.identification.load_prior import (
 )
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.mode_choice import ALIKE, calc_cut_evidence
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
@@ -127,7 +128,7 @@ def test_four_pushes_show_two_parts_and_how_they_differ() -> None:
     obj = make_shape("claw_hammer", 30)
     side = obj.p_BC @ make_direction(0.0) > 0.02
     truth = CellParameters(np.where(side, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
-    found = identify(obj, make_pokes(obj, truth, 4, 3, noise=(5e-4, 3.5e-3)))
+    found = identify(Model(obj), make_pokes(obj, truth, 4, 3, noise=(5e-4, 3.5e-3)))
     log_k = np.log(found.params.mass)
     step = log_k[side].mean() - log_k[~side].mean()
     assert step == pytest.approx(np.log(5), abs=0.35)
@@ -201,11 +202,11 @@ def learn_round_bodies(profile, left_out: str) -> tuple[list[float], list[float]
         truth = CellParameters(load / load.sum(), np.full(obj.n, 0.35), 0.4, patch_ratio=0.2)
         train = make_pokes(obj, truth, 5, 10 + seed, length=0.1, noise=(5e-4, 3.5e-3))
         test = make_pokes(obj, truth, 10, 100 + seed, length=0.1)
-        found = identify(obj, train)
-        with_all.append(calc_mean_cell_error(obj, found.params, test, found.physics))
+        found = identify(Model(obj), train)
+        with_all.append(calc_mean_cell_error(Model(obj, found.params, found.physics), test))
         weights += [one.weight for one in found.hypotheses if one.name == left_out]
-        found = identify(obj, train, ensemble=MapEnsemble(hypotheses=rest))
-        without.append(calc_mean_cell_error(obj, found.params, test, found.physics))
+        found = identify(Model(obj), train, ensemble=MapEnsemble(hypotheses=rest))
+        without.append(calc_mean_cell_error(Model(obj, found.params, found.physics), test))
     return with_all, without, weights
 
 

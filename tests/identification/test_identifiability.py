@@ -6,6 +6,7 @@ from gridpush_drake.identification.identifiability import (
     calc_center_of_mass_box,
     calc_identifiability,
 )
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import LEARNED_SHARE, Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
@@ -53,7 +54,7 @@ def make_posterior(obj: GridObject, learned: int) -> Posterior:
 def test_counts_learned_directions_and_spans_the_rest() -> None:
     obj = make_object()
     params = CellParameters.uniform(obj)
-    report = calc_identifiability(obj, params, make_posterior(obj, 5))
+    report = calc_identifiability(Model(obj, params), make_posterior(obj, 5))
     assert report.null_space.shape[1] == obj.n
     np.testing.assert_allclose(
         report.null_space @ report.null_space.T, np.eye(len(report.null_space)), atol=1e-9
@@ -71,7 +72,7 @@ def test_mass_bounds_hold_for_every_agreeing_mass_distribution() -> None:
         np.append(np.log(share), 0.0), np.eye(obj.n + 1) * 0.01, np.eye(obj.n + 1)
     )
     params = CellParameters(2.0 * share, np.full(obj.n, 0.4))
-    report = calc_identifiability(obj, params, posterior)
+    report = calc_identifiability(Model(obj, params), posterior)
     rng = np.random.default_rng(1)
     for _ in range(200):
         mass = share / rng.uniform(0.2, 0.8, obj.n)
@@ -84,7 +85,7 @@ def test_mass_bounds_hold_for_every_agreeing_mass_distribution() -> None:
 
 def test_statements_say_what_cannot_be_known() -> None:
     obj = make_object()
-    report = calc_identifiability(obj, CellParameters.uniform(obj), make_posterior(obj, 3))
+    report = calc_identifiability(Model(obj), make_posterior(obj, 3))
     assert sum("Not identifiable from these data" in text for text in report.statements) == 2
     # Of patterns and of cells it is said in one sentence how they go together.
     (told,) = [text for text in report.statements if "pattern" in text]
@@ -92,7 +93,7 @@ def test_statements_say_what_cannot_be_known() -> None:
     assert f"determined {report.learned_directions} independent patterns" in told
     assert f"half of the variance from {cells} of the cells" in told
     assert "neighboring cells are supposed to be alike" in told
-    nothing = calc_identifiability(obj, CellParameters.uniform(obj), make_posterior(obj, 0))
+    nothing = calc_identifiability(Model(obj), make_posterior(obj, 0))
     assert any(
         "determined nothing of how the friction is spread" in text for text in nothing.statements
     )

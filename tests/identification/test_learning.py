@@ -8,6 +8,7 @@ from gridpush_drake.errors import IdentificationError, SimulationError
 from gridpush_drake.identification.hypotheses import SmoothField, TwoParts
 from gridpush_drake.identification.learning import METHODS, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.identification.problem import resolve_physics
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
@@ -39,7 +40,7 @@ def make_uneven(obj: GridObject) -> CellParameters:
 
 
 def calc_error(obj: GridObject, params: CellParameters, log: PushLog) -> float:
-    made = predict(obj, params, log)
+    made = predict(Model(obj, params), log)
     return float(
         np.mean(
             [
@@ -55,7 +56,7 @@ def test_learns_an_uneven_block_from_noisy_pokes() -> None:
     truth = make_uneven(obj)
     held_out = make_pokes(obj, truth, 10, 99, observations=1)
     log = make_pokes(obj, truth, 6, 0, noise=(5e-4, 3.5e-3))
-    found = identify(obj, log)
+    found = identify(Model(obj), log)
     assert found.status == "learned"
     assert (
         calc_error(obj, found.params, held_out)
@@ -78,18 +79,20 @@ def test_learns_an_uneven_block_from_noisy_pokes() -> None:
 def test_default_stands_on_points_and_searches_on_whole_cells() -> None:
     obj = make_block()
     log = make_pokes(obj, make_uneven(obj), 2, 0)
-    found = identify(obj, log)
+    found = identify(Model(obj), log)
     assert found.params.patch_ratio == pytest.approx(1 / np.sqrt(obj.n))
-    assert {draw.patch_ratio for draw in found.samples(3)} == {found.params.patch_ratio}
-    assert identify(obj, log, ensemble=MapEnsemble(patch_ratio=0.5)).params.patch_ratio == 0.5
-    assert identify(obj, log, method="random_search", budget=4).params.patch_ratio == 1.0
+    assert {draw.patch_ratio for draw in found.draws(3)} == {found.params.patch_ratio}
+    assert (
+        identify(Model(obj), log, ensemble=MapEnsemble(patch_ratio=0.5)).params.patch_ratio == 0.5
+    )
+    assert identify(Model(obj), log, method="random_search", budget=4).params.patch_ratio == 1.0
 
 
 def test_leaves_a_uniform_block_nearly_alone() -> None:
     obj = make_block()
     truth = CellParameters.uniform(obj, contact_friction=0.3)
     log = make_pokes(obj, truth, 5, 1, noise=(1e-3, 1e-2))
-    found = identify(obj, log)
+    found = identify(Model(obj), log)
     held_out = make_pokes(obj, truth, 10, 98, observations=1)
     uniform = calc_error(obj, CellParameters.uniform(obj), held_out)
     assert calc_error(obj, found.params, held_out) < uniform + 2e-4
@@ -98,7 +101,7 @@ def test_leaves_a_uniform_block_nearly_alone() -> None:
 def test_keeping_the_prior_does_not_make_it_look_surer() -> None:
     obj = make_block()
     truth = CellParameters.uniform(obj, contact_friction=0.3)
-    found = identify(obj, make_pokes(obj, truth, 3, 1, length=0.02, noise=(1e-3, 1e-2)))
+    found = identify(Model(obj), make_pokes(obj, truth, 3, 1, length=0.02, noise=(1e-3, 1e-2)))
     assert found.status == "prior_kept"
     assert np.median(found.std.mass / found.params.mass) > 0.15
 
@@ -106,16 +109,16 @@ def test_keeping_the_prior_does_not_make_it_look_surer() -> None:
 def test_same_seed_same_bits_and_threads_do_not_matter() -> None:
     obj = make_block()
     log = make_pokes(obj, make_uneven(obj), 3, 2, noise=(5e-4, 3e-3))
-    first, second = identify(obj, log, seed=4), identify(obj, log, seed=4)
+    first, second = identify(Model(obj), log, seed=4), identify(Model(obj), log, seed=4)
     assert np.array_equal(first.params.mass, second.params.mass)
     assert np.array_equal(first.posterior.covariance, second.posterior.covariance)
 
 
 def test_result_carries_spread_and_samples() -> None:
     obj = make_block()
-    found = identify(obj, make_pokes(obj, make_uneven(obj), 3, 2))
+    found = identify(Model(obj), make_pokes(obj, make_uneven(obj), 3, 2))
     assert found.std.mass.shape == found.params.mass.shape
-    samples = found.samples(300, seed=1)
+    samples = found.draws(300, seed=1)
     assert len(samples) == 300
     shares = np.array([sample.relative_friction() for sample in samples])
     centers = shares @ obj.p_BC
@@ -128,7 +131,7 @@ def test_result_carries_spread_and_samples() -> None:
 def test_weighed_object_keeps_its_mass() -> None:
     obj = make_block()
     found = identify(
-        obj, make_pokes(obj, make_uneven(obj), 2, 2), prior=PhysicalPrior(total_mass=2.5)
+        Model(obj), make_pokes(obj, make_uneven(obj), 2, 2), prior=PhysicalPrior(total_mass=2.5)
     )
     assert found.params.total_mass == pytest.approx(2.5)
     assert found.obj.prior.total_mass == 2.5
@@ -144,10 +147,10 @@ def test_pushes_that_never_touch_are_left_out_and_named() -> None:
     missed = ObservedPush(
         "far", far, miss.pose, miss.t_observed, np.zeros_like(miss.poses_observed)
     )
-    found = identify(obj, PushLog((*log.pushes, missed)))
+    found = identify(Model(obj), PushLog((*log.pushes, missed)))
     assert found.unused_pushes == ("far",)
     assert found.push_names == ("poke_0", "poke_1")
-    nothing = identify(obj, PushLog((missed,)))
+    nothing = identify(Model(obj), PushLog((missed,)))
     assert nothing.status == "no_usable_pushes"
     np.testing.assert_allclose(nothing.params.mass, nothing.params.mass[0])
 
@@ -156,17 +159,19 @@ def test_uses_the_objects_pusher_radius_where_the_log_has_none() -> None:
     obj = make_block()
     log = make_pokes(obj, make_uneven(obj), 2, 2)
     bare = replace(log.with_radius(0.001), radius_given=False)
-    assert np.array_equal(identify(obj, bare).params.mass, identify(obj, log).params.mass)
+    assert np.array_equal(
+        identify(Model(obj), bare).params.mass, identify(Model(obj), log).params.mass
+    )
 
 
 def test_the_paper_s_method_learns_of_an_object_pushed_above_the_table() -> None:
     obj = make_block(8)
     log = make_pokes(obj, make_uneven(obj), 2, 2, length=0.03, observations=2, regime="inertial")
     high = replace(obj, prior=replace(obj.prior, pusher_radius=0.005, push_height=0.01))
-    found = identify(high, log, method="paper", budget=20)
+    found = identify(Model(high), log, method="paper", budget=20)
     assert found.params.push_height == 0.01
     np.testing.assert_array_equal(
-        found.params.mass, identify(obj, log, method="paper", budget=20).params.mass
+        found.params.mass, identify(Model(obj), log, method="paper", budget=20).params.mass
     )
 
 
@@ -174,7 +179,7 @@ def test_the_paper_s_method_learns_of_an_object_pushed_above_the_table() -> None
 def test_every_search_is_behind_the_same_interface(method: str) -> None:
     obj = make_block(8)
     log = make_pokes(obj, make_uneven(obj), 2, 2, length=0.03, observations=2, regime="inertial")
-    found = identify(obj, log, method=method, budget=30, regime="inertial")
+    found = identify(Model(obj), log, method=method, budget=30, regime="inertial")
     assert found.method == method and found.simulations <= 30
     assert found.history[-1].loss <= found.history[0].loss
     assert np.linalg.eigvalsh(found.posterior.covariance).min() > 0
@@ -183,7 +188,7 @@ def test_every_search_is_behind_the_same_interface(method: str) -> None:
 def test_elongated_object_with_a_very_light_part_does_not_stall() -> None:
     obj = GridObject.from_outline(HANDLE, max_cells=60)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.1, 2.0, 0.02), np.full(obj.n, 0.4), 0.4)
-    found = identify(obj, make_pokes(obj, truth, 5, 0))
+    found = identify(Model(obj), make_pokes(obj, truth, 5, 0))
     center = truth.relative_friction() @ obj.p_BC
     assert np.linalg.norm(found.identifiability.center_of_friction - center) < 0.01
 
@@ -202,17 +207,17 @@ def test_bad_arguments_are_refused() -> None:
     obj = make_block()
     log = make_pokes(obj, make_uneven(obj), 1, 0)
     with pytest.raises(IdentificationError, match="method is 'magic'"):
-        identify(obj, log, method="magic")
+        identify(Model(obj), log, method="magic")
     with pytest.raises(SimulationError, match="regime"):
-        identify(obj, log, regime="fast")
+        identify(Model(obj), log, regime="fast")
     with pytest.raises(IdentificationError, match="seed is -1"):
-        identify(obj, log, method="random_search", seed=-1)
+        identify(Model(obj), log, method="random_search", seed=-1)
     with pytest.raises(IdentificationError, match=r"seed is 1\.5"):
-        identify(obj, log, seed=1.5)  # type: ignore[arg-type]
+        identify(Model(obj), log, seed=1.5)  # type: ignore[arg-type]
     with pytest.raises(IdentificationError, match="budget"):
-        identify(obj, log, method="random_search", budget=0)
+        identify(Model(obj), log, method="random_search", budget=0)
     with pytest.raises(IdentificationError, match="k is -1"):
-        describe_prior(obj).samples(-1)
+        describe_prior(obj).draws(-1)
     for amplitude in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(IdentificationError, match="expected a positive finite number"):
             SmoothField(amplitude)
@@ -222,10 +227,10 @@ def test_bad_arguments_are_refused() -> None:
     with pytest.raises(IdentificationError, match="two are named 'smooth field 1'"):
         MapEnsemble(hypotheses=(SmoothField(1.0), SmoothField(1.0)))
     with pytest.raises(IdentificationError, match="no pushes"):
-        identify(obj, PushLog(()))
+        identify(Model(obj), PushLog(()))
     unseen = replace(log[0], t_observed=np.empty(0), poses_observed=np.empty((0, 3)))
     with pytest.raises(IdentificationError, match="object_x"):
-        identify(obj, PushLog((unseen,)))
+        identify(Model(obj), PushLog((unseen,)))
 
 
 def test_a_fit_that_has_no_solution_is_an_error_that_asks_about_what_was_told() -> None:
@@ -236,14 +241,15 @@ def test_a_fit_that_has_no_solution_is_an_error_that_asks_about_what_was_told() 
     obj = make_block()
     log, told = make_pokes(obj, make_uneven(obj), 1, 0), replace(obj.prior, push_height=0.02)
     with pytest.raises(IdentificationError, match=r"is pusher.height, 0.02 m, right\?"):
-        identify(obj, log, told, ensemble=Singular())
+        identify(Model(obj), log, told, ensemble=Singular())
 
 
 @pytest.mark.parametrize("patch_ratio", [1.0, 0.1])
 def test_an_object_of_one_cell_has_its_whole_load_there(patch_ratio: float) -> None:
     obj = GridObject.from_outline([[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]], max_cells=1)
     found = identify(
-        obj, make_pokes(obj, replace(CellParameters.uniform(obj), patch_ratio=patch_ratio), 3, 0)
+        Model(obj),
+        make_pokes(obj, replace(CellParameters.uniform(obj), patch_ratio=patch_ratio), 3, 0),
     )
     np.testing.assert_allclose(found.relative_friction, 1.0)
     np.testing.assert_allclose(found.identifiability.center_of_friction, obj.p_BC[0])
@@ -253,5 +259,5 @@ def test_a_center_of_mass_at_a_corner_leaves_a_model_of_numbers() -> None:
     obj = make_block()
     corner = tuple(float(value) for value in obj.outline.exterior.coords[0][:2])
     told = replace(obj.prior, center_of_mass=corner, center_of_mass_std=1e-4)
-    found = identify(obj, make_pokes(obj, make_uneven(obj), 3, 0), told)
+    found = identify(Model(obj), make_pokes(obj, make_uneven(obj), 3, 0), told)
     assert np.isfinite(found.params.mass).all() and (found.params.mass > 0).all()

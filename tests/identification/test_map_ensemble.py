@@ -26,6 +26,7 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.load_modes import find_corners
 from gridpush_drake.identification.load_prior import LoadPrior, calc_prior_factor
 from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
@@ -46,7 +47,7 @@ def learn(mass_ratio: float, amplitudes: tuple[float, ...] | None = None):
     )
     fields = None if amplitudes is None else tuple(map(SmoothField, amplitudes))
     ensemble = MapEnsemble() if fields is None else MapEnsemble(hypotheses=fields)
-    return identify(obj, make_pokes(obj, truth, 4, 5, noise=NOISE), ensemble=ensemble)
+    return identify(Model(obj), make_pokes(obj, truth, 4, 5, noise=NOISE), ensemble=ensemble)
 
 
 def test_evidence_chooses_the_amplitude_that_the_pushes_ask_for() -> None:
@@ -98,7 +99,7 @@ def test_no_number_of_pushes_makes_the_center_surer_than_what_their_loads_share(
     obj = make_shape("l_bracket", 20)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 2.0, 1.0), np.full(obj.n, 0.4), 0.35)
     for count in (3, 12):
-        found = identify(obj, make_pokes(obj, truth, count, 5, noise=NOISE))
+        found = identify(Model(obj), make_pokes(obj, truth, count, 5, noise=NOISE))
         x = found.posterior.calc_share()
         problem = PushProblem(obj, make_pokes(obj, truth, 1, 5), truth)
         floor = problem.calc_tilt_covariance(SHARED_SHIFT * found.load_shift_std)
@@ -218,10 +219,10 @@ def test_pushes_that_agree_make_surer_of_what_none_shows_but_by_half_as_much(
 def test_a_push_that_ends_far_off_is_not_explained_away_by_being_sensitive() -> None:
     case = make_case(make_protocol(), "pliers", 4)
     found, test = (
-        identify(case.obj, case.log.subset([1, 2, 3, 8, 6])),
+        identify(Model(case.obj), case.log.subset([1, 2, 3, 8, 6])),
         case.log.subset([0, 4, 5, 7, 9]),
     )
-    assert calc_mean_cell_error(case.obj, found.params, test, found.physics) < 0.005, (
+    assert calc_mean_cell_error(Model(case.obj, found.params, found.physics), test) < 0.005, (
         "26 mm from a poor optimum"
     )
 
@@ -245,7 +246,7 @@ def test_a_hypothesis_of_ones_own_is_weighed_and_named() -> None:
     obj = make_shape("l_bracket", 20)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
     log = make_pokes(obj, truth, 4, 5, noise=NOISE)
-    found = identify(obj, log)
+    found = identify(Model(obj), log)
     # Those that the pushes choose come last; of two parts several cuts are proposed.
     unconditional = [one.name for one in DEFAULT_HYPOTHESES if not one.needs_pushes]
     names = [one.name for one in found.hypotheses]
@@ -255,7 +256,11 @@ def test_a_hypothesis_of_ones_own_is_weighed_and_named() -> None:
     assert max(one.log_evidence for one in found.hypotheses) == 0.0
 
     right, wrong = (
-        identify(obj, log, ensemble=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, HeavyRow(beyond))))
+        identify(
+            Model(obj),
+            log,
+            ensemble=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, HeavyRow(beyond))),
+        )
         for beyond in (0.03, -0.02)
     )
     weights = [
@@ -273,7 +278,7 @@ def test_one_hypothesis_is_enough(alone) -> None:
     obj = make_shape("l_bracket", 20)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
     log = make_pokes(obj, truth, 3, 5, noise=NOISE)
-    found = identify(obj, log, ensemble=MapEnsemble(hypotheses=(alone,)))
+    found = identify(Model(obj), log, ensemble=MapEnsemble(hypotheses=(alone,)))
     assert [one.name for one in found.hypotheses] == [alone.name]
     # On its corners alone the object explains its pushes poorly, and that is what is said.
     poor = isinstance(alone, RigidBottom)

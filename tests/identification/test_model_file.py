@@ -48,7 +48,7 @@ def test_gives_every_number_back(tmp_path):
     assert looks_like_model(path)
     restored = read_model(path)
     assert_same(identification, restored)
-    assert_same(tuple(identification.samples(2)), tuple(restored.samples(2)))
+    assert_same(tuple(identification.draws(2)), tuple(restored.draws(2)))
 
 
 def test_keeps_the_noise_that_was_supposed(tmp_path):

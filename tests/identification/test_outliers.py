@@ -7,6 +7,7 @@ import pytest
 
 from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.outliers import find_jumps, remove_outliers
 from gridpush_drake.identification.problem import PushProblem
@@ -77,7 +78,7 @@ def clean() -> float:
 
 
 def learn_and_judge(obj, truth, _, log: PushLog) -> tuple:
-    found = identify(obj, log)
+    found = identify(Model(obj), log)
     return found, calc_held_out_error(obj, truth, found.params)
 
 
@@ -102,7 +103,7 @@ def test_flips_are_named_exactly_in_a_log_that_was_read_from_a_file(tmp_path) ->
     read = PushLog.read_csv(tmp_path / "pushes.csv", log[0].push.radius)
     turns = [abs(seen.poses_observed[-1, 2] - seen.pose[2]) > np.pi for seen in read]
     assert any(turns)  # a flip and the way back, each the nearer way round, can make a whole turn
-    found, expected = identify(obj, read), identify(obj, bad)
+    found, expected = identify(Model(obj), read), identify(Model(obj), bad)
     assert {outlier.push: outlier.poses for outlier in found.outliers} == spoiled
     np.testing.assert_allclose(found.params.mass, expected.params.mass, rtol=1e-9)
 
@@ -151,7 +152,7 @@ def test_two_of_ten_pushes_of_another_object_are_named_though_loads_that_shift_c
 def test_nothing_is_refused_of_a_clean_log() -> None:
     for name, seed in (("square", 1), ("l_bracket", 2), ("claw_hammer", 0)):
         obj, _, log = make_case(name, seed)
-        assert identify(obj, log).outliers == ()
+        assert identify(Model(obj), log).outliers == ()
 
 
 def test_a_small_slip_within_reach_of_the_push_is_found_by_the_fit() -> None:
@@ -163,15 +164,15 @@ def test_a_small_slip_within_reach_of_the_push_is_found_by_the_fit() -> None:
         pushes=tuple(replace(s, poses_observed=poses) if i == 2 else s for i, s in enumerate(log)),
     )
     assert all(mask.all() for mask in find_jumps(obj, slipped))
-    assert [(outlier.push, outlier.poses) for outlier in identify(obj, slipped).outliers] == [
-        (log[2].name, (4,))
-    ]
+    assert [
+        (outlier.push, outlier.poses) for outlier in identify(Model(obj), slipped).outliers
+    ] == [(log[2].name, (4,))]
 
 
 def test_a_push_whose_first_pose_is_wrong_begins_at_the_next() -> None:
     obj, _, log = make_case()
     wrong = replace(log[0], pose=turn(obj, log[0].pose, np.pi))
-    found = identify(obj, replace(log, pushes=(wrong, *log.pushes[1:])))
+    found = identify(Model(obj), replace(log, pushes=(wrong, *log.pushes[1:])))
     (outlier,) = found.outliers
     assert (outlier.push, outlier.poses, outlier.whole) == (wrong.name, (0,), False)
     end = wrong.push.duration
@@ -196,7 +197,7 @@ def test_a_log_in_which_most_poses_jump_is_left_to_be_judged_as_a_whole() -> Non
 def test_what_was_refused_is_in_words_in_the_file_and_in_the_report(tmp_path) -> None:
     obj, _, log = make_case()
     bad, spoiled = spoil(obj, log[:3], "flip")
-    found = identify(obj, bad)
+    found = identify(Model(obj), bad)
     write_model(tmp_path / "model.yaml", found)
     assert read_model(tmp_path / "model.yaml").outliers == found.outliers
     page = make_report(found, bad)

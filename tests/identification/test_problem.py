@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject
@@ -56,7 +57,7 @@ def test_cell_errors_agree_with_the_cells_themselves() -> None:
 
     log = PushLog(tuple(push.observed for push in problem._pushes))
     for made, seen, error in zip(
-        predict(problem.obj, problem.params(z), log),
+        predict(Model(problem.obj, problem.params(z)), log),
         log,
         problem.calc_cell_errors(problem.residuals(z)),
         strict=True,

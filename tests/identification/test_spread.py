@@ -8,15 +8,11 @@ import pytest
 from gridpush_drake.identification.friction_gradient import calc_gradient_std
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel
-from gridpush_drake.identification.prediction import (
-    INTERVAL,
-    calc_final_errors,
-    calc_norm_quantile,
-    predict,
-    predict_spread,
-)
+from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.spread import INTERVAL, calc_norm_quantile, predict_spread
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.push_cases import make_table_edge
 from tests.helpers.shapes import make_shape
@@ -89,9 +85,9 @@ def test_errors_of_held_out_pushes_are_as_large_as_expected() -> None:
         truth = CellParameters(
             np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35
         )
-        found = identify(obj, make_pokes(obj, truth, 4, seed, noise=NOISE))
+        found = identify(Model(obj), make_pokes(obj, truth, 4, seed, noise=NOISE))
         held_out = make_pokes(obj, truth, 12, 50 + seed, noise=NOISE, observations=1)
-        errors = calc_final_errors(obj, predict(obj, found.params, held_out), held_out)
+        errors = calc_final_errors(obj, predict(Model(obj, found.params), held_out), held_out)
         spreads = predict_spread(found, held_out)
         assert [spread.name for spread in spreads] == [seen.name for seen in held_out]
         within += [
@@ -106,7 +102,10 @@ def test_more_pushes_leave_less_spread() -> None:
     log, held_out = make_pokes(obj, truth, 6, 0, noise=NOISE), make_pokes(obj, truth, 5, 60)
     few, many = (
         np.mean(
-            [spread.cell_error for spread in predict_spread(identify(obj, log[:count]), held_out)]
+            [
+                spread.cell_error
+                for spread in predict_spread(identify(Model(obj), log[:count]), held_out)
+            ]
         )
         for count in (1, 6)
     )
@@ -117,7 +116,7 @@ def test_the_spread_is_that_of_pushes_on_the_same_table() -> None:
     """J S J^T by differences of simulations along the posterior's axes."""
     obj = make_shape("claw_hammer", 30)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
-    found = identify(obj, make_pokes(obj, truth, 6, 3, noise=NOISE))
+    found = identify(Model(obj), make_pokes(obj, truth, 6, 3, noise=NOISE))
     log = make_pokes(obj, truth, 5, 60, noise=NOISE, observations=1)[:2]
     values, vectors = np.linalg.eigh(found.posterior.covariance)
     axes, mean = (vectors * np.sqrt(np.maximum(values, 0.0))).T, found.posterior.mean
@@ -125,7 +124,7 @@ def test_the_spread_is_that_of_pushes_on_the_same_table() -> None:
     for table in (None, make_table_edge(obj, np.zeros(3), 0.0, 0.17)):
         chosen = replace(log, table=table)
         assert "tips" not in [
-            prediction.status for prediction in predict(obj, found.params, chosen)
+            prediction.status for prediction in predict(Model(obj, found.params), chosen)
         ]
         problem = PushProblem(obj, chosen, found.params, found.physics)
         ahead, behind = (
@@ -153,7 +152,7 @@ def test_the_noise_that_a_fit_supposed_is_that_of_its_predictions() -> None:
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
     rough = NoiseModel(pose=0.008)
     found = identify(
-        obj, make_pokes(obj, truth, 4, 1, noise=NOISE), ensemble=MapEnsemble(noise=rough)
+        Model(obj), make_pokes(obj, truth, 4, 1, noise=NOISE), ensemble=MapEnsemble(noise=rough)
     )
     assert found.noise == replace(rough, friction_gradient=calc_gradient_std(obj.prior))
     assert found.noise_scale.pose == pytest.approx(found.noise_std / 0.008)

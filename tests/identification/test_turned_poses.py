@@ -9,6 +9,7 @@ from shapely import affinity
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import PushLogWarning
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.turned_poses import find_symmetry, turn_poses
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -69,10 +70,10 @@ def test_turned_poses_leave_the_outline_where_it_is():
 def test_half_turned_poses_are_named(corners, seed):
     obj, truth = make_plate(corners, heavier=1.2)
     log = make_pokes(obj, truth, 8, seed, noise=NOISE)
-    identify(obj, log)  # warnings are errors: without a word
+    identify(Model(obj), log)  # warnings are errors: without a word
     off = np.array([0, 1, 0, 1, 0, 1, 1, 0])
     with pytest.warns(PushLogWarning, match=r"object_theta: .* half a turn off") as caught:
-        identify(obj, turn_poses(obj, log, off, 2))
+        identify(Model(obj), turn_poses(obj, log, off, 2))
     named = str(caught[0].message).split("pushes (")[1].split(")")[0].split(", ")
     # which half is the turned one, nobody can know
     halves = [{log[i].name for i in np.flatnonzero(off == side)} for side in (0, 1)]
@@ -83,7 +84,7 @@ def test_half_turned_poses_are_named(corners, seed):
 def test_few_half_turned_poses_are_left_out_and_the_center_is_right():
     obj, truth = make_plate(heavier=1.2)
     log = make_pokes(obj, truth, 8, 0, noise=NOISE)
-    found = identify(obj, turn_poses(obj, log, np.array([0, 1, 0, 1, 0, 0, 0, 0]), 2))
+    found = identify(Model(obj), turn_poses(obj, log, np.array([0, 1, 0, 1, 0, 0, 0, 0]), 2))
     assert [(one.push, one.whole) for one in found.outliers] == [("poke_1", True), ("poke_3", True)]
     center, true_center = (
         params.mass @ obj.p_BC / params.mass.sum() for params in (found.params, truth)
@@ -94,7 +95,7 @@ def test_few_half_turned_poses_are_left_out_and_the_center_is_right():
 def test_a_search_with_a_law_without_gradients_is_not_asked_for_them():
     obj, truth = make_plate()
     log = make_pokes(obj, truth, 4, 1, noise=NOISE)
-    found = identify(obj, log, method="random_search", budget=8, physics=Physics("lagged"))
+    found = identify(Model(obj, physics=Physics("lagged")), log, method="random_search", budget=8)
     assert found.physics.friction_law == "lagged"
 
 
@@ -102,4 +103,4 @@ def test_a_search_with_a_law_without_gradients_is_not_asked_for_them():
 def test_good_poses_of_symmetric_plates_are_taken_without_a_word(heavier):
     for corners in (PLATE, 0.1 * np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])):
         obj, truth = make_plate(corners, heavier)
-        identify(obj, make_pokes(obj, truth, 6, 3, noise=NOISE))
+        identify(Model(obj), make_pokes(obj, truth, 6, 3, noise=NOISE))

@@ -10,6 +10,7 @@ from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.load_prior import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.map_fit import fit_map
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart
@@ -33,7 +34,10 @@ def test_warm_start_changes_the_way_and_not_the_answer(name: str, seed: int) -> 
     obj, log = make_case(name, seed)
     before = None
     for count in (3, 5):
-        cold, warm = identify(obj, log[:count]), identify(obj, log[:count], start=before)
+        cold, warm = (
+            identify(Model(obj), log[:count]),
+            identify(Model(obj), log[:count], start=before),
+        )
         std = np.sqrt(np.diag(cold.posterior.covariance))
         assert (np.abs(warm.posterior.mean - cold.posterior.mean) < 0.3 * std).all()
         assert warm.status == cold.status
@@ -42,21 +46,27 @@ def test_warm_start_changes_the_way_and_not_the_answer(name: str, seed: int) -> 
 
 def test_same_start_same_bits() -> None:
     obj, log = make_case("l_bracket", 3)
-    start = identify(obj, log[:3])
-    one, other = identify(obj, log[:4], start=start), identify(obj, log[:4], start=start)
+    start = identify(Model(obj), log[:3])
+    one, other = (
+        identify(Model(obj), log[:4], start=start),
+        identify(Model(obj), log[:4], start=start),
+    )
     np.testing.assert_array_equal(one.posterior.mean, other.posterior.mean)
 
 
 def test_bad_start_does_no_harm() -> None:
     """Where the start is the less probable one, the fit begins as it would have."""
     obj, log = make_case("l_bracket", 3)
-    start = identify(obj, log[:3])
+    start = identify(Model(obj), log[:3])
     rng = np.random.default_rng(0)
     astray = tuple(
         FitStart(fit.z + rng.normal(0, 3, len(fit.z)), NoiseScale(), fit.name)
         for fit in start.starts
     )
-    cold, warm = identify(obj, log), identify(obj, log, start=replace(start, starts=astray))
+    cold, warm = (
+        identify(Model(obj), log),
+        identify(Model(obj), log, start=replace(start, starts=astray)),
+    )
     std = np.sqrt(np.diag(cold.posterior.covariance))
     assert (np.abs(warm.posterior.mean - cold.posterior.mean) < 0.3 * std).all()
 
@@ -64,8 +74,8 @@ def test_bad_start_does_no_harm() -> None:
 def test_start_without_fits_will_do() -> None:
     """Such as a model read from a file, or one of other hypotheses."""
     obj, log = make_case("square", 4, pushes=4)
-    read = replace(identify(obj, log[:3]), starts=())
-    cold, warm = identify(obj, log), identify(obj, log, start=read)
+    read = replace(identify(Model(obj), log[:3]), starts=())
+    cold, warm = identify(Model(obj), log), identify(Model(obj), log, start=read)
     std = np.sqrt(np.diag(cold.posterior.covariance))
     assert (np.abs(warm.posterior.mean - cold.posterior.mean) < 0.3 * std).all()
 
@@ -73,7 +83,7 @@ def test_start_without_fits_will_do() -> None:
 def test_start_of_another_object_is_refused() -> None:
     obj, log = make_case("square", 4, pushes=1)
     with pytest.raises(IdentificationError, match="start"):
-        identify(obj, log, start=describe_prior(make_shape("disc", 12)))
+        identify(Model(obj), log, start=describe_prior(make_shape("disc", 12)))
 
 
 def test_fit_that_begins_at_its_own_end_costs_less() -> None:

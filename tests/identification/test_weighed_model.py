@@ -99,7 +99,7 @@ def test_a_center_may_be_elsewhere_than_that_of_friction(learned):
 
 
 def test_draws_spread_as_is_said(weighed):
-    draws = weighed.samples(300, seed=2)
+    draws = weighed.draws(300, seed=2)
     found = weighed.absolute
     masses = np.array([draw.total_mass for draw in draws])
     low, high = found.mass_interval
@@ -113,7 +113,7 @@ def test_draws_spread_as_is_said(weighed):
     said = weighed.std.friction / weighed.params.friction
     np.testing.assert_allclose(cells, said, rtol=0.25)
     assert said.max() > 1.2 * np.sqrt(found.covariance[LOG_FRICTION, LOG_FRICTION])
-    again = weighed.samples(300, seed=2)
+    again = weighed.draws(300, seed=2)
     assert all((one.mass == other.mass).all() for one, other in zip(draws, again, strict=True))
 
 

@@ -8,6 +8,7 @@ import pytest
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.interop.differentiable import ARGUMENTS, PushFunction, PushSetting
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
@@ -23,8 +24,7 @@ def test_it_is_what_simulate_does(case):
     function = PushFunction(case.obj, case.make_setting())
     values = case.values
     motion = simulate(
-        case.obj,
-        CellParameters(values["mass"], values["friction"], 0.4),
+        Model(case.obj, CellParameters(values["mass"], values["friction"], 0.4)),
         Push(values["start"], values["velocity"], 0.5, 0.006),
         values["pose"],
         times=np.linspace(0.0, 0.5, 26),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.cli.options import load_object
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.ground_truth import (
     SetGridObjectParameters,
     SetGridObjectPose,
@@ -34,7 +35,7 @@ def test_loads_are_those_of_how_it_stands(support):
     obj = load_object("claw_hammer")
     params = CellParameters.by_part(obj, {1: 0.002, 2: 0.012}, 0.35)
     weight, center = params.total_mass * 9.81, params.center_of_mass(obj)
-    stiffness = calc_support(obj, params, support, 5, 0.012)
+    stiffness = calc_support(Model(obj, params), support, 5, 0.012)
     scene = make_scene(obj, params, "free", support=stiffness)
     SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.1, 0.2, 0.5))
     scene.simulator.AdvanceTo(1.0)
@@ -59,7 +60,7 @@ def test_other_supports_are_set_in_a_context():
     obj = load_object("claw_hammer")
     first, second = (sample_ground_truth(obj, seed) for seed in (3, 4))
     scene = make_scene(obj, first, "free")
-    support = calc_support(obj, second, "three_feet", 1, 0.012)
+    support = calc_support(Model(obj, second), "three_feet", 1, 0.012)
     SetGridObjectParameters(
         scene.plant, scene.scene_graph, scene.context, scene.handle, second, support
     )

@@ -13,6 +13,7 @@ from shapely import Point, Polygon, unary_union
 from gridpush_drake.bench.plant import PlantWorld
 from gridpush_drake.errors import ObjectError, ParameterError
 from gridpush_drake.geometry.outline_mesh import make_outline_mesh
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import (
     MakePartnerProperties,
     SetPartner,
@@ -97,7 +98,7 @@ def test_slides_to_rest_as_friction_says(obj):
 
 
 def test_inertia_is_the_cells(obj, params):
-    M = MakeSpatialInertia(obj, params, 0.04)
+    M = MakeSpatialInertia(Model(obj, params), 0.04)
     center = params.center_of_mass(obj)
     np.testing.assert_allclose(M.get_com(), [*center, 0.02], atol=1e-12)
     assert M.get_mass() == pytest.approx(params.total_mass, rel=1e-12)
@@ -162,7 +163,7 @@ def test_spheres_touch_the_table_alone_and_sides_all_but_the_table(obj, params, 
 def test_needs_a_table(obj, params):
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
     with pytest.raises(ObjectError, match="table is empty"):
-        AddGridObject(plant, scene_graph, obj, params, table=[])
+        AddGridObject(plant, scene_graph, Model(obj, params), table=[])
 
 
 def test_is_seen_but_not_by_cameras(obj, params):
@@ -354,8 +355,7 @@ def make_plant(base):
         AddGridObject(
             plant,
             scene_graph,
-            OBJ,
-            CellParameters.uniform(OBJ, friction=mu),
+            Model(OBJ, CellParameters.uniform(OBJ, friction=mu)),
             base,
             table=[table],
             name=f"block_{i}",
@@ -409,5 +409,9 @@ def test_a_name_that_is_taken_is_refused():
     _, plant, scene_graph, _, table = make_plant("planar")
     with pytest.raises(ObjectError, match="'block_1'"):
         AddGridObject(
-            plant, scene_graph, OBJ, CellParameters.uniform(OBJ), table=[table], name="block_1"
+            plant,
+            scene_graph,
+            Model(OBJ),
+            table=[table],
+            name="block_1",
         )

@@ -10,6 +10,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ObjectError, OutputError
 from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.mjcf import WALL_RADIUS, WriteMjcf, make_mjcf
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -77,7 +78,7 @@ class Pushed:
 def hammer(tmp_path_factory):
     obj, params = make_object("claw_hammer", 0)
     path = tmp_path_factory.mktemp("mjcf") / "hammer.xml"
-    WriteMjcf(obj, params, path, False, height=0.03)
+    WriteMjcf(Model(obj, params), path, False, height=0.03)
     return obj, params, Pushed(path)
 
 
@@ -113,12 +114,12 @@ def test_pushes_end_as_the_model_says(tmp_path):
     for seed, (name, share, angle) in enumerate(PUSHES):
         obj, params = make_object(name, seed)
         path = tmp_path / f"{name}.xml"
-        WriteMjcf(obj, params, path, False, height=0.03)
+        WriteMjcf(Model(obj, params), path, False, height=0.03)
         s, _ = find_reachable_outline(obj, RADIUS, CLEARANCE).locate(share)
         push = Push.on_outline(
             obj, float(s), angle, 0.06, radius=RADIUS, speed=0.05, clearance=CLEARANCE
         )
-        expected = simulate(obj, params, push).final_pose
+        expected = simulate(Model(obj, params), push).final_pose
         difference = Pushed(path).push(push) - expected
         assert np.hypot(*expected[:2]) > 0.01
         off.append([np.hypot(*difference[:2]), abs(wrap_angle(difference[2]))])
@@ -132,11 +133,11 @@ def test_pushes_end_as_the_model_says(tmp_path):
 
 def test_says_what_it_cannot_and_refuses(hammer, tmp_path):
     obj, params, _ = hammer
-    assert "What MJCF cannot say" in make_mjcf(obj, params, 0.03)
+    assert "What MJCF cannot say" in make_mjcf(Model(obj, params), 0.03)
     with pytest.raises(ObjectError, match="height"):
-        make_mjcf(obj, params, 0.001)
+        make_mjcf(Model(obj, params), 0.001)
     path = tmp_path / "there.xml"
     path.write_text("mine")
     with pytest.raises(OutputError, match="--force"):
-        WriteMjcf(obj, params, path, False, height=0.03)
+        WriteMjcf(Model(obj, params), path, False, height=0.03)
     assert path.read_text() == "mine"

@@ -11,6 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 from gridpush_drake.bench.plant import STICTION_TOLERANCE, TIME_STEP, AddPusher, PlantWorld
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError, OutputError, ParameterError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.grid_object import SPHERE_RADIUS, MakeSpatialInertia
 from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf, make_sdf
 from gridpush_drake.objects.grid_object import GridObject
@@ -59,7 +60,7 @@ def push_parsed(path, obj, push, base):
 @pytest.mark.parametrize("base", ["planar", "free"])
 def test_moves_as_the_object_it_came_from(obj, params, base, tmp_path):
     path = tmp_path / "hammer.sdf"
-    WriteSdf(obj, params, path, base=base)
+    WriteSdf(Model(obj, params), path, base=base)
     push = Push.on_outline(obj, 0.1, 0.2, 0.05, radius=RADIUS, speed=0.1)
     world = PlantWorld(obj, params, radius=RADIUS, base=base)
     world.execute(push)
@@ -72,12 +73,12 @@ def test_moves_as_the_object_it_came_from(obj, params, base, tmp_path):
 
 def test_has_the_inertia_and_the_spheres(obj, params, tmp_path):
     path = tmp_path / "hammer.sdf"
-    WriteSdf(obj, params, path, height=0.04)
+    WriteSdf(Model(obj, params), path, height=0.04)
     plant, scene_graph = parse_sdf(path)
     assert plant.num_positions() == 7
     body = plant.GetBodyByName(obj.name)
     found = body.CalcSpatialInertiaInBodyFrame(plant.CreateDefaultContext())
-    expected = MakeSpatialInertia(obj, params, 0.04).CopyToFullMatrix6()
+    expected = MakeSpatialInertia(Model(obj, params), 0.04).CopyToFullMatrix6()
     np.testing.assert_allclose(found.CopyToFullMatrix6(), expected, rtol=1e-9, atol=1e-15)
     inspector = scene_graph.model_inspector()
     spheres = [
@@ -100,27 +101,27 @@ def test_has_the_inertia_and_the_spheres(obj, params, tmp_path):
 
 def test_refuses(obj, params, tmp_path):
     with pytest.raises(ObjectError, match="base"):
-        make_sdf(obj, params, "flying")
+        make_sdf(Model(obj, params), "flying")
     with pytest.raises(ObjectError, match="height"):
-        make_sdf(obj, params, height=0.001)
+        make_sdf(Model(obj, params), height=0.001)
     with pytest.raises(ObjectError, match="delta"):
-        make_sdf(obj, params, delta=0.1)
+        make_sdf(Model(obj, params), delta=0.1)
     with pytest.raises(ParameterError, match="friction of cell"):
-        make_sdf(obj, CellParameters(params.mass, np.full(obj.n, 3.0)))
+        make_sdf(Model(obj, CellParameters(params.mass, np.full(obj.n, 3.0))))
     with pytest.raises(ObjectError, match="name"):
         strange = GridObject("a::b", obj.p_BC, obj.cell_size, obj.labels, obj.outline)
-        make_sdf(strange, params)
+        make_sdf(Model(strange, params))
     path = tmp_path / "there.sdf"
     path.write_text("mine")
     with pytest.raises(OutputError, match="--force"):
-        WriteSdf(obj, params, path)
+        WriteSdf(Model(obj, params), path)
     assert path.read_text() == "mine"
 
 
 def test_names_are_escaped(obj, params, tmp_path):
     named = GridObject("nuts & <bolts>", obj.p_BC, obj.cell_size, obj.labels, obj.outline)
     path = tmp_path / "named.sdf"
-    WriteSdf(named, params, path)
+    WriteSdf(Model(named, params), path)
     plant, _ = parse_sdf(path)
     assert plant.HasBodyNamed("nuts & <bolts>")
 
@@ -150,8 +151,8 @@ def describe(path, name):
 def test_is_the_body_of_the_sdformat_file(tmp_path):
     obj, rng = make_shape("claw_hammer", 60), np.random.default_rng(5)
     params = CellParameters(rng.uniform(0.002, 0.02, obj.n), rng.uniform(0.2, 0.6, obj.n), 0.45)
-    WriteUrdf(obj, params, tmp_path / "hammer.urdf", height=0.04)
-    WriteSdf(obj, params, tmp_path / "hammer.sdf", height=0.04)
+    WriteUrdf(Model(obj, params), tmp_path / "hammer.urdf", height=0.04)
+    WriteSdf(Model(obj, params), tmp_path / "hammer.sdf", height=0.04)
     urdf, sdf = (describe(tmp_path / f"hammer.{kind}", obj.name) for kind in ("urdf", "sdf"))
     assert urdf[0] == sdf[0] == 7
     np.testing.assert_allclose(urdf[1], sdf[1], rtol=1e-9, atol=1e-15)

@@ -11,6 +11,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.bodies import Scene
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.pose_prediction import (
@@ -46,7 +47,7 @@ def make_path(count=12):
 def test_a_prediction_in_steps_is_that_of_one_push():
     path = make_path()
     found = go(path)
-    whole = simulate(OBJ, PARAMS, Push.along(0.1 * np.arange(len(path)), path, 0.006), START)
+    whole = simulate(Model(OBJ, PARAMS), Push.along(0.1 * np.arange(len(path)), path, 0.006), START)
     assert np.abs(whole.final_pose - START).max() > 0.05
     np.testing.assert_allclose(found.pose, whole.final_pose, atol=2e-3)
     expected = found.expect()

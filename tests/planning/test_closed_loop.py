@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import pytest
 
+from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.closed_loop import LoopOptions, Observation, PoseFilter
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal_loop import PushToGoalLoop
@@ -64,7 +65,9 @@ class Stepper:
     """Steps a loop with what a robot says, every 0.05 s."""
 
     def __init__(self, **options):
-        self.loop = PushToGoalLoop(make_block(12), GoalRules(), options=LoopOptions(**options))
+        self.loop = PushToGoalLoop(
+            Model(make_block(12)), GoalRules(), options=LoopOptions(**options)
+        )
         self.state, self.time = self.loop.begin(), 0.0
 
     def observe(self, pose, robot):

@@ -8,6 +8,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -118,7 +119,7 @@ def test_an_object_alone_at_the_edge_moves_as_its_loads_say():
     push = Push((right - 0.01, -0.2), (0.05, 0.0), 1.5, 0.008)
     world = SimulatedSceneWorld(truth, TABLE)
     world.execute(push)
-    motion = simulate_near_edge(obj, truth.params[0], push, poses[0], TABLE)
+    motion = simulate_near_edge(Model(obj, truth.params[0]), push, poses[0], TABLE)
     np.testing.assert_array_equal(world.truth.poses[0], motion.final_pose)
     assert world.truth.fallen[0] == motion.fell
 

@@ -14,6 +14,7 @@ from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
 from gridpush_drake.bench.worlds import WORLDS, find_world
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -78,7 +79,7 @@ def test_a_closed_loop_reaches_its_goal_in_it(DiscWorld, puck):
     world = DiscWorld(puck, params, (0.0, 0.0, 0.0), TABLE, **noise, seed=1)
     goal = (0.15, 0.05, 0.0)
     rules = GoalRules(PushConstraints(TABLE), max_pushes=12)
-    run = push_to_goal(world, puck, goal, rules, learner=None)
+    run = push_to_goal(world, Model(puck), goal, rules, learner=None)
     assert run.status == "reached"
     assert calc_goal_error(puck, world.truth.pose, np.array(goal)) < 0.025
     assert world.pushes == len(run.log) >= 1

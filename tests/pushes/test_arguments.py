@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake import PushLog, identify, predict
+from gridpush_drake import Model, PushLog, identify, predict
 from gridpush_drake.errors import PushLogError
-from gridpush_drake.identification.prediction import predict_spread
+from gridpush_drake.identification.spread import predict_spread
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.made_identifications import make_block, make_identification
@@ -35,10 +35,12 @@ def file(request, log, tmp_path):
 
 def test_a_file_is_as_good_as_the_log_in_it(obj, file):
     log = PushLog.read_csv(file, radius=RADIUS)
-    learned, of_file = identify(obj, log), identify(obj, file)
+    learned, of_file = identify(Model(obj), log), identify(Model(obj), file)
     np.testing.assert_array_equal(of_file.params.mass, learned.params.mass)
     for one, other in zip(
-        predict(obj, learned.params, log), predict(obj, learned.params, file), strict=True
+        predict(Model(obj, learned.params), log),
+        predict(Model(obj, learned.params), file),
+        strict=True,
     ):
         np.testing.assert_array_equal(one.poses, other.poses)
     for one, other in zip(predict_spread(learned, log), predict_spread(learned, file), strict=True):
@@ -47,7 +49,7 @@ def test_a_file_is_as_good_as_the_log_in_it(obj, file):
 
 def test_a_file_that_is_not_there_is_named(obj):
     with pytest.raises(PushLogError, match=r"none\.csv: cannot be read"):
-        identify(obj, "none.csv")
+        identify(Model(obj), "none.csv")
 
 
 def test_swapped_arguments_are_named(obj, log):
@@ -57,9 +59,9 @@ def test_swapped_arguments_are_named(obj, log):
         TypeError,
         match=rf"^identify: obj is a PushLog and log is a GridObject: {swapped} identify\(obj, log\)$",
     ):
-        identify(log, obj)
+        identify(Model(log), obj)
     with pytest.raises(TypeError, match=rf"{swapped} identify\(obj, log\)"):
-        identify("pushes.csv", obj)
+        identify(Model("pushes.csv"), obj)
     with pytest.raises(
         TypeError, match=rf"params is a PushLog .*: {swapped} predict\(obj, params, log\)"
     ):
@@ -75,10 +77,10 @@ def test_other_things_are_named(obj, log):
         TypeError,
         match=r"obj is a str; expected for obj a GridObject, such as GridObject.from_yaml",
     ):
-        identify("claw_hammer", log)
+        identify(Model("claw_hammer"), log)
     with pytest.raises(TypeError, match=r"log is a list; .* PushLog\(pushes\) makes a log"):
-        identify(obj, list(log))
+        identify(Model(obj), list(log))
     with pytest.raises(TypeError, match=r"obj is an Identification; .* give its .obj and .params"):
-        predict(make_identification(), CellParameters.uniform(obj), log)
+        predict(Model(make_identification(), CellParameters.uniform(obj)), log)
     with pytest.raises(TypeError, match="log is a NoneType; expected for log a PushLog"):
-        identify(obj, None)
+        identify(Model(obj), None)

@@ -11,11 +11,11 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError, PushLogWarning
 from gridpush_drake.geometry.se2 import compose
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.importers.mit import MitImporter
 from gridpush_drake.pushes.misplaced import explain_no_contact
@@ -118,10 +118,10 @@ def test_a_pose_that_no_push_leads_to_is_refused_to_learn_from():
     ):
         wrong = changed(log, 1, pose)
         with pytest.warns(PushLogWarning, match=says):
-            found = predict(obj, CellParameters.uniform(obj), wrong)
+            found = predict(Model(obj), wrong)
         assert len(found) == 3
         if jumps_back:  # a tracker's jump among good poses: that pose is left out, and named
-            learned = identify(obj, wrong)
+            learned = identify(Model(obj), wrong)
             assert [(out.push, out.poses, out.whole) for out in learned.outliers] == [
                 ("push_2", (last,), False)
             ]
@@ -137,7 +137,7 @@ def test_a_pose_that_no_push_leads_to_is_refused_to_learn_from():
                 "log.csv",
             )
         with pytest.raises(PushLogError, match=says):
-            identify(obj, wrong)
+            identify(Model(obj), wrong)
 
 
 @pytest.mark.parametrize(
@@ -160,12 +160,12 @@ def test_a_table_that_the_object_is_not_on_is_refused(table):
         PushLogError,
         match=r"^log\.csv: push 'push_1', column table: at t = 0 s the object, at \(.*",
     ):
-        predict(obj, CellParameters.uniform(obj), log)
+        predict(Model(obj), log)
     with pytest.raises(
         PushLogError,
         match=r"has no cell of block with its center on the table; expected an object on",
     ):
-        identify(obj, log)
+        identify(Model(obj), log)
 
 
 def test_an_object_that_leaves_the_table_is_refused_to_learn_from():
@@ -177,9 +177,9 @@ def test_an_object_that_leaves_the_table_is_refused_to_learn_from():
     log = PushLog((seen,), "log.csv", table=strip)
     says = r"^log\.csv: push 'over', column table: at t = 2 s the object, .* did it fall, or a lost track\?$"
     with pytest.raises(PushLogError, match=says):
-        identify(obj, log)
+        identify(Model(obj), log)
     with pytest.warns(PushLogWarning, match=says):
-        predict(obj, CellParameters.uniform(obj), log)
+        predict(Model(obj), log)
     assert (
         find_implausible(obj, replace(log, table=strip + [[0, 0], [0.02, 0], [0.02, 0], [0, 0]]))
         == []
@@ -196,7 +196,7 @@ def test_fast_pushers_are_refused():
         PushLogError,
         match=r"push 'push_1', column t: the pusher moves 0\.0\d+ m in .*at most 30 m/s",
     ):
-        predict(obj, CellParameters.uniform(obj), fast)
+        predict(Model(obj), fast)
 
 
 def test_what_may_be_true_is_warned_of():
@@ -376,9 +376,9 @@ def test_forces_that_cannot_be_are_not_used_and_it_is_said_why(factor, says):
     obj = make_block()
     log = simulated(obj, 4)
     with pytest.warns(PushLogWarning, match=rf"^log\.csv: {says}.*; the forces are not used$"):
-        found = identify(obj, with_forces(log, factor), regime="quasi_static")
+        found = identify(Model(obj), with_forces(log, factor), regime="quasi_static")
     assert found.force is None
-    assert identify(obj, with_forces(log, 2.0), regime="quasi_static").force is not None
+    assert identify(Model(obj), with_forces(log, 2.0), regime="quasi_static").force is not None
 
 
 def test_upward_forces_that_friction_cannot_carry_are_a_sensor_s_offset():
@@ -391,8 +391,8 @@ def test_upward_forces_that_friction_cannot_carry_are_a_sensor_s_offset():
 
     says = r"^log\.csv: column force_z: is 5 N at the median, .* only 2 N; .* not used$"
     with pytest.warns(PushLogWarning, match=says):
-        assert identify(obj, lifted(-5.0), regime="quasi_static").force is None
-    assert identify(obj, lifted(-0.5), regime="quasi_static").force is not None
+        assert identify(Model(obj), lifted(-5.0), regime="quasi_static").force is None
+    assert identify(Model(obj), lifted(-0.5), regime="quasi_static").force is not None
 
 
 def test_forces_of_fast_pushes_are_not_used_and_it_is_said_why():
@@ -401,7 +401,7 @@ def test_forces_of_fast_pushes_are_not_used_and_it_is_said_why():
     with pytest.warns(
         PushLogWarning, match=r"^log\.csv: columns force_x, force_y: .* the pushes are fast"
     ):
-        assert identify(obj, log, regime="inertial").force is None
+        assert identify(Model(obj), log, regime="inertial").force is None
 
 
 def test_why_nothing_touches_is_told_without_contradiction():

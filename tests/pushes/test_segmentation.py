@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_csv import MIN_TIME_STEP
 from gridpush_drake.pushes.segmentation import Sample, calc_rest_pose, thin_path
@@ -77,17 +78,19 @@ def test_poses_are_matched_with_the_tip_s_place_at_their_time(script):
     script.lower(-0.06, 0.01).push(0.04, 0.01).wait(0.3).lift().wait(1.0)
     (push,) = script.segment()
     motion = simulate(
-        script.obj,
-        script.params,
+        Model(script.obj, script.params),
         push.push,
         push.pose,
         times=np.append(0.0, push.t_observed),
         regime="quasi_static",
     )
     fine = simulate(
-        script.obj, script.params, push.push, push.pose, regime="quasi_static",
+        Model(script.obj, script.params),
+        push.push,
+        push.pose,
+        regime="quasi_static",
         times=np.union1d(np.linspace(0, push.push.duration, 400), push.t_observed),
-    )  # fmt: skip
+    )
     predicted = fine.poses[np.searchsorted(fine.times, push.t_observed)]
     assert motion.status == "ok"
     np.testing.assert_allclose(predicted, push.poses_observed, atol=2e-4)

@@ -17,6 +17,7 @@ from shapely import Polygon
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
@@ -192,7 +193,7 @@ def draw(obj, poses, grasp=None):
         surface,
         poses,
         [push],
-        PlausibleMassSet.of_masses(obj, CellParameters.uniform(obj)),
+        PlausibleMassSet.of_masses(Model(obj)),
         None,
         grasp,
     )

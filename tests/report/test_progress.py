@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.identification.learning import describe_prior, identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.parameters import CellParameters
@@ -21,7 +22,7 @@ def run():
     log = make_pushes(obj, truth, 4, 1)
     physics = Physics(regime="quasi_static")
     # The second estimate came after two further pushes, and the last push was not learned from.
-    estimates = [identify(obj, log[:count], physics=physics, budget=120) for count in (1, 3)]
+    estimates = [identify(Model(obj, physics=physics), log[:count], budget=120) for count in (1, 3)]
     return obj, truth, log, estimates
 
 
@@ -34,12 +35,12 @@ def test_each_push_is_predicted_by_what_was_learned_before_it(run):
         found.params for found in (describe_prior(obj, physics=physics), *estimates)
     )
     wanted = [
-        calc_mean_cell_error(obj, params, log.subset([i]), physics)
+        calc_mean_cell_error(Model(obj, params, physics), log.subset([i]))
         for i, params in enumerate((before, first, first, second))
     ]
     np.testing.assert_allclose(progress.predicted, wanted)
     even = CellParameters.uniform(obj)
-    assert progress.even[3] == calc_mean_cell_error(obj, even, log.subset([3]), physics)
+    assert progress.even[3] == calc_mean_cell_error(Model(obj, even, physics), log.subset([3]))
     np.testing.assert_array_equal(progress.pushes, [0, 1, 3])
 
 

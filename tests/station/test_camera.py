@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.ground_truth import (
     SetGridObjectPose,
     resample_parameters,
@@ -260,10 +261,10 @@ def test_the_truth_on_another_grid_keeps_mass_and_center(cells):
     obj = make_shape("claw_hammer", 60)
     truth = sample_ground_truth(obj, 3)
     other = GridObject.from_outline(obj.outline.buffer(0.0005), max_cells=cells)
-    seen = resample_parameters(obj, truth, other)
+    seen = resample_parameters(Model(obj, truth), other)
     assert seen.total_mass == pytest.approx(truth.total_mass)
     np.testing.assert_allclose(seen.center_of_mass(other), truth.center_of_mass(obj), atol=1e-9)
     assert (
         seen.friction.min() >= truth.friction.min() and seen.friction.max() <= truth.friction.max()
     )
-    assert resample_parameters(obj, truth, obj) is truth
+    assert resample_parameters(Model(obj, truth), obj) is truth

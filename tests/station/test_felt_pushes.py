@@ -8,6 +8,7 @@ from pydrake.systems.framework import EventStatus
 
 from gridpush_drake.dynamics.physics import GRAVITY, QUASI_STATIC
 from gridpush_drake.identification.force_scale import _calc_scales
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.problem import TimedPush
 from gridpush_drake.station.pregrasp_kind import PreGraspKind
 from gridpush_drake.station.push_station import MakePushStation
@@ -71,7 +72,9 @@ def test_what_the_finger_lifts_is_felt_and_does_not_count_as_friction():
 
     def tell(one):
         timed = TimedPush.of(one, "quasi_static")
-        return _calc_scales(station.obj, station.truth, [timed], QUASI_STATIC)[0][0] / friction
+        return (
+            _calc_scales(Model(station.obj, station.truth, QUASI_STATIC), [timed])[0][0] / friction
+        )
 
     assert abs(tell(seen) - 1.0) < 0.03
     assert tell(replace(seen, lift_force=None)) < 0.95

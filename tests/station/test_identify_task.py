@@ -8,6 +8,7 @@ from gridpush_drake.display.server import StartMeshcatServer
 from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
@@ -71,7 +72,10 @@ def test_the_log_says_the_same_offline(short, tmp_path):
     record.training_log.write_csv(path)
     read = PushLog.read_csv(path)
     assert not read.radius_given
-    direct, offline = identify(record.obj, record.training_log), identify(record.obj, read)
+    direct, offline = (
+        identify(Model(record.obj), record.training_log),
+        identify(Model(record.obj), read),
+    )
     np.testing.assert_array_equal(direct.params.mass, offline.params.mass)
     np.testing.assert_array_equal(direct.params.mass, record.estimates[-1].params.mass)
 
@@ -195,7 +199,7 @@ def test_learns_a_hammer():
     assert record.limit_report.ok, record.limit_report
     assert record.limit_report.tracking_error < 1e-3
     before, after = (
-        calc_mean_cell_error(obj, params, record.held_out_log, QUASI_STATIC)
+        calc_mean_cell_error(Model(obj, params, QUASI_STATIC), record.held_out_log)
         for params in (CellParameters.uniform(obj), record.estimates[-1].params)
     )
     assert after < before / 3

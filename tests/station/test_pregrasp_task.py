@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import ScenarioError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
@@ -45,7 +46,7 @@ def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there(heav
     goal = PreGraspGoal(pose, part, 0.0, 0.0, 0.0, np.array([1.0, 0.0]))
     mass = np.where(obj.p_BC[:, 1] > 0.06, heavy_bar, 1.0)
     masses = UncertainModel.of_parameters(
-        obj, CellParameters(mass * 3.4 / mass.sum(), np.full(obj.n, 0.35))
+        Model(obj, CellParameters(mass * 3.4 / mass.sum(), np.full(obj.n, 0.35)))
     ).masses
     assert any(
         np.linalg.norm(one.p_BG - part.p_BG) < 0.03

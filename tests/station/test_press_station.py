@@ -12,6 +12,7 @@ from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.objects.grid_object import GridObject
@@ -227,7 +228,7 @@ def weighed(tmp_path_factory):
     press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 5.0, np.array([0.05, 0.0]), 0.0)
     lift = Lift(np.zeros(3), np.array([0.0, 0.1]), 6.9, np.array([0.7, 0.0]))
     weighings = WeighingLog((press,), (lift,))
-    pushed = identify(obj, log, regime="quasi_static")
+    pushed = identify(Model(obj), log, regime="quasi_static")
     status = PreGraspStatus(PreGraspMode.HOLDING, "The object is lifted and held.", presses=1)
     record = PreGraspRecord(
         obj=obj,
@@ -277,6 +278,6 @@ def test_the_files_of_a_weighed_run_make_the_same_model_again(weighed, tmp_path)
     assert [lift.weight for lift in read.lifts] == [6.9]
     obj = GridObject.from_yaml(tmp_path / "object.yaml")
     assert obj.prior.total_mass is None
-    again = identify(obj, PushLog.read_csv(tmp_path / "pushes.csv"), regime="quasi_static")
+    again = identify(Model(obj), PushLog.read_csv(tmp_path / "pushes.csv"), regime="quasi_static")
     absolute = weigh_model(again, read).absolute
     np.testing.assert_array_equal(absolute.mean, record.estimates[-1].absolute.mean)

@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushRefusedError, StationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.world import PushWorld
@@ -53,7 +54,7 @@ def test_a_closed_loop_reaches_its_goal_in_a_station(world):
     world.put((x, y, theta))
     obj = world.station.obj
     goal = np.array([x + 0.02, y + 0.05, theta + 0.2])
-    run = push_to_goal(world, obj, goal, learner=None)
+    run = push_to_goal(world, Model(obj), goal, learner=None)
     assert run.status == "reached", run.reason
     assert calc_goal_error(obj, world.truth.pose, goal) < 0.03
 

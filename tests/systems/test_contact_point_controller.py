@@ -10,6 +10,7 @@ from shapely import box
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import LoopOptions
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
@@ -231,7 +232,7 @@ def test_an_object_out_of_sight_is_waited_for():
 
 def test_a_command_that_was_not_taken_up_is_withdrawn():
     """The object is covered up between the command and the executor's look, and lies elsewhere afterwards."""
-    controller = ContactPointController(OBJ, RULES)
+    controller = ContactPointController(Model(OBJ), RULES)
     simulator = Simulator(controller)
     context = simulator.get_mutable_context()
     for port, value in (("push_status", PushStatus()), ("identification", describe_prior(OBJ))):

@@ -15,6 +15,7 @@ from gridpush_drake.display.server import AimCamera, StartMeshcatServer, write_r
 from gridpush_drake.display.shapes import CENTER_COLOR, PLAN_COLOR
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
 from gridpush_drake.systems.messages import PushCommand
@@ -117,7 +118,7 @@ def test_the_ghost_is_where_the_core_predicts_it_by_the_present_estimate(obj, me
     simulator.AdvanceTo(END - 0.1)
     params = CellParameters(estimates[1].mass, estimates[1].friction, 0.4)
     push = Push(COMMAND.start, [0.0, COMMAND.speed], COMMAND.distance / COMMAND.speed, RADIUS)
-    expected = simulate(obj, params, push, FIRST).final_pose
+    expected = simulate(Model(obj, params), push, FIRST).final_pose
     drawing = load_drawing(visualizer, simulator.get_context())
     np.testing.assert_allclose(drawing.predicted, expected, atol=1e-9)
     assert np.linalg.norm(drawing.predicted - FIRST) > 0.01

@@ -12,6 +12,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.pose_prediction import PushModel
@@ -35,7 +36,7 @@ def push():
     along = np.linspace(0.0, 0.095, count)
     xy = np.column_stack([np.full(count, START[0] + 0.042), START[1] - 0.0565 + along])
     path = Push.along(t, xy, RADIUS)
-    return t, xy, simulate(OBJ, PARAMS, path, START, regime="quasi_static")
+    return t, xy, simulate(Model(OBJ, PARAMS), path, START, regime="quasi_static")
 
 
 def calc_pose(time: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource, Integrator
 
 from gridpush_drake.geometry.se2 import transform, wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback import FeedbackFinger, FollowOptions, FollowStatus, PosePath
 from gridpush_drake.planning.feedback.pose_path import ObjectWay
@@ -79,7 +80,7 @@ class Run:
     def __init__(self, path=None, goal=GOAL, blind_from=np.inf, tip=(-0.1, 0.0), learned=None):
         builder = DiagramBuilder()
         add = builder.AddSystem
-        self.world = add(GridLcpSystem(OBJ, TRUTH, pusher_radius=FINGER.radius))
+        self.world = add(GridLcpSystem(Model(OBJ, TRUTH), pusher_radius=FINGER.radius))
         self.controller = add(
             FeedbackPushController(OBJ, FINGER, path, params=TRUTH, options=OPTIONS, seed=1)
         )

@@ -9,6 +9,7 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.errors import IdentificationError, SimulationError
 from gridpush_drake.identification.learning import describe_prior, identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.weighed_learning import learn_with_weighings
@@ -70,7 +71,7 @@ def test_learns_what_it_has_never_seen(cold):
         cold.eval("mass"), cold.eval("friction"), float(cold.eval("contact_friction")[0])
     )
     errors = [
-        calc_mean_cell_error(obj, p, held_out, QUASI_STATIC)
+        calc_mean_cell_error(Model(obj, p, QUASI_STATIC), held_out)
         for p in (CellParameters.uniform(obj), found)
     ]
     assert errors[1] < errors[0] / 3 and errors[1] < 0.003, errors
@@ -87,7 +88,7 @@ def test_learns_what_it_has_never_seen(cold):
 def test_is_the_offline_answer_bit_for_bit(cold):
     log = cold.eval("push_log")
     assert len(log) == 4 and cold.eval("status", "executor").refused == 0
-    offline = identify(cold.parts.identifier.obj, log, seed=1)
+    offline = identify(Model(cold.parts.identifier.obj), log, seed=1)
     np.testing.assert_array_equal(cold.eval("mass"), offline.params.mass)
     np.testing.assert_array_equal(cold.eval("mass_std"), offline.std.mass)
     np.testing.assert_array_equal(
@@ -106,7 +107,7 @@ def test_csv_gives_the_same_answer(cold, tmp_path):
             np.testing.assert_array_equal(getattr(one.push, name), getattr(other.push, name))
         for name in ("pose", "t_observed", "poses_observed"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    offline = identify(cold.parts.identifier.obj, back, seed=1)
+    offline = identify(Model(cold.parts.identifier.obj), back, seed=1)
     np.testing.assert_array_equal(cold.eval("mass"), offline.params.mass)
     np.testing.assert_array_equal(
         cold.eval("identification").posterior.mean, offline.posterior.mean
@@ -137,7 +138,7 @@ def test_weighings_and_forces_make_the_estimate_absolute(cold):
     """As `weigh_model` does of what was learned from the pushes alone; older weighings are kept."""
     obj = cold.parts.identifier.obj
     log = cold.eval("push_log")
-    pushed = identify(obj, log, seed=1)
+    pushed = identify(Model(obj), log, seed=1)
     press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
     lift = Lift(np.zeros(3), np.array([0.0, 0.1]), 6.0)
     system = GridIdentifier(obj, seed=1)
@@ -161,7 +162,7 @@ def test_weighings_and_forces_make_the_estimate_absolute(cold):
     assert again.considered == len(log) and not again.is_behind
 
     def learn(log, start=None, friction=None):
-        return identify(obj, log, seed=1, start=start, friction=friction)
+        return identify(Model(obj), log, seed=1, start=start, friction=friction)
 
     offline, found = learn_with_weighings(learn, log, weighings)
     assert np.ptp(offline.params.friction) > 0
@@ -291,7 +292,7 @@ def test_a_load_that_was_changed_is_learned_anew(monkeypatch):
     assert forgotten >= 5 and state.surprises.total >= 2
     # The estimate is that of the later pushes alone, as `identify` makes it of them.
     assert len(state.log) == 9 and not state.message
-    offline = identify(identifier.obj, state.log[forgotten:])
+    offline = identify(Model(identifier.obj), state.log[forgotten:])
     assert state.estimate.found.push_names == offline.push_names
     np.testing.assert_allclose(
         state.estimate.found.posterior.mean, offline.posterior.mean, atol=0.2

@@ -9,6 +9,7 @@ from pydrake.systems.primitives import ConstantVectorSource, FirstOrderTaylorApp
 
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.systems import GridLcpStep, GridLcpStep_, GridLcpSystem
 from tests.helpers.finite_difference import check_jacobian
@@ -23,7 +24,7 @@ PUSHER = np.array([LEFT - 0.0055, 0.011, 0.06, 0.01])
 
 
 def make_step(**more):
-    return GridLcpStep(OBJ, PARAMS, DT, pusher_radius=0.006, pose=POSE, **more)
+    return GridLcpStep(Model(OBJ, PARAMS), DT, pusher_radius=0.006, pose=POSE, **more)
 
 
 def advance(system, context):
@@ -86,7 +87,7 @@ def test_state_and_input_are_differentiated_exactly():
 @pytest.mark.parametrize("index", range(4))
 def test_parameters_are_differentiated_exactly(index):
     params = CellParameters(PARAMS.mass, PARAMS.friction, 0.4, 0.01)
-    system = GridLcpStep(OBJ, params, DT, pusher_radius=0.006, pose=POSE)
+    system = GridLcpStep(Model(OBJ, params), DT, pusher_radius=0.006, pose=POSE)
     auto = system.ToAutoDiffXd()
     context = make_context(auto)
     value = context.get_numeric_parameter(index)
@@ -145,4 +146,4 @@ def test_without_a_pusher_it_stays_and_at_rest_it_has_derivatives():
 )
 def test_what_will_not_do_is_refused(more, message):
     with pytest.raises(SimulationError, match=message):
-        GridLcpStep(OBJ, PARAMS, DT, **more)
+        GridLcpStep(Model(OBJ, PARAMS), DT, **more)

@@ -12,6 +12,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ParameterError, SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -84,9 +85,9 @@ def test_steps_exactly_as_the_core_does(name, seeds, regime):
     """Jams in the pliers' jaw and a push that is not solved (8) included: there the solver's memory decides."""
     obj = GridObject.from_yaml(find_shipped_object(name))
     for seed in seeds:
-        params, push = make_params(obj, seed), draw_push(obj, seed)
-        core = simulate(obj, params, push, dt=DT, regime=regime)
-        world = World(GridLcpSystem(obj, params, DT, regime, RADIUS), make_trajectory(push))
+        params, push = make_params(obj, seed), draw_push(Model(obj, seed))
+        core = simulate(Model(obj, params), push, dt=DT, regime=regime)
+        world = World(GridLcpSystem(Model(obj, params), DT, regime, RADIUS), make_trajectory(push))
         world.simulator.AdvanceTo(push.duration)
         np.testing.assert_allclose(world.log("pose"), core.poses, rtol=0, atol=EXACT)
         np.testing.assert_allclose(world.log("velocity"), core.velocities, rtol=0, atol=100 * EXACT)
@@ -106,8 +107,8 @@ def test_loads_shift_as_in_the_core(regime, falls):
     params = replace(make_params(obj, 2), push_height=0.01, patch_ratio=0.1)
     push = make_push(obj, 0.07)
     table = TABLE if falls else None
-    core = simulate(obj, params, push, dt=DT, regime=regime, table=table)
-    system = GridLcpSystem(obj, params, DT, regime, RADIUS, table=table)
+    core = simulate(Model(obj, params), push, dt=DT, regime=regime, table=table)
+    system = GridLcpSystem(Model(obj, params), DT, regime, RADIUS, table=table)
     world = World(system, make_trajectory(push))
     assert system.GetParameters(world.context).push_height == 0.01
     world.simulator.AdvanceTo(push.duration)
@@ -117,7 +118,7 @@ def test_loads_shift_as_in_the_core(regime, falls):
     np.testing.assert_allclose(world.log("pose")[:held], core.poses[:held], rtol=0, atol=EXACT)
     assert world.eval("tipping_steps")[0] == core.tips.sum()
     assert bool(core.tips.any()) == falls
-    level = simulate(obj, replace(params, push_height=0.0), push, dt=DT, regime=regime)
+    level = simulate(Model(obj, replace(params, push_height=0.0)), push, dt=DT, regime=regime)
     assert np.abs(core.final_pose - level.final_pose).max() > 1e-4, "the height must matter"
 
 
@@ -126,9 +127,11 @@ def test_wrench_moves_it_as_a_force_moves_the_core():
     params = make_params(obj, 0)
     force = np.array([3.0, 2.0])
     start, velocity = (0.1, -0.2, 0.4), (0.05, 0.0, 0.3)
-    core = simulate(obj, params, ForcePush((0.0, 0.0), force, 0.5), start, DT, velocity=velocity)
+    core = simulate(
+        Model(obj, params), ForcePush((0.0, 0.0), force, 0.5), start, DT, velocity=velocity
+    )
     world = World(
-        GridLcpSystem(obj, params, DT, pose=start, velocity=velocity), wrench=[*force, 0.0]
+        GridLcpSystem(Model(obj, params), DT, pose=start, velocity=velocity), wrench=[*force, 0.0]
     )
     world.simulator.AdvanceTo(0.5)
     assert np.linalg.norm(core.final_pose[:2] - start[:2]) > 0.01
@@ -138,7 +141,7 @@ def test_wrench_moves_it_as_a_force_moves_the_core():
 def test_moment_turns_it_about_its_center_of_mass():
     obj = make_shape("square", 25)
     params = CellParameters.uniform(obj, 1.0, 0.0)
-    world = World(GridLcpSystem(obj, params, DT), wrench=[0.0, 0.0, 0.002])
+    world = World(GridLcpSystem(Model(obj, params), DT), wrench=[0.0, 0.0, 0.002])
     world.simulator.AdvanceTo(0.5)
     np.testing.assert_allclose(
         world.eval("velocity")[2], 0.002 / params.inertia(obj) * 0.5, rtol=1e-9
@@ -149,7 +152,9 @@ def test_moment_turns_it_about_its_center_of_mass():
 def test_slides_to_rest_where_nothing_touches_it():
     obj = make_shape("disc", 40)
     world = World(
-        GridLcpSystem(obj, CellParameters.uniform(obj, 1.0, 0.4), 0.001, velocity=(0.2, 0.0, 0.0))
+        GridLcpSystem(
+            Model(obj, CellParameters.uniform(obj, 1.0, 0.4)), 0.001, velocity=(0.2, 0.0, 0.0)
+        )
     )
     world.simulator.AdvanceTo(0.2)
     assert world.eval("pose")[0] == pytest.approx(0.2**2 / (2 * 0.4 * 9.81), abs=0.2 * 0.001)
@@ -158,7 +163,7 @@ def test_slides_to_rest_where_nothing_touches_it():
 
 def test_pusher_that_is_nan_is_none():
     obj = make_shape("square", 25)
-    system = GridLcpSystem(obj, pusher_radius=RADIUS)
+    system = GridLcpSystem(Model(obj), pusher_radius=RADIUS)
     context = system.CreateDefaultContext()
     system.GetInputPort("pusher_state").FixValue(context, [np.nan, 0.0, 0.1, 0.0])
     state = system.EvalUniquePeriodicDiscreteUpdate(context)
@@ -172,7 +177,9 @@ def test_pusher_that_is_nan_is_none():
 def test_parameters_belong_to_the_context():
     obj = make_shape("claw_hammer", 60)
     params, push = [make_params(obj, seed) for seed in (0, 1)], make_push(obj, 0.1)
-    world = World(GridLcpSystem(obj, params[0], DT, pusher_radius=RADIUS), make_trajectory(push))
+    world = World(
+        GridLcpSystem(Model(obj, params[0]), DT, pusher_radius=RADIUS), make_trajectory(push)
+    )
     other = world.root.Clone()
     mine = world.system.GetMyMutableContextFromRoot(other)
     world.system.SetParameters(mine, params[1])
@@ -182,7 +189,7 @@ def test_parameters_belong_to_the_context():
         simulator.AdvanceTo(push.duration)
         pose = world.system.GetOutputPort("pose").Eval(world.system.GetMyContextFromRoot(root))
         np.testing.assert_allclose(
-            pose, simulate(obj, expected, push, dt=DT).final_pose, rtol=0, atol=EXACT
+            pose, simulate(Model(obj, expected), push, dt=DT).final_pose, rtol=0, atol=EXACT
         )
 
 
@@ -190,7 +197,8 @@ def test_clone_goes_on_as_the_original_does():
     obj = make_shape("claw_hammer", 60)
     push = make_push(obj, 0.1)
     world = World(
-        GridLcpSystem(obj, make_params(obj, 2), DT, "quasi_static", RADIUS), make_trajectory(push)
+        GridLcpSystem(Model(obj, make_params(obj, 2)), DT, "quasi_static", RADIUS),
+        make_trajectory(push),
     )
     world.simulator.AdvanceTo(1.0)
     clone = Simulator(world.simulator.get_system(), world.root.Clone())
@@ -208,7 +216,7 @@ def test_clone_goes_on_as_the_original_does():
 def test_step_jacobian_is_that_of_the_step(regime, height):
     obj = make_shape("l_bracket", 20)
     params = replace(make_params(obj, 3), push_height=height)
-    system = GridLcpSystem(obj, params, DT, regime, RADIUS)
+    system = GridLcpSystem(Model(obj, params), DT, regime, RADIUS)
     context = system.CreateDefaultContext()
     pusher = np.array([-0.0385, 0.02, 0.1, 0.02])
     q = np.array([0.0, 0.0, 0.05])
@@ -239,7 +247,7 @@ def test_step_jacobian_is_that_of_the_step(regime, height):
 
 def test_cells_are_where_the_pose_puts_them():
     obj = make_shape("wrench", 50)
-    system = GridLcpSystem(obj)
+    system = GridLcpSystem(Model(obj))
     context = system.CreateDefaultContext()
     q = np.array([0.3, -0.1, 2.0])
     system.SetPose(context, q)
@@ -254,13 +262,13 @@ def test_pusher_that_speeds_up_is_followed():
     t = np.linspace(0, 2.0, 401)
     share = 3 * (t / 2) ** 2 - 2 * (t / 2) ** 3
     xy = straight.start + share[:, None] * (straight.xy[-1] - straight.start)
-    fine = simulate(obj, params, Push.along(t, xy, RADIUS))
+    fine = simulate(Model(obj, params), Push.along(t, xy, RADIUS))
     trajectory = PiecewisePolynomial.CubicHermite(
         [0.0, 2.0], np.array([straight.start, straight.xy[-1]]).T, np.zeros((2, 2))
     )
     errors = []
     for dt in (0.02, 0.01, 0.005):
-        world = World(GridLcpSystem(obj, params, dt, pusher_radius=RADIUS), trajectory)
+        world = World(GridLcpSystem(Model(obj, params), dt, pusher_radius=RADIUS), trajectory)
         world.simulator.AdvanceTo(2.0)
         errors.append(
             np.abs(obj.cells_at(world.eval("pose")) - obj.cells_at(fine.final_pose)).max()
@@ -278,12 +286,12 @@ def test_bad_arguments_are_refused():
         ({"table": [[0.0, 0.0], [1.0, 0.0]]}, "table"),
     ):
         with pytest.raises(SimulationError, match=message):
-            GridLcpSystem(obj, **options)
+            GridLcpSystem(Model(obj), **options)
     with pytest.raises(ParameterError, match="expected 25"):
-        GridLcpSystem(obj, CellParameters.uniform(make_shape("disc", 20)))
-    system = GridLcpSystem(obj)
+        GridLcpSystem(Model(obj, CellParameters.uniform(make_shape("disc", 20))))
+    system = GridLcpSystem(Model(obj))
     with pytest.raises(ParameterError, match="expected 25"):
         system.SetParameters(
             system.CreateDefaultContext(), CellParameters.uniform(make_shape("disc", 20))
         )
-    assert not GridLcpSystem(obj, regime="quasi_static").HasInputPort("applied_wrench")
+    assert not GridLcpSystem(Model(obj), regime="quasi_static").HasInputPort("applied_wrench")

@@ -10,6 +10,7 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import PortDataType
 
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.tool_motion import make_transform
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions
@@ -73,10 +74,10 @@ GOOD = {
 """What the ports show on good days, by name; others keep their default message."""
 
 SYSTEMS = {
-    "lcp": lambda: GridLcpSystem(OBJ),
+    "lcp": lambda: GridLcpSystem(Model(OBJ)),
     "identifier": lambda: GridIdentifier(OBJ),
-    "policy": lambda: PokePolicy(OBJ, REGION),
-    "contact_point": lambda: ContactPointController(OBJ, RULES),
+    "policy": lambda: PokePolicy(Model(OBJ), REGION),
+    "contact_point": lambda: ContactPointController(Model(OBJ), RULES),
     "pre_grasp": lambda: PreGraspController(
         PreGraspPlanner(OBJ, TABLE), lambda pose, aim, masses, at_worst: None
     ),
@@ -152,14 +153,14 @@ def simulate(system, seed):
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_nothing_is_raised(name, seed):
     system = SYSTEMS[name]()
-    context = simulate(system, seed).get_context()
+    context = simulate(Model(system, seed)).get_context()
     if name == "lcp":
         assert np.isfinite(system.GetOutputPort("pose").Eval(context)).all()
 
 
 def test_the_picture_is_drawn_all_the_same():
     meshcat = Meshcat()
-    simulate(EstimateVisualizer(OBJ, meshcat, height=0.03, body=1, path="seen"), 0)
+    simulate(Model(EstimateVisualizer(OBJ, meshcat, height=0.03, body=1, path="seen"), 0))
     assert meshcat.HasPath("seen")
 
 

@@ -11,6 +11,7 @@ from shapely.affinity import affine_transform
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -43,9 +44,7 @@ def choose(
     region=REGION,
     **options,
 ):
-    return choose_poke(
-        obj, CellParameters.uniform(obj), pose, number, seed, style, region, **options
-    )
+    return choose_poke(Model(obj), pose, number, seed, style, region, **options)
 
 
 def place(obj: GridObject, pose) -> Polygon:
@@ -65,7 +64,7 @@ def test_chosen_pushes_fit_and_stay_in_bounds(name):
         assert REGION.workspace.contains(Point(command.start)) and REGION.workspace.contains(
             Point(command.end)
         )
-        last = predict_poke(obj, CellParameters.uniform(obj), POSE, command, STYLE)[-1]
+        last = predict_poke(Model(obj), POSE, command, STYLE)[-1]
         assert REGION.keep_in.contains(place(obj, last))
         moved = np.linalg.norm(obj.cells_at(last) - obj.cells_at(POSE), axis=1).mean()
         assert moved >= STYLE.min_motion
@@ -139,11 +138,11 @@ def test_object_at_the_border_is_pushed_back():
     for number in range(1, 9):
         pose = np.array([0.145, 0.145, 0.0])
         command, _ = choose(obj, number, pose=pose, region=region)
-        last = predict_poke(obj, CellParameters.uniform(obj), pose, command, STYLE)[-1]
+        last = predict_poke(Model(obj), pose, command, STYLE)[-1]
         assert region.keep_in.covers(place(obj, last))
     outside = np.array([0.4, 0.0, 0.0])
     command, attempts = choose(obj, pose=outside, region=region)
-    last = predict_poke(obj, CellParameters.uniform(obj), outside, command, STYLE)[-1]
+    last = predict_poke(Model(obj), outside, command, STYLE)[-1]
     assert attempts == STYLE.candidates
     assert np.linalg.norm(last[:2]) < np.linalg.norm(outside[:2]) - 0.03
 
@@ -153,7 +152,7 @@ class Bench:
 
     def __init__(self, **options) -> None:
         self.obj = make_shape("claw_hammer", 30)
-        self.policy = PokePolicy(self.obj, REGION, **options)
+        self.policy = PokePolicy(Model(self.obj), REGION, **options)
         self.simulator = Simulator(self.policy)
         self.context = self.simulator.get_mutable_context()
         self.say(PushStatus(), POSE)
@@ -305,4 +304,4 @@ def test_bad_arguments_are_refused():
     obj = make_shape("square", 9)
     for options in ({"num_pushes": -1}, {"test_pushes": -1}, {"period": 0.0}):
         with pytest.raises(PushError, match=next(iter(options))):
-            PokePolicy(obj, REGION, **options)
+            PokePolicy(Model(obj), REGION, **options)

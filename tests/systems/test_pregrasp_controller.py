@@ -10,6 +10,7 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import describe_prior, identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.gripper import Gripper
@@ -108,11 +109,11 @@ class Robot:
                 None
                 if not seen
                 else self.controller.loop.infer_from_identification(
-                    identify(BAR, PushLog(tuple(seen))), PushLog(tuple(seen))
+                    identify(Model(BAR), PushLog(tuple(seen))), PushLog(tuple(seen))
                 )
             )
             push = planner.decide(poses[-1], belief, 0).push
-            end = simulate(BAR, TRUTH, push, poses[-1], regime="quasi_static").final_pose
+            end = simulate(Model(BAR, TRUTH), push, poses[-1], regime="quasi_static").final_pose
             seen.append(
                 ObservedPush(
                     f"push_{len(seen)}", push, poses[-1], np.array([push.duration]), end[None]
@@ -120,7 +121,7 @@ class Robot:
             )
             poses.append(end)
         self.log = PushLog(tuple(seen))
-        self.found = identify(BAR, self.log, regime="quasi_static")
+        self.found = identify(Model(BAR), self.log, regime="quasi_static")
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.goal.next_push import GoalRules
@@ -122,7 +123,7 @@ def late() -> tuple[PokeDiagram, Simulator]:
 
 def test_in_lockstep_outputs_hold_and_then_are_the_offline_answer_bit_for_bit(late) -> None:
     parts, simulator = late
-    offline = identify(parts.identifier.obj, read(parts, simulator, "push_log"), seed=1)
+    offline = identify(Model(parts.identifier.obj), read(parts, simulator, "push_log"), seed=1)
     np.testing.assert_array_equal(read(parts, simulator, "mass"), offline.params.mass)
     np.testing.assert_array_equal(
         read(parts, simulator, "identification").posterior.covariance, offline.posterior.covariance
@@ -165,7 +166,7 @@ def test_in_real_time_the_same_is_learned_from_the_same_log() -> None:
     ):
         time.sleep(0.01)
         simulator.AdvanceTo(simulator.get_context().get_time() + 0.05)
-    offline = identify(parts.identifier.obj, read(parts, simulator, "push_log"), seed=1)
+    offline = identify(Model(parts.identifier.obj), read(parts, simulator, "push_log"), seed=1)
     np.testing.assert_array_equal(read(parts, simulator, "mass"), offline.params.mass)
 
 
@@ -200,7 +201,9 @@ POSE = np.array([0.05, -0.02, 0.4])
 def make_policy(**options) -> Simulator:
     """A policy in a Diagram of its own, with an object that lies and an executor that is ready."""
     builder = DiagramBuilder()
-    policy = builder.AddNamedSystem("policy", PokePolicy(make_block(), REGION, 1, 2, **options))
+    policy = builder.AddNamedSystem(
+        "policy", PokePolicy(Model(make_block()), REGION, 1, 2, **options)
+    )
     simulator = Simulator(builder.Build())
     context = policy.GetMyMutableContextFromRoot(simulator.get_mutable_context())
     policy.GetInputPort("object_pose").FixValue(context, POSE)

@@ -15,6 +15,7 @@ import shapely
 
 from gridpush_drake.bench.table import MM, PERCENT, Column, Share, Table
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.goals import GoalOptions, find_pregrasp_goals
@@ -103,7 +104,7 @@ def judge_bounds(
     goals = find_pregrasp_goals(masses, near, np.zeros(3), surface) if near else []
     if not goals or goals[0].margin < GoalOptions().margin:
         return BoundsScore(method=method, safe=False, tips=False, outside=outside)
-    true = PlausibleMassSet.of_masses(obj, truth)
+    true = PlausibleMassSet.of_masses(Model(obj, truth))
     margin = calc_stability_margin(true, goals[0].pose, surface, 0.0)
     return BoundsScore(method=method, safe=True, tips=margin < 0, outside=outside)
 

@@ -15,6 +15,7 @@ from gridpush_drake.bench.protocol import add_pose_noise
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.exploration import (
@@ -233,7 +234,7 @@ def _poke(
 
         # What was learned, and how far off it is.
         seen = PushLog(tuple(log))
-        found = identify(obj, seen, regime="quasi_static", start=found)
+        found = identify(Model(obj), seen, regime="quasi_static", start=found)
         model = UncertainModel.of_identification(found, log=seen if active else None)
         covariance = wanted @ found.identifiability.center_of_friction_covariance @ wanted.T
         off = wanted @ found.identifiability.center_of_friction - center

@@ -16,6 +16,7 @@ from gridpush_drake.bench.pregrasp.world import Outcome, PaperLearner, run_pregr
 from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL, know_friction
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, calc_mean, count_of, mean_of
 from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -209,7 +210,7 @@ def run_method(world: PushWorld, planner: PreGraspPlanner, method: str) -> Outco
         hidden = world.truth.params
         assert hidden is not None
         params = hidden
-    granted = UncertainModel.of_parameters(planner.obj, params)
+    granted = UncertainModel.of_parameters(Model(planner.obj, params))
     return run_pregrasp(world, planner, None, lambda found, log: granted)
 
 

@@ -19,6 +19,7 @@ from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import ObjectError, PlanningError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -115,7 +116,7 @@ class EdgeWorld(TrackedWorld):
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
         """Simulates a push of the object from a pose (3,), up to where it falls."""
         times = make_path_times(push, REGIME)
-        motion = simulate_near_edge(self.obj, self.params, push, pose, self.surface)
+        motion = simulate_near_edge(Model(self.obj, self.params), push, pose, self.surface)
         return WorldMotion(
             times=times[: len(motion.poses)],
             poses=motion.poses,
@@ -127,7 +128,7 @@ class EdgeWorld(TrackedWorld):
     def truth(self) -> WorldTruth:
         """What is true of the object now, for judges only."""
         truth = super().truth
-        loads = calc_loads(self.obj, self.params, truth.pose, self.surface.corners)
+        loads = calc_loads(Model(self.obj, self.params), truth.pose, self.surface.corners)
         return replace(truth, stays=loads is not None)
 
 
@@ -350,7 +351,7 @@ class PaperLearner:
             return before
         low, high = self.friction_range
         wide = replace(obj, prior=replace(obj.prior, friction_min=low, friction_max=high))
-        return identify(wide, chosen, method="paper", regime="quasi_static")
+        return identify(Model(wide), chosen, method="paper", regime="quasi_static")
 
     def make_inference(self, obj: GridObject) -> Infer:
         """Makes what says what is held possible.
@@ -365,6 +366,6 @@ class PaperLearner:
                 names = found.push_names
                 used = log.subset([i for i, seen in enumerate(log) if seen.name in names])
                 return UncertainModel.of_identification(found, log=used)
-            return UncertainModel.of_parameters(obj, found.params)
+            return UncertainModel.of_parameters(Model(obj, found.params))
 
         return infer

@@ -24,6 +24,7 @@ from gridpush_drake.bench.truth.sets import (
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.pregrasp.exploration import (
     PokeOptions,
     choose_poke,
@@ -70,7 +71,7 @@ def choose_pushes(made: TruthSet, world: MujocoWorld, count: int) -> PushLog:
         seen.append(replace(world.execute(push), name=f"push_{len(seen) + 1}"))
         if len(seen) < count:
             log = PushLog(tuple(seen))
-            found = identify(made.obj, log, start=found)
+            found = identify(Model(made.obj), log, start=found)
             model = UncertainModel.of_identification(found, log=log)
     return PushLog(tuple(seen))
 

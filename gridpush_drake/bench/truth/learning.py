@@ -34,8 +34,10 @@ from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.prediction import INTERVAL, predict, predict_spread
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.prediction import predict
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
+from gridpush_drake.identification.spread import INTERVAL, predict_spread
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -298,7 +300,7 @@ def run_job(job: Job) -> list[TruthScore]:
         if way == DESIGN:
             log = find_designed_pushes(made, job.counts[-1], folder, job.anew)
         for count in job.counts:
-            found = identify(made.obj, log[:count])
+            found = identify(Model(made.obj), log[:count])
             score = _score(made, LEARNED, count, found.params, found)
             scores.append(replace(score, chosen=way))
     return scores
@@ -313,7 +315,7 @@ def _score(
 ) -> TruthScore:
     """Judges one model; `found` is the identification that it comes from, if any."""
     physics = QUASI_STATIC if found is None else found.physics
-    made_motions = predict(made.obj, params, made.held_out, physics=physics)
+    made_motions = predict(Model(made.obj, params, physics), made.held_out)
     poses = np.array([each.poses[-1] for each in made_motions])
     errors = calc_distances(made.obj, poses, np.array([seen.final_pose for seen in made.held_out]))
     off = params.center_of_mass(made.obj) - made.center_of_mass

@@ -38,6 +38,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -295,8 +296,8 @@ def _score(
     job: OverhangJob, obj: GridObject, params: CellParameters, push: Push, begin: Array, end: Array
 ) -> OverhangScore:
     """Compares the poses (3,) at which a push truly began and ended with those of the model."""
-    motion = simulate(obj, params, push, begin, regime="quasi_static", table=SURFACE.corners)
-    endless = simulate(obj, params, push, begin, regime="quasi_static").final_pose
+    motion = simulate(Model(obj, params), push, begin, regime="quasi_static", table=SURFACE.corners)
+    endless = simulate(Model(obj, params), push, begin, regime="quasi_static").final_pose
     center = params.center_of_mass(obj)
 
     def find_center(pose: Array) -> Array:
@@ -328,7 +329,7 @@ def run_tipping(job: TippingJob) -> TippingScore:
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     body = make_body(HALF_HEIGHT, obj, params, rng).harden()
     world = MujocoWorld(body, radius, HALF_PLANE, settle=SETTLE)
-    known = replace(params, push_height=BODY_HEIGHT / 2)
+    known = Model(obj, replace(params, push_height=BODY_HEIGHT / 2))
     for _ in range(TRIES):
         theta = rng.uniform(-np.pi, np.pi)
         center = rotate(theta, params.center_of_mass(obj))
@@ -344,7 +345,7 @@ def run_tipping(job: TippingJob) -> TippingScore:
         world.put(pose)
         begin = world.truth.pose
         stayed, tipped = (
-            simulate(obj, known, each, begin, regime="quasi_static", table=SURFACE.corners).status
+            known.simulate(each, begin, regime="quasi_static", table=SURFACE.corners).status
             == MotionStatus.TIPS
             for each in (before, behind)
         )

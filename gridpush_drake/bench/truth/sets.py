@@ -21,6 +21,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import read_text, write_whole
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.ground_truth import FEET_SLACK, draw_feet
 from gridpush_drake.multibody.mjcf import SINKAGE
 from gridpush_drake.objects.grid_object import GridObject
@@ -290,7 +291,9 @@ def make_body(
         cell = rim_cell
         gap = rng.uniform(0, UNEVENNESS, len(rim))
     elif kind == THREE_FEET:
-        three = draw_feet(obj, params, float(params.friction.max()) * height + FEET_SLACK, rng)
+        three = draw_feet(
+            Model(obj, params), float(params.friction.max()) * height + FEET_SLACK, rng
+        )
         feet = np.concatenate([obj.p_BC[three], rim])
         cell = np.concatenate([three, rim_cell])
         gap = np.concatenate([np.zeros(len(three)), np.full(len(rim), FOOT_HEIGHT)])

@@ -11,13 +11,12 @@ from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 from scipy.sparse import csc_array, diags_array
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS, calc_spin_arm
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, twist_to_cells
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 clarabel = import_extra("clarabel", "reference")
 
@@ -80,8 +79,7 @@ NEWTON_TOLERANCE = 1e-13
 
 
 def solve_isotropic_socp(
-    obj: GridObject,
-    params: CellParameters,
+    bodies: Bodies,
     q: ArrayLike,
     nu: ArrayLike,
     wrench: ArrayLike,
@@ -99,8 +97,7 @@ def solve_isotropic_socp(
     and one epigraph variable a cone.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        bodies: one object, with its parameters.
         q: (3,) pose X_WB, m and rad.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
         wrench: (3,) W = force in W, N, and moment about B's origin, N m.
@@ -114,6 +111,8 @@ def solve_isotropic_socp(
     Raises:
         SimulationError: `spin` is none of the three, or the solver failed.
     """
+    obj = bodies.obj
+    params = bodies.params
     if spin not in SPIN_MODELS:
         raise SimulationError(f"spin is {spin!r}; expected one of {', '.join(SPIN_MODELS)}")
     nu = np.asarray(nu, dtype=np.float64)

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.lagged_friction import (
     IMPENDING_AT_REST,
@@ -32,7 +33,6 @@ from gridpush_drake.dynamics.kernels.lagged_friction import (
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 STANDARD_GRAVITY = 9.81
 """Gravity, m/s²."""
@@ -81,8 +81,7 @@ class MaximalLcp:
 
 
 def make_maximal_lcp(
-    obj: GridObject,
-    params: CellParameters,
+    bodies: Bodies,
     q: ArrayLike,
     xdot: ArrayLike,
     F: ArrayLike,
@@ -93,8 +92,7 @@ def make_maximal_lcp(
     """Writes down the LCP of one step.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        bodies: one object, with its parameters.
         q: (3,) pose X_WB, m and rad.
         xdot: (3n,) velocities of the cells, rad/s and m/s.
         F: (3n,) torque and force applied to the cells, N m and N.
@@ -106,6 +104,8 @@ def make_maximal_lcp(
     Raises:
         SimulationError: a shape disagrees, a number is not finite, or dt is not positive.
     """
+    obj = bodies.obj
+    params = bodies.params
     q = np.array(q, dtype=np.float64)
     xdot = np.array(xdot, dtype=np.float64)
     F = np.array(F, dtype=np.float64)

@@ -32,6 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.reference.maximal_lcp import (
@@ -41,8 +42,6 @@ from gridpush_drake.dynamics.reference.maximal_lcp import (
 )
 from gridpush_drake.dynamics.reference.maximal_solvers import LcpSolution
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 AT_BOUND = 1e-9
 """Share of the bound within which a friction impulse counts as zero or as at its bound."""
@@ -140,8 +139,7 @@ def calc_paper_loss_gradient(
 
 
 def calc_paper_step_jacobian(
-    obj: GridObject,
-    params: CellParameters,
+    bodies: Bodies,
     q: ArrayLike,
     nu: ArrayLike,
     nu_next: ArrayLike,
@@ -158,8 +156,7 @@ def calc_paper_step_jacobian(
     to rest stays there, with no derivative.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        bodies: one object, with its parameters.
         q: (3,) pose X_WB before the step, m and rad.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s, before the step.
         nu_next: (3,) the same velocity and rate after the step.
@@ -169,6 +166,8 @@ def calc_paper_step_jacobian(
     Returns:
         dnu'/dm (3, n), per kg, and dnu'/dmu (3, n).
     """
+    obj = bodies.obj
+    params = bodies.params
     nu = np.asarray(nu, dtype=np.float64)
     nu_next = np.asarray(nu_next, dtype=np.float64)
     n = obj.n

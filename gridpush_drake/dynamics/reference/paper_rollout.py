@@ -21,15 +21,13 @@ from math import sqrt
 
 import numpy as np
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.inputs import Steps
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.motion import Jacobian
-from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.geometry.se2 import Array, IntArray, make_rotation
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 
 REST = 1e-5
 """Speed, m/s, below which a step has stopped the body. It is far above the stiction tolerance, and
@@ -37,34 +35,33 @@ far below any push."""
 
 
 def calc_paper_jacobian(
-    obj: GridObject,
-    params: CellParameters,
+    bodies: Bodies,
     steps: Steps,
     dts: Array,
     rows: IntArray,
-    physics: Physics,
 ) -> Jacobian:
     """Differentiates recorded poses, each by the step that led to it.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        bodies: one object, with its parameters and physics.
         steps: record of the T simulated steps.
         dts: (T,) lengths of the steps, which are inertial, s.
         rows: (R,) the poses that are differentiated, 0 to T.
-        physics: of the simulation.
 
     Returns:
         The derivatives, whose blocks `mass` and `friction` are filled. The others are zero, and so
         is the row of pose 0, which no step led to.
     """
+    obj = bodies.obj
+    params = bodies.params
+    physics = bodies.physics
     spin = physics.used_spin
     t = np.maximum(rows - 1, 0)
     dt = dts[t]
     arm = calc_spin_arm(obj, params)
 
     # A step that stopped the body has no derivative.
-    before, turn = _twists_before(obj, params, steps, t, physics.ahead * dt)
+    before, turn = _twists_before(bodies, steps, t, physics.ahead * dt)
     after = steps.twists[t]
     turns = obj.radius_of_gyration * np.abs(after[:, 2]) > REST
     moves = turns | (np.hypot(after[:, 0], after[:, 1]) > REST)
@@ -72,7 +69,7 @@ def calc_paper_jacobian(
 
     # M_B^-1, or its projection where separate spin friction holds the rotation; times -dt, and
     # turned into W.
-    X_B = np.linalg.inv(_calc_inertia(obj, params))
+    X_B = np.linalg.inv(_calc_inertia(bodies))
     held = X_B - np.outer(X_B[:, 2], X_B[2]) / X_B[2, 2]
     sticks = ~turns & (spin == "separate")
     inverse_inertia = np.where(sticks[:, None, None], held, X_B)
@@ -192,16 +189,13 @@ def fill_paper_gradient(
                 dmu[r, j, i] = a * row_mu[0, i] + b * row_mu[1, i] + c * row_mu[2, i]
 
 
-def _twists_before(
-    obj: GridObject, params: CellParameters, steps: Steps, t: IntArray, until: Array
-) -> tuple[Array, Array]:
+def _twists_before(bodies: Bodies, steps: Steps, t: IntArray, until: Array) -> tuple[Array, Array]:
     """Calculates the twists before some steps, in the frames of the steps.
 
     A step's frame is the body's, turned about its center of mass at the yaw rate before the step.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
+        bodies: one object, with its parameters.
         steps: record of the steps.
         t: (R,) the steps.
         until: (R,) for how long each frame is turned, s.
@@ -209,7 +203,7 @@ def _twists_before(
     Returns:
         The twists (R, 3), and the frames' angles in W (R,), rad.
     """
-    cx, cy = params.center_of_mass(obj)
+    cx, cy = bodies.params.center_of_mass(bodies.obj)
     theta = steps.poses[t, 2]
     w = steps.velocities[t, 2]
     turn = theta + until * w
@@ -226,8 +220,10 @@ def _twists_before(
     return np.stack([ux, uy, w], axis=1), turn
 
 
-def _calc_inertia(obj: GridObject, params: CellParameters) -> Array:
+def _calc_inertia(bodies: Bodies) -> Array:
     """Calculates M_B (3, 3) about B's origin, body frame: kg, kg m, kg m²."""
+    obj = bodies.obj
+    params = bodies.params
     m = params.total_mass
     cx, cy = params.center_of_mass(obj)
     about_origin = params.inertia(obj) + m * (cx**2 + cy**2)

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import block_diag, csc_array, csr_array, diags_array, vstack
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.reference.isotropic_socp import clarabel, solve_conic
 from gridpush_drake.dynamics.reference.maximal_lcp import (
@@ -126,7 +127,9 @@ def solve_scene_socp(
     load = float(np.concatenate(k).sum())
     rigid = block_diag(
         [
-            make_maximal_lcp(obj, each, ORIGIN, np.zeros(3 * obj.n), np.zeros(3 * obj.n), 1.0).J_e
+            make_maximal_lcp(
+                Bodies(obj, each), ORIGIN, np.zeros(3 * obj.n), np.zeros(3 * obj.n), 1.0
+            ).J_e
             for obj, each in zip(objects, params, strict=True)
         ]
     )

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics
 from gridpush_drake.errors import IdentificationError
@@ -187,7 +188,8 @@ class CellLoss:
         if self.simulations + len(self) > self.budget:
             raise SearchStopped(SearchStatus.BUDGET_SPENT)
         simulations = [
-            push.simulate(self.obj, params, self.physics, **options) for push in self._pushes
+            push.simulate(Bodies(self.obj, params, self.physics), **options)
+            for push in self._pushes
         ]
         self.simulations += len(self)
         errors = [np.linalg.norm(miss, axis=-1).mean() for miss in self.misses(simulations)]

@@ -35,8 +35,8 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.geometry.se2 import Array, compose, rotate, transform
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.contact_kernels import (
     LAST_CELL,
     MIN_SLOPE,
@@ -129,8 +129,7 @@ def make_distance_table(obj: GridObject, radius: float) -> DistanceTable:
 
 
 def predict_roughly(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     start: Array,
     direction: Array,
     distance: float,
@@ -139,8 +138,7 @@ def predict_roughly(
     """Follows N straight pushes of an object at (0, 0, 0) by the ellipsoidal limit surface.
 
     Args:
-        obj: the object.
-        params: its masses and frictions.
+        model: one object, with its parameters.
         start: (N, 2) p_BP of the disc's center at the beginning, m.
         direction: (N, 2) unit vectors of the motion.
         distance: length of the motion, m.
@@ -149,6 +147,8 @@ def predict_roughly(
     Returns:
         (STEPS, N, 3) poses (x, y, theta) of the body frame after each step, m and rad.
     """
+    obj = model.obj
+    params = model.params
     table = make_distance_table(obj, radius)
     k = params.relative_friction()  # sums to one, so that f_max = 1 and lambda = m_max
     c = k @ obj.p_BC
@@ -214,7 +214,7 @@ def screen(runner: TrialRunner) -> Screening:
     if not len(s):
         return Screening(arc_length=s, piece=piece, angle=angle, rough_cost=np.empty(0))
     longest = runner.distance_range[1]
-    poses = predict_roughly(runner.obj, runner.params, start, direction, longest, options.radius)
+    poses = predict_roughly(runner.model, start, direction, longest, options.radius)
     costs = _calc_rough_costs(runner, poses)
 
     def count_allowed(some: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -239,8 +239,8 @@ def _calc_rough_costs(runner: TrialRunner, poses: Array) -> Array:
     Returns:
         (steps, N) m.
     """
-    centroid = runner.obj.p_BC.mean(axis=0)
-    rho = runner.obj.radius_of_gyration
+    centroid = runner.model.obj.p_BC.mean(axis=0)
+    rho = runner.model.obj.radius_of_gyration
     world = compose(runner.pose, poses)
     dc = transform(world, centroid[None])[..., 0, :] - transform(runner.goal, centroid[None])[0]
     dtheta = world[..., 2] - runner.goal[2]

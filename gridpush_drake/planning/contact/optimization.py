@@ -32,8 +32,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.contact.contact_kernels import solve_damped_step
 from gridpush_drake.planning.contact.limit_surface import screen
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
@@ -96,8 +95,7 @@ class ContactPlan:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def optimize_contact(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     pose: ArrayLike,
     goal: ArrayLike,
     *,
@@ -108,8 +106,7 @@ def optimize_contact(
     """Chooses the push that brings an object nearest to a goal pose.
 
     Args:
-        obj: the object.
-        params: its masses and frictions by the model.
+        model: one object, with its parameters.
         pose: (3,) where it lies, X_WB, m and rad.
         goal: (3,) where it should, X_WB, m and rad.
         method: "gradient", "finite_difference" (the paper's) or "exhaustive".
@@ -125,10 +122,10 @@ def optimize_contact(
     options = options or ContactOptions()
     q = check_vector(PlanningError, "pose", pose, 3)
     aim = check_vector(PlanningError, "goal", goal, 3)
-    runner = make_runner(obj, params, q, aim, constraints, options)
+    runner = make_runner(model, q, aim, constraints, options)
     trials = METHODS[method](runner)[:MAX_CANDIDATES]
     found = tuple(runner.finish(trial, runner.simulations) for trial in trials)
-    start_cost = float(calc_goal_error(obj, q, aim))
+    start_cost = float(calc_goal_error(model.obj, q, aim))
     if not found:
         status = ContactPlanStatus.NO_REACHABLE_CONTACT
     elif found[0].cost < start_cost:
@@ -147,23 +144,20 @@ def optimize_contact(
 
 
 def make_runner(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     pose: Array,
     goal: Array,
     constraints: PushConstraints | None,
     options: ContactOptions,
 ) -> TrialRunner:
     """Makes what simulates the pushes of a search; arguments as of `optimize_contact`."""
-    if params.n != obj.n:
-        raise PlanningError(f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has")
+    obj = model.obj
     reach = find_reachable_outline(obj, options.radius, options.clearance)
     longest = float(np.linalg.norm(obj.cells_at(pose) - obj.cells_at(goal), axis=1).max())
     least, greatest = options.distance_range
     greatest = max(least, min(greatest, REACH_FACTOR * longest + options.clearance + least))
     return TrialRunner(
-        obj=obj,
-        params=params,
+        model=options.resolve(model),
         pose=pose,
         goal=goal,
         reach=reach,

@@ -23,21 +23,20 @@ its Jacobian, counts as one. The theory is in `docs/theory/planning.md`, section
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.kernel_call import get_cells
 from gridpush_drake.dynamics.motion import Motion, MotionStatus
-from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import PushSteps, check_friction, simulate_steps
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.contact_kernels import (
     fill_cost_derivatives,
     fill_goal_errors,
@@ -122,8 +121,8 @@ class ContactOptions:
         clearance: gap between finger and object at the beginning, m.
         speed: of the finger, m/s.
         distance_range: least and greatest distance, m.
-        physics: of the simulations, such as that of a learned model; the regime "auto" becomes the
-            one that suits `speed`.
+        physics: takes the place of the model's, whose regime otherwise becomes the one that suits
+            `speed`; None for the model's.
         angle_range: least and greatest angle of the motion from the inward normal, rad.
         starts: number of starts of the gradient and the finite-difference search.
         budget: greatest number of simulations of the gradient and the finite-difference search.
@@ -141,7 +140,7 @@ class ContactOptions:
     clearance: float = 0.002
     speed: float = 0.03
     distance_range: tuple[float, float] = (0.005, 0.3)
-    physics: Physics = DEFAULT_PHYSICS
+    physics: Physics | None = None
     angle_range: tuple[float, float] = (-0.8, 0.8)
     starts: int = 12
     budget: int = 44
@@ -168,9 +167,10 @@ class ContactOptions:
             if getattr(self, name) < 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 1")
 
-    def resolve_physics(self, obj: GridObject, params: CellParameters) -> Physics:
-        """The physics of pushes at `speed`, by a model; never with the regime "auto"."""
-        return self.physics.resolve_for(obj, params, self.speed)
+    def resolve(self, model: Model) -> Model:
+        """The model with the physics of pushes at `speed`, whose regime is not "auto"."""
+        physics = self.physics or replace(model.physics, regime="auto")
+        return model.with_physics(physics).resolve(self.speed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +203,7 @@ class TrialRunner:
     """Simulates pushes from one pose towards one goal, and counts them.
 
     Attributes:
-        obj: the object.
-        params: its masses and frictions by the model.
+        model: one object, with its parameters and the physics of these pushes.
         pose: (3,) where it lies, X_WB, m and rad.
         goal: (3,) where it should, X_WB, m and rad.
         reach: where on the outline the disc can touch.
@@ -218,8 +217,7 @@ class TrialRunner:
             simulated.
     """
 
-    obj: GridObject
-    params: CellParameters
+    model: Model
     pose: Array
     goal: Array
     reach: ReachableOutline
@@ -230,12 +228,12 @@ class TrialRunner:
     _steps: PushSteps | None = None
 
     def __post_init__(self) -> None:
-        check_friction(self._physics, self.params)
+        check_friction(self.model.physics, self.model.params)
 
     def make_push(self, arc_length: float, angle: float, distance: float) -> Push:
         """Makes the push at an arc length, m, with an angle, rad, and of a distance, m."""
         return Push.on_outline(
-            self.obj,
+            self.model.obj,
             arc_length,
             angle,
             distance,
@@ -280,10 +278,8 @@ class TrialRunner:
         steps = self._find_steps(push)
         times = steps.times
         motion = simulate_steps(
-            self.obj,
-            self.params,
+            self.model,
             push,
-            self._physics,
             pose=self.pose,
             velocity=STILL,
             steps=steps,
@@ -309,7 +305,7 @@ class TrialRunner:
         if not (gradient and cost < better_than):
             return trial
         dq_dx = self._calc_pose_derivatives(push, motion, traveled, best)
-        slope, H = calc_cost_derivatives(self.obj, trial.pose, self.goal, dq_dx)
+        slope, H = calc_cost_derivatives(self.model.obj, trial.pose, self.goal, dq_dx)
         # A distance that cannot change, for the range or a rule ends here, is no unknown.
         if best in (first, usable - 1):
             slope, H = _exclude(slope, H, 2)
@@ -342,10 +338,8 @@ class TrialRunner:
             return np.column_stack([np.zeros((3, 2)), dq_dd])
         assert self._steps is not None
         J = simulate_steps(
-            self.obj,
-            self.params,
+            self.model,
             push,
-            self._physics,
             pose=self.pose,
             velocity=STILL,
             steps=self._steps.take_first(k),
@@ -354,15 +348,10 @@ class TrialRunner:
         assert J.contact_location is not None
         return np.column_stack([J.contact_location[0], J.direction[0], dq_dd])
 
-    @cached_property
-    def _physics(self) -> Physics:
-        """The physics of the simulations."""
-        return self.options.resolve_physics(self.obj, self.params)
-
     def _find_steps(self, longest: Push) -> PushSteps:
         """Finds the steps of the longest pushes, which are as long as each other."""
         if self._steps is None:
-            regime = self._physics.regime
+            regime = self.model.physics.regime
             times = make_path_times(longest, regime)
             self._steps = PushSteps.of_record(longest, times, np.empty(0, np.int64), regime)
         return self._steps
@@ -379,10 +368,10 @@ class TrialRunner:
             Its index and its cost, m.
         """
         rows = np.unique(np.append(np.arange(first, end, RECORD_EVERY), end - 1))
-        coarse = int(rows[np.argmin(calc_goal_error(self.obj, poses[rows], self.goal))])
+        coarse = int(rows[np.argmin(calc_goal_error(self.model.obj, poses[rows], self.goal))])
         begin = max(first, coarse - RECORD_EVERY + 1)
         stop = min(end, coarse + RECORD_EVERY)
-        costs = calc_goal_error(self.obj, poses[begin:stop], self.goal)
+        costs = calc_goal_error(self.model.obj, poses[begin:stop], self.goal)
         return begin + int(np.argmin(costs)), float(costs.min())
 
     def finish(self, trial: Trial, simulations: int) -> PlannedPush:

@@ -302,7 +302,7 @@ def follow(
             known = len(pushes)
             found = learner(follower.obj, PushLog(tuple(pushes)), found)
             if found is not None:
-                draws = found.samples(follower.options.ensemble)
+                draws = found.draws(follower.options.ensemble)
                 follower.set_model(found.params, draws)
                 learned += 1
     return FollowRun(

@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 from gridpush_drake.geometry.se2 import Array, make_direction, transform
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.feedback.follow_log import FollowLog, SeenPose
@@ -168,14 +169,12 @@ def prepare(obj: GridObject, learned: Identification, pose: Array, rules: Follow
     path = rules.path
     if path is None:
         plan = plan_pose_path(
-            obj,
-            learned.params,
+            Model(obj, learned.params, learned.physics),
             pose,
             rules.goal,
             rules.finger,
             rules.constraints,
             speed=rules.speed,
-            physics=learned.physics,
         )
         if plan.path is None:
             return Prepared(plan.status, plan.reason)
@@ -186,7 +185,7 @@ def prepare(obj: GridObject, learned: Identification, pose: Array, rules: Follow
         learned.params,
         path,
         rules.finger,
-        draws=learned.samples(rules.options.ensemble, rules.seed),
+        draws=learned.draws(rules.options.ensemble, rules.seed),
         physics=learned.physics,
         constraints=rules.constraints,
         options=rules.options,
@@ -263,7 +262,7 @@ def decide(
     """
     after = follower.copy()
     if learned is not None:
-        after.set_model(learned.params, learned.samples(after.options.ensemble))
+        after.set_model(learned.params, learned.draws(after.options.ensemble))
     for time, x, y in tips:
         after.add_tip(time, (x, y))
     for each in seen:

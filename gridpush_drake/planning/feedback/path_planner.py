@@ -27,11 +27,10 @@ from gridpush_drake.dynamics.kernels.finger_push import (
     X,
     follow_tip,
 )
-from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector, compose, make_direction, wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.feedback.follow_options import FOLLOW_REASONS, FollowStatus
 from gridpush_drake.planning.feedback.pose_path import PosePath
@@ -116,27 +115,23 @@ class _Moves:
 
 
 def plan_pose_path(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     start: ArrayLike,
     goal: ArrayLike,
     finger: FeedbackFinger,
     constraints: PushConstraints | None = None,
     *,
     speed: float,
-    physics: Physics | None = None,
 ) -> PathPlan:
     """Plans a path among obstacles and within the table that a finger can push the object along.
 
     Args:
-        obj: the object.
-        params: its masses and frictions, as learned.
+        model: one object, with its parameters and physics.
         start: (3,) where it lies, X_WB, m and rad.
         goal: (3,) where it should go, m and rad.
         finger: the finger.
         constraints: table, obstacles, margins and the finger's region.
         speed: of the path, m/s.
-        physics: physics of the model; the search is quasi-static in any case.
 
     Returns:
         The path, or why there is none.
@@ -144,6 +139,7 @@ def plan_pose_path(
     Raises:
         PlanningError: an argument is out of range.
     """
+    obj = model.obj
     begin = check_vector(PlanningError, "start", start, 3)
     aim = check_vector(PlanningError, "goal", goal, 3)
     require_positive(PlanningError, unit="m/s", speed=speed)
@@ -154,8 +150,8 @@ def plan_pose_path(
     if blocked:
         return _refuse(FollowStatus.GOAL_BLOCKED)
     # what can be done from anywhere, where that may be done, and how far it is to the goal
-    model = make_model(obj, params, finger.radius, physics)
-    moves = _try_moves(obj, model, finger)
+    pushed = make_model(obj, model.params, finger.radius, model.physics)
+    moves = _try_moves(obj, pushed, finger)
     room = make_room(obj, rules, finger, np.array([begin[:2], aim[:2]]))
     cost_to_go = CostToGo(obj, begin, aim, rules.start_at(obj, begin, finger.radius))
     if not np.isfinite(cost_to_go.calc_cost(begin)):

@@ -121,7 +121,7 @@ class PushFollower:
             goal: (3,) pose X_WB, m and rad; or a path, at whose end its last pose is the goal.
             finger: the finger.
             draws: other models that agree with what was learned, such as
-                `Identification.samples(32)`; at most `options.ensemble` are used.
+                `Identification.draws(32)`; at most `options.ensemble` are used.
             physics: physics of the models; the search is quasi-static in any case.
             constraints: table, obstacles, margins and the finger's region; the further rules are
                 those of straight pushes, and are not asked.

@@ -14,6 +14,7 @@ from gridpush_drake.dynamics.kernels.finger_push import PushedModel, Room
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.push_constraints import PushConstraints, make_body
@@ -92,7 +93,7 @@ def make_model(
     if not float(params.friction @ params.mass) * used.gravity > 0:
         raise PlanningError("model: expected some friction with the support")
     law, body, support, edges, scheme = prepare_rollout(
-        obj, params, used, None, approximate=approximate
+        Model(obj, params, used), None, approximate=approximate
     )
     corners = shapely.get_coordinates(obj.outline)
     return PushedModel(

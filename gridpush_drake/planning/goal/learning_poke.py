@@ -12,6 +12,7 @@ from shapely import Point
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array, rotate, transform_back
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
@@ -61,7 +62,10 @@ def choose_poke_within(
     if rules.robustness is not None:
         robustness = Robustness(
             obj=obj,
-            models=[found.params, *draw_model_samples(obj, found.params, found, rules.robustness)],
+            models=[
+                found.params,
+                *draw_model_samples(Model(obj, found.params), found, rules.robustness),
+            ],
             constraints=rules.constraints,
             contact=contact,
             options=rules.robustness,
@@ -83,7 +87,7 @@ def choose_poke_within(
 def _plan(found: Identification, push: Push, pose: Array, goal: Array) -> PlannedPush:
     """Says of a poke where it begins, and where the model puts the object at its end."""
     obj = found.obj
-    motion = simulate(obj, found.params, push, pose, regime="quasi_static")
+    motion = simulate(Model(obj, found.params), push, pose, regime="quasi_static")
     arc_length, angle = _find_contact(obj, push, pose)
     return PlannedPush(
         arc_length=arc_length,

@@ -39,6 +39,7 @@ from gridpush_drake.geometry.se2 import (
     transform,
     wrap_angle,
 )
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -118,21 +119,21 @@ class RobustnessOptions:
 
 
 def draw_model_samples(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     identification: Identification | None,
     options: RobustnessOptions,
 ) -> list[CellParameters]:
     """Makes other models that may be the true one.
 
     Args:
-        obj: the object.
-        params: the model.
+        model: one object, with its parameters.
         identification: that the model comes from; None where nothing was learned.
         options: how many models to make.
     """
+    obj = model.obj
+    params = model.params
     if identification is not None:
-        return identification.samples(options.samples, options.seed)
+        return identification.draws(options.samples, options.seed)
     # (p_i - c) and r of the equation above.
     arm = obj.p_BC - obj.p_BC.mean(axis=0)
     r = max(float(np.linalg.norm(arm, axis=1).max()), obj.cell_size)
@@ -196,7 +197,7 @@ class Robustness:
         bounded = self.constraints.surface is not None or bool(self.constraints.obstacles)
         if not bounded and not self.learned:
             return SafePush(planned=planned, ends=planned.pose[None])
-        physics = self.contact.resolve_physics(self.obj, self.models[0])
+        physics = self.contact.resolve(Model(self.obj, self.models[0])).physics
         (poses,) = follow_pushes(self.obj, self.models, [planned.push], pose, physics)
         self.simulations += len(self.models)
         # The number of steps that the model and nearly all samples allow.
@@ -318,8 +319,7 @@ class NextPush:
 
 
 def choose_push(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     pose: Array,
     cost_to_go: CostToGo,
     rules: GoalRules,
@@ -328,16 +328,14 @@ def choose_push(
     """Decides on the next push of an object.
 
     Args:
-        obj: the object.
-        params: its masses and frictions by the model.
+        model: one object, with its parameters.
         pose: (3,) where it lies, X_WB, m and rad.
         cost_to_go: to the goal.
         rules: how it is pushed.
         robustness: cuts pushes short; None makes them as planned.
     """
     search = _PushSearch(
-        obj=obj,
-        params=params,
+        model=model,
         pose=pose,
         cost_to_go=cost_to_go,
         rules=rules,
@@ -382,8 +380,7 @@ class _PushSearch:
     """The searches of one decision, with the number of simulations that they took.
 
     Attributes:
-        obj: the object.
-        params: its masses and frictions by the model.
+        model: the object with its parameters.
         pose: (3,) where it lies.
         cost_to_go: to the goal.
         rules: how it is pushed.
@@ -391,8 +388,7 @@ class _PushSearch:
         simulations: number of simulations so far.
     """
 
-    obj: GridObject
-    params: CellParameters
+    model: Model
     pose: Array
     cost_to_go: CostToGo
     rules: GoalRules
@@ -419,7 +415,7 @@ class _PushSearch:
         beam = first[:BEAM]
         waypoints = []
         if self.subgoals:
-            waypoints = make_waypoints(self.obj, self.pose, self.subgoals[0])
+            waypoints = make_waypoints(self.model.obj, self.pose, self.subgoals[0])
         for waypoint in waypoints:
             plan = self._search(self.pose, waypoint, self.rules.contact)
             beam += self._take(plan.candidates, 1)
@@ -511,8 +507,7 @@ class _PushSearch:
     ) -> ContactPlan:
         """Searches for pushes from a pose (3,) to a goal (3,), and counts the simulations."""
         plan = optimize_contact(
-            self.obj,
-            self.params,
+            self.model,
             pose,
             goal,
             method=method,

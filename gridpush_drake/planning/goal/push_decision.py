@@ -9,9 +9,8 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import (
@@ -49,11 +48,10 @@ class PushDecision:
 
 
 def decide_push(
-    obj: GridObject,
+    model: Model,
     pose: Array,
     goal: Array,
     made: int,
-    params: CellParameters,
     identification: Identification | None,
     rules: GoalRules,
     cost_to_go: CostToGo | None = None,
@@ -61,11 +59,10 @@ def decide_push(
     """Decides on the next push of an object.
 
     Args:
-        obj: the object.
+        model: one object, with its parameters.
         pose: (3,) where it lies, X_WB, m and rad.
         goal: (3,) where it should get to, X_WB, m and rad.
         made: number of pushes made so far.
-        params: its masses and frictions by the model.
         identification: that the model comes from; None where nothing was learned.
         rules: how it is pushed.
         cost_to_go: of the decision before, to the same goal by the same rules; None where there was
@@ -74,6 +71,7 @@ def decide_push(
     Raises:
         PlanningError: the finger fits nowhere on the outline.
     """
+    obj = model.obj
     error = float(calc_goal_error(obj, pose, goal))
     status = check_ends(obj, pose, goal, rules.constraints, rules.contact.radius)
     if status is not None:
@@ -88,16 +86,16 @@ def decide_push(
         return PushDecision(status, error, cost_to_go=cost_to_go)
     robustness = None
     if rules.robustness is not None:
-        samples = draw_model_samples(obj, params, identification, rules.robustness)
+        samples = draw_model_samples(model, identification, rules.robustness)
         robustness = Robustness(
             obj=obj,
-            models=[params, *samples],
+            models=[model.params, *samples],
             constraints=rules.constraints,
             contact=rules.contact,
             options=rules.robustness,
             learned=identification is not None,
         )
-    chosen = choose_push(obj, params, pose, cost_to_go, rules, robustness)
+    chosen = choose_push(model, pose, cost_to_go, rules, robustness)
     status = PushPlanStatus.STUCK if chosen.push is None else None
     return PushDecision(status, error, chosen, cost_to_go)
 

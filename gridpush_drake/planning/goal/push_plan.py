@@ -17,6 +17,7 @@ from shapely import Point
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import (
     MM,
     count,
@@ -26,7 +27,6 @@ from gridpush_drake.notebook import (
     make_table,
 )
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
@@ -129,8 +129,7 @@ class PushPlan:
 
 
 def plan_pushes(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     pose: ArrayLike,
     goal: ArrayLike,
     rules: GoalRules = LOOK_AHEAD,
@@ -138,8 +137,7 @@ def plan_pushes(
     """Plans pushes that bring an object to a goal, trusting the model.
 
     Args:
-        obj: the object.
-        params: its masses and frictions by the model.
+        model: one object, with its parameters.
         pose: (3,) where it lies, X_WB, m and rad.
         goal: (3,) where it should get to, X_WB, m and rad.
         rules: how it is pushed; their robustness is not used.
@@ -150,6 +148,7 @@ def plan_pushes(
     Raises:
         PlanningError: an argument is out of range.
     """
+    obj = model.obj
     begin = perf_counter()
     start = check_vector(PlanningError, "pose", pose, 3)
     aim = check_vector(PlanningError, "goal", goal, 3)
@@ -164,7 +163,7 @@ def plan_pushes(
             status = find_stop_reason(obj, q, cost_to_go, len(pushes), rules)
             if status is not None:
                 break
-            decision = choose_push(obj, params, q, cost_to_go, rules)
+            decision = choose_push(model, q, cost_to_go, rules)
             simulations += decision.simulations
             if decision.push is None:
                 status = PushPlanStatus.STUCK

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -88,11 +89,10 @@ decision."""
 
 def push_to_goal(
     world: PushWorld,
-    obj: GridObject,
+    model: Model,
     goal: ArrayLike,
     rules: GoalRules | None = None,
     *,
-    params: CellParameters | None = None,
     learner: Learner | None = Learner(),  # noqa: B008
     options: LoopOptions = ONE_OBSERVATION,
     progress: Callable[[PushStep], None] | None = None,
@@ -103,10 +103,9 @@ def push_to_goal(
 
     Args:
         world: where the object lies, and pushes are carried out.
-        obj: the object.
+        model: one object, with its parameters.
         goal: (3,) the goal pose, X_WB, m and rad.
         rules: how it is pushed.
-        params: the model to begin with; uniform by the object's prior where None.
         learner: learns after every push that does not reach the goal; None never.
         options: how the loop observes, and when it gives up.
         progress: called after every push.
@@ -114,9 +113,10 @@ def push_to_goal(
     Raises:
         PlanningError: an argument is out of range.
     """
+    obj = model.obj
     aim = check_vector(PlanningError, "goal", goal, 3)
     steps: list[PushStep] = []
-    loop = PushToGoalLoop(obj, rules, params, options)
+    loop = PushToGoalLoop(model, rules, options)
 
     def learn(
         obj: GridObject, log: PushLog, before: Identification | None
@@ -148,7 +148,7 @@ def push_to_goal(
         status=status.cause or status.mode.value,
         reason=status.reason,
         error=status.error,
-        params=loop.params if found is None else found.params,
+        params=(found or loop.model).params,
         identification=found,
         simulations=run.state.simulations,
         planning_seconds=run.planning_seconds,

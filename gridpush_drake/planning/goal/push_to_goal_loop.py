@@ -27,9 +27,8 @@ import numpy as np
 
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import count
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import (
     FAILED,
     MAX_FALLBACKS,
@@ -153,30 +152,27 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
     Attributes:
         obj: the object.
         rules: how to push.
-        params: the model before anything was learned.
+        model: the object, with its parameters before anything was learned.
     """
 
     pushing_modes = (ContactPointMode.PUSHING, ContactPointMode.POKING)
 
     def __init__(
         self,
-        obj: GridObject,
+        model: Model,
         rules: GoalRules | None = None,
-        params: CellParameters | None = None,
         options: LoopOptions | None = None,
     ) -> None:
         """Takes what never changes.
 
         Args:
-            obj: the object.
+            model: one object, with its parameters.
             rules: how to push.
-            params: the model before anything was learned; by default uniform, by the object's
-                prior.
             options: how the loop observes, and when it gives up.
         """
-        self.obj = obj
+        self.obj = model.obj
+        self.model = model
         self.rules = rules or GoalRules()
-        self.params = CellParameters.uniform(obj) if params is None else params
         self.options = options or LoopOptions()
 
     def begin(self) -> PushToGoalState:
@@ -248,11 +244,10 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
             if surprised is not None:
                 return surprised
             decision = decide_push(
-                obj=self.obj,
+                model=self.model if found is None else found,
                 pose=pose,
                 goal=np.array(now.goal),
                 made=now.status.pushes,
-                params=self.params if found is None else found.params,
                 identification=found,
                 rules=forbid(self.rules, now.refused),
                 cost_to_go=now.cost_to_go,

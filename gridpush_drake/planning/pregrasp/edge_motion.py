@@ -18,6 +18,7 @@ from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.dynamics.push import DEFAULT_TIP_STEP, Push, make_path_times
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -48,37 +49,33 @@ class EdgeMotion:
 
 
 def simulate_near_edge(
-    obj: GridObject,
-    params: CellParameters,
+    model: Model,
     push: Push,
     pose: ArrayLike,
     surface: SupportSurface,
-    physics: Physics = QUASI_STATIC,
 ) -> EdgeMotion:
     """Simulates a slow push of an object that may hang over the edge, up to where it falls.
 
     Args:
-        obj: the object.
-        params: its masses and frictions.
+        model: one object, with its parameters and physics; the regime is quasi-static in any case.
         push: the push.
         pose: (3,) where it lies, X_WB, m and rad.
         surface: the table.
-        physics: of the simulation, quasi-static.
 
     Returns:
         The motion.
     """
+    model = model.with_physics(model.physics.with_regime("quasi_static"))
     q = np.asarray(pose, dtype=np.float64)
-    gravity = physics.gravity
     # Without loads that bear it, the object falls where it lies.
-    if calc_loads(obj, params, q, surface.corners, gravity) is None:
+    if calc_loads(model, q, surface.corners) is None:
         return EdgeMotion(poses=q[None].copy(), traveled=np.zeros(1), fell=True)
-    times = make_path_times(push, physics.regime)
+    times = make_path_times(push, model.physics.regime)
     traveled = push.distance_at(times)
-    motion = simulate(obj, params, push, q, times=times, physics=physics, table=surface.corners)
+    motion = simulate(model, push, q, times=times, table=surface.corners)
     fell = bool(motion.tips.any())
     # The simulation says of every step whether the object tips in it, but not of the last pose.
-    if not fell and calc_loads(obj, params, motion.final_pose, surface.corners, gravity) is None:
+    if not fell and calc_loads(model, motion.final_pose, surface.corners) is None:
         return EdgeMotion(poses=motion.poses, traveled=traveled, fell=True)
     count = int(np.argmax(motion.tips)) + 1 if fell else len(times)
     return EdgeMotion(poses=motion.poses[:count], traveled=traveled[:count], fell=fell)

@@ -30,6 +30,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
@@ -134,7 +135,7 @@ def make_pokes(
             if (distances < options.min_separation * reach.perimeter).any():
                 continue
             # Not one that is predicted to miss, or to break a rule.
-            motion = simulate(obj, model.params, push, q, physics=model.physics)
+            motion = simulate(Model(obj, model.params, model.physics), push, q)
             if motion.status != MotionStatus.OK:
                 continue
             if checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):

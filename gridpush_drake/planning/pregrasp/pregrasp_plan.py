@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import MM, count, describe_pose, draw_paths, make_page, make_table
 from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
@@ -88,12 +89,10 @@ def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLi
         if decision.action != "slide" or decision.push is None:
             break
         motion = simulate_near_edge(
-            obj=planner.obj,
-            params=model.params,
+            Model(planner.obj, model.params, model.physics),
             push=decision.push,
             pose=poses[-1],
             surface=planner.surface,
-            physics=model.physics,
         )
         pushes.append(decision.push)
         poses.append(motion.final_pose)

@@ -29,6 +29,7 @@ from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.dynamics.push import DEFAULT_TIP_STEP, Push
 from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
 from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, calc_goal_error
@@ -213,7 +214,11 @@ def plan_slide(
     proposals: list[tuple[PlannedPush, PreGraspGoal]] = []
     for goal in goals[: options.goals]:
         plan = optimize_contact(
-            masses.obj, params, q, goal.pose, constraints=constraints, options=options.contact
+            Model(masses.obj, params),
+            q,
+            goal.pose,
+            constraints=constraints,
+            options=options.contact,
         )
         enough = plan.start_cost - options.min_gain
         proposals += [(push, goal) for push in plan.candidates if push.cost < enough]
@@ -398,7 +403,7 @@ class _SlideWeighing:
             pose=self.pose,
             surface=self.surface,
             places=cuts,
-            physics=self.options.contact.physics,
+            physics=self.options.contact.physics or QUASI_STATIC,
             tip_step=tip_step,
         )
         flat = motions.poses.reshape(-1, 3)

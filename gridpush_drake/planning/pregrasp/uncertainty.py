@@ -39,6 +39,7 @@ from gridpush_drake.identification.hypotheses import SmoothField
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import DrawJudge, Posterior
 from gridpush_drake.identification.result import Identification
@@ -161,10 +162,10 @@ class PlausibleMassSet:
         )
 
     @classmethod
-    def of_masses(cls, obj: GridObject, params: CellParameters) -> "PlausibleMassSet":
+    def of_masses(cls, model: Model) -> "PlausibleMassSet":
         """Makes the set of a single mass distribution, which is taken as known."""
-        mass = params.mass[None]
-        return cls(obj, mass, mass)
+        mass = model.params.mass[None]
+        return cls(model.obj, mass, mass)
 
     def calc_support(self, directions: ArrayLike) -> Array:
         """Calculates h: how far the center of mass can be along some directions at most.
@@ -299,9 +300,9 @@ class UncertainModel:
         return cls.of_identification(prior, friction_range=friction_range, sample_count=0)
 
     @classmethod
-    def of_parameters(cls, obj: GridObject, params: CellParameters) -> "UncertainModel":
+    def of_parameters(cls, model: Model) -> "UncertainModel":
         """Makes a model whose parameters are taken for granted."""
-        return cls(obj, params)
+        return cls(model.obj, model.params)
 
     def doubt(self, factor: float) -> "UncertainModel":
         """The model with all that was learned less sure, as after a push that surprised.
@@ -342,7 +343,7 @@ class UncertainModel:
             PlanningError: the friction range is not increasing.
         """
         if self.posterior is None:
-            return PlausibleMassSet.of_masses(self.obj, self.params)
+            return PlausibleMassSet.of_masses(Model(self.obj, self.params))
         with threadpool_limits(limits=1, user_api="blas"):
             return PlausibleMassSet.from_posterior(
                 self.obj,

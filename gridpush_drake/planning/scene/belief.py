@@ -18,6 +18,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.scene.bodies import DEFAULT_PAIR_FRICTION, Scene, SceneBody
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.scene_learning import SceneIdentification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -89,7 +90,7 @@ class SceneBelief:
         scene = _make_scene(objects, even, poses, pair_friction)
         rng = np.random.default_rng(seed)
         tilted = [
-            draw_model_samples(obj, params, None, RobustnessOptions())
+            draw_model_samples(Model(obj, params), None, RobustnessOptions())
             for obj, params in zip(objects, even, strict=True)
         ]
         models = []

@@ -23,6 +23,7 @@ from gridpush_drake.dynamics.scene.bodies import describe_object
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision, PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, find_pregrasp_goals
@@ -376,7 +377,7 @@ class FetchLearning:
         clean = [self._single_out(seen) for seen in pushes if self._tells(seen, obj)]
         log = PushLog(tuple(clean))
         learned = UncertainModel.of_identification(
-            identify(obj, log, seed=seed), friction_range=self.friction_range, log=log
+            identify(Model(obj), log, seed=seed), friction_range=self.friction_range, log=log
         )
         models: Mapping[int, UncertainModel] = {**belief.models, self.wanted: learned}
         return replace(found or belief, models=models)

@@ -20,6 +20,7 @@ from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import OBSERVATIONS, REGIME, CenterOfMassSupport
@@ -204,7 +205,7 @@ class SimulatedSceneWorld:
         ):
             return
         params = self._scene.params[b]
-        motion = simulate_near_edge(obj, params, push, poses[0, b], self.surface)
+        motion = simulate_near_edge(Model(obj, params), push, poses[0, b], self.surface)
         # after a fall it stays where it fell
         poses[: len(motion.poses), b] = motion.poses
         poses[len(motion.poses) :, b] = motion.poses[-1]

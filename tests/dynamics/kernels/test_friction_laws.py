@@ -10,6 +10,7 @@ from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.random_objects import make_random_object
@@ -115,22 +116,22 @@ def test_a_push_is_simulated_with_every_law_or_refused(name, regime):
     params, push = CellParameters.uniform(obj, 1.0, 0.3), Push((-0.07, 0.01), (0.1, 0.0), 0.5, 0.01)
     if regime not in LAWS[name].regimes:
         with pytest.raises(SimulationError, match=name):
-            simulate(obj, params, push, physics=Physics(name, regime))
+            simulate(Model(obj, params, Physics(name, regime)), push)
         return
-    motion = simulate(obj, params, push, physics=Physics(name, regime))
+    motion = simulate(Model(obj, params, Physics(name, regime)), push)
     assert motion.status == "ok"
     assert motion.final_pose[0] > 0.01
     if True not in LAWS[name].gradients:
         with pytest.raises(SimulationError, match=name):
-            simulate(obj, params, push, physics=Physics(name, regime), gradients=True)
+            simulate(Model(obj, params, Physics(name, regime)), push, gradients=True)
         return
     record = [len(motion.times) - 1]
     J = simulate(
-        obj, params, push, physics=Physics(name, regime), gradients=True, record=record
+        Model(obj, params, Physics(name, regime)), push, gradients=True, record=record
     ).jacobian
 
     def move(mu):
         moved = CellParameters(params.mass, mu, params.contact_friction)
-        return simulate(obj, moved, push, physics=Physics(name, regime)).final_pose
+        return simulate(Model(obj, moved, Physics(name, regime)), push).final_pose
 
     check_jacobian(move, params.friction, J.friction[0], step=1e-4, order=4, rtol=1e-5, atol=1e-8)

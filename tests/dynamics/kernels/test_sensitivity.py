@@ -10,6 +10,7 @@ from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.reference.maximal_lcp import make_maximal_lcp, twist_to_cells
 from gridpush_drake.dynamics.reference.maximal_solvers import solve_as_qp
 from gridpush_drake.dynamics.simulation import calc_step, simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.push_cases import check_case, make_notch_case, make_random_case
@@ -110,12 +111,10 @@ def test_exact_gradients_of_force_driven_pushes(spin):
 
         def run(mass, friction, pose, obj=obj, push=push, nu=nu, gradients=False):
             return simulate(
-                obj,
-                CellParameters(mass, friction),
+                Model(obj, CellParameters(mass, friction), Physics(spin=spin)),
                 push,
                 pose,
                 velocity=nu,
-                physics=Physics(spin=spin),
                 gradients=gradients,
             )
 
@@ -148,7 +147,7 @@ def test_contact_location_is_the_derivative_by_arc_length(regime):
                 push = Push.on_outline(
                     obj, float(s), 0.2, 0.03, radius=0.004, speed=0.05, pose=pose, clearance=1e-4
                 )
-                return simulate(obj, params, push, pose, regime=regime, gradients=gradients)
+                return simulate(Model(obj, params), push, pose, regime=regime, gradients=gradients)
 
             result = run(where, gradients=True)
             modes = result.modes
@@ -164,7 +163,12 @@ def test_recorded_rows_are_those_of_the_whole_jacobian():
     case = make_random_case("l_bracket", 3, "inertial", "coupled")
     push = Push.along(case.t, case.path, case.radius)
     some = simulate(
-        case.obj, case.params, push, case.pose, gradients=True, record=[30, 7], **case.options
+        Model(case.obj, case.params),
+        push,
+        case.pose,
+        gradients=True,
+        record=[30, 7],
+        **case.options,
     ).jacobian
     np.testing.assert_array_equal(some.steps, [30, 7])
     for name in ("mass", "friction", "contact_friction", "start", "direction", "length", "pose"):
@@ -189,7 +193,7 @@ def test_paper_gradient_is_that_of_the_one_step_lcp(seed):
     obj, params, pose, nu, push = make_paper_case(seed)
     dt = 0.01
     lagged = Physics(friction_law="lagged")
-    result = simulate(obj, params, push, pose, dt, "paper", velocity=nu, physics=lagged)
+    result = simulate(Model(obj, params, lagged), push, pose, dt, "paper", velocity=nu)
     J = result.jacobian
     assert not J.mass[0].any()
     m, mu = params.mass, params.friction
@@ -204,11 +208,11 @@ def test_paper_gradient_is_that_of_the_one_step_lcp(seed):
 
         def condensed(mass, friction, q=q, nu_t=nu_t, wrench=wrench):
             return dt * calc_step(
-                obj, CellParameters(mass, friction), q, nu_t, wrench, dt, physics=lagged
+                Model(obj, CellParameters(mass, friction), lagged), q, nu_t, wrench, dt
             )
 
         def maximal(mass, friction, q=q, nu_t=nu_t, F=F, T=T):
-            lcp = make_maximal_lcp(obj, CellParameters(mass, friction), q, T @ nu_t, F, dt)
+            lcp = make_maximal_lcp(Model(obj, CellParameters(mass, friction)), q, T @ nu_t, F, dt)
             return dt * np.linalg.lstsq(T, solve_as_qp(lcp).xdot)[0]
 
         for step in (condensed, maximal):
@@ -225,12 +229,12 @@ def test_paper_gradient_of_a_push_is_one_step_s_and_misses_what_accumulates():
     obj = make_shape("square", 25)
     params = make_random_contents(np.random.default_rng(0), obj)
     push = Push((-0.06, 0.02), (0.1, 0.0), 1.0, 0.005)
-    paper = simulate(obj, params, push, gradients="paper").jacobian
-    exact = simulate(obj, params, push, gradients=True, regime="inertial").jacobian
+    paper = simulate(Model(obj, params), push, gradients="paper").jacobian
+    exact = simulate(Model(obj, params), push, gradients=True, regime="inertial").jacobian
     assert np.abs(paper.friction[-1]).max() < 0.1 * np.abs(exact.friction[-1]).max()
     for block in (paper.start, paper.pose, paper.contact_friction, paper.length, paper.direction):
         assert not block.any()
-    some = simulate(obj, params, push, gradients="paper", record=[50, 0, 20]).jacobian
+    some = simulate(Model(obj, params), push, gradients="paper", record=[50, 0, 20]).jacobian
     np.testing.assert_array_equal(some.mass, paper.mass[[50, 0, 20]])
 
 
@@ -240,8 +244,8 @@ def test_paper_gradient_of_the_midpoint_step_with_isotropic_friction(spin):
     obj, params, pose, nu, push = make_paper_case(5)
     dt = 1e-4  # so short that the friction's direction before the step is that within it
     options = {"velocity": nu, "physics": Physics(spin=spin), "record": [1]}
-    result = simulate(obj, params, push, pose, dt, "paper", **options)
-    exact = simulate(obj, params, push, pose, dt, True, **options)
+    result = simulate(Model(obj, params), push, pose, dt, "paper", **options)
+    exact = simulate(Model(obj, params), push, pose, dt, True, **options)
     for name in ("mass", "friction"):
         one, other = getattr(result.jacobian, name)[0], getattr(exact.jacobian, name)[0]
         np.testing.assert_allclose(one, other, rtol=0, atol=3e-3 * np.abs(other).max())

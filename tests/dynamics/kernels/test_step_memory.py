@@ -8,6 +8,7 @@ from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, make_memory
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 
@@ -24,9 +25,7 @@ def run(obj, params, q, nu, tip, physics, memory) -> Steps:
     load = Load(tip, 1.0, 0.012, np.zeros((steps, 3)), np.zeros(2))
     row_of_step = np.full(steps + 1, -1)
     return run_kernel(
-        obj,
-        params,
-        physics,
+        Model(obj, params, physics),
         pose=q,
         velocity=nu,
         dts=np.full(steps, DT),

@@ -10,6 +10,7 @@ from gridpush_drake.dynamics.kernels.support_loads import find_loads, make_loads
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ParameterError, SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.push_cases import make_random_case, make_table_edge
@@ -21,7 +22,7 @@ GRAVITY = 9.81
 def run_kernel_loads(obj, params, friction, table=None, pose=(0.0, 0.0, 0.0)):
     """The kernel's loads, N, at a pose, with a friction F (2,) of the step before; None where the object tips."""
     edges = None if table is None else np.column_stack([table, np.roll(table, -1, axis=0)])
-    support = make_support(obj, params, GRAVITY, edges)
+    support = make_support(Model(obj, params), GRAVITY, edges)
     loads, k = make_loads(support), np.empty(obj.n)
     loads.friction[:] = friction
     state = make_state(np.array(pose), np.zeros(3), 0.0, 0.0)
@@ -98,7 +99,9 @@ def test_nothing_shifts_without_friction_or_edge():
     push = Push.on_outline(obj, 0.05, 0.2, 0.03, radius=0.005, speed=0.05)
     bare = CellParameters(params.mass, params.friction)
     np.testing.assert_allclose(
-        simulate(obj, bare, push, table=wide).poses, simulate(obj, bare, push).poses, atol=1e-12
+        simulate(Model(obj, bare), push, table=wide).poses,
+        simulate(Model(obj, bare), push).poses,
+        atol=1e-12,
     )
 
 
@@ -108,7 +111,7 @@ def test_a_higher_pusher_moves_the_load_forward(regime):
     obj = make_shape("square", 100)
     params = CellParameters(np.full(obj.n, 0.01), np.full(obj.n, 0.35), 0.3, push_height=0.015)
     start = np.array([obj.p_BC[:, 0].min() - obj.cell_size / 2 - 0.005, 0.0])
-    motion = simulate(obj, params, Push(start, (0.03, 0.0), 1.0, 0.005), regime=regime)
+    motion = simulate(Model(obj, params), Push(start, (0.03, 0.0), 1.0, 0.005), regime=regime)
     ahead = motion.load_centers[-1] - motion.poses[-2, :2]
     np.testing.assert_allclose(ahead, [0.35 * 0.015, 0.0], atol=2e-5)
     assert abs(motion.final_pose[2]) < 1e-6
@@ -119,8 +122,7 @@ def test_the_lagged_friction_errs_in_proportion_to_the_step():
     push = Push.along(case.t, case.path, case.radius)
     ends = [
         simulate(
-            case.obj,
-            case.params,
+            Model(case.obj, case.params),
             push,
             case.pose,
             **{**case.options, "times": np.linspace(0, push.duration, n + 1)},
@@ -138,7 +140,7 @@ def test_tips_when_the_center_of_mass_passes_the_edge(inside, status):
     center = params.center_of_mass(obj)
     table = SupportSurface.rectangle((center[0] + inside - 1.0, 0.0), (2.0, 2.0)).corners
     rest = ForcePush((0.0, 0.0), (0.0, 0.0), 0.1)
-    assert simulate(obj, params, rest, table=table).status == status
+    assert simulate(Model(obj, params), rest, table=table).status == status
 
 
 @pytest.mark.parametrize("share, status", [(0.9, "ok"), (1.1, "tips")])
@@ -149,7 +151,9 @@ def test_tips_over_its_own_edge_when_pushed_high(share, status):
         np.full(obj.n, 0.01), np.full(obj.n, 0.5), 0.3, push_height=share * half / 0.5
     )
     motion = simulate(
-        obj, params, Push((-half - 0.005, 0.0), (0.02, 0.0), 0.5, 0.005), regime="quasi_static"
+        Model(obj, params),
+        Push((-half - 0.005, 0.0), (0.02, 0.0), 0.5, 0.005),
+        regime="quasi_static",
     )
     assert motion.status == status
 
@@ -162,7 +166,7 @@ def test_a_pusher_high_above_the_object_tips_it_and_nothing_overflows(regime):
         np.full(obj.n, 0.01), np.full(obj.n, 0.9), 0.5, push_height=8 * np.ptp(obj.p_BC[:, 0])
     )
     push = Push.on_outline(obj, 0.02, 0.2, 0.05, radius=0.008, speed=0.3)
-    motion = simulate(obj, params, push, regime=regime, gradients=True)
+    motion = simulate(Model(obj, params), push, regime=regime, gradients=True)
     assert motion.status == "tips"
     assert np.isfinite(motion.poses).all() and np.isfinite(motion.contact_forces).all()
 
@@ -173,15 +177,14 @@ def test_refuses_what_makes_no_sense():
     push = Push((-0.1, 0.0), (0.05, 0.0), 0.5, 0.005)
     far = SupportSurface.rectangle((5.0, 0.0), (1.0, 1.0)).corners
     with pytest.raises(SimulationError, match=r"no cell of .* is on it at the pose"):
-        simulate(obj, params, push, table=far)
+        simulate(Model(obj, params), push, table=far)
     with pytest.raises(SimulationError, match="corners of shape"):
-        simulate(obj, params, push, table=[(0, 0), (1, 0)])
+        simulate(Model(obj, params), push, table=[(0, 0), (1, 0)])
     with pytest.raises(ParameterError, match="push_height is -1"):
         CellParameters(params.mass, params.friction, push_height=-1.0)
     with pytest.raises(SimulationError, match="knows no shifting loads"):
         simulate(
-            obj,
-            params,
+            Model(obj, params),
             push,
             table=SupportSurface.rectangle((0, 0), (1, 1)).corners,
             gradients="paper",
@@ -191,5 +194,7 @@ def test_refuses_what_makes_no_sense():
 def test_an_endless_table_is_the_paper_s_model():
     obj = make_shape("l_bracket", 40)
     params = CellParameters.uniform(obj)
-    motion = simulate(obj, params, Push.on_outline(obj, 0.03, 0.1, 0.03, radius=0.005, speed=0.05))
+    motion = simulate(
+        Model(obj, params), Push.on_outline(obj, 0.03, 0.1, 0.03, radius=0.005, speed=0.05)
+    )
     assert np.isnan(motion.load_centers).all()

@@ -3,6 +3,7 @@ import pytest
 
 from gridpush_drake.dynamics.reference.maximal_lcp import make_maximal_lcp, twist_to_cells
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.identification.model import Model
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.random_pushes import DT, make_random_step
@@ -76,7 +77,7 @@ def test_directions_are_zero_where_nothing_defines_them():
     # a pure moment about the common center of mass of one cell: it turns on the spot
     obj = make_random_object(np.random.default_rng(0), 1)
     params = make_random_step(5, n=1).params
-    lcp = make_maximal_lcp(obj, params, np.zeros(3), np.zeros(3), np.array([1.0, 0, 0]), DT)
+    lcp = make_maximal_lcp(Model(obj, params), np.zeros(3), np.zeros(3), np.array([1.0, 0, 0]), DT)
     np.testing.assert_allclose(lcp.J_f.toarray(), [[0, 0, 0], [-1, 0, 0]])
     assert lcp.J_e.shape == (0, 3)
 
@@ -85,11 +86,11 @@ def test_bad_input_is_refused():
     step = make_random_step(6)
     xdot = step.T @ step.nu
     with pytest.raises(SimulationError, match="expected"):
-        make_maximal_lcp(step.obj, step.params, step.q, xdot[:-1], step.F, DT)
+        make_maximal_lcp(Model(step.obj, step.params), step.q, xdot[:-1], step.F, DT)
     with pytest.raises(SimulationError, match="dt"):
-        make_maximal_lcp(step.obj, step.params, step.q, xdot, step.F, 0.0)
+        make_maximal_lcp(Model(step.obj, step.params), step.q, xdot, step.F, 0.0)
     with pytest.raises(SimulationError, match="finite"):
-        make_maximal_lcp(step.obj, step.params, step.q, xdot * np.nan, step.F, DT)
+        make_maximal_lcp(Model(step.obj, step.params), step.q, xdot * np.nan, step.F, DT)
 
 
 def test_twist_to_cells_orders_yaw_rate_first():

@@ -13,6 +13,7 @@ from gridpush_drake.dynamics.reference.maximal_solvers import (
     solve_isotropic_socp,
 )
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import DT, make_random_step
@@ -97,7 +98,7 @@ def test_a_long_chain_of_the_largest_size_is_solved_to_round_off(seed):
     F = np.zeros(3 * n)
     F[1:3] = params.total_mass * rng.normal(size=2) * 5
     solution = solve_as_qp(
-        make_maximal_lcp(obj, params, rng.normal(size=3), np.zeros(3 * n), F, DT)
+        make_maximal_lcp(Model(obj, params), rng.normal(size=3), np.zeros(3 * n), F, DT)
     )
     assert solution.residuals.worst < 1e-12
 
@@ -111,7 +112,7 @@ def test_the_static_limit_is_mu_m_g(share, moves):
     F[1::3] = (
         share * 0.4 * params.mass * 9.81
     )  # every cell is pulled by what it can just bear, but for the share
-    lcp = make_maximal_lcp(obj, params, step.q, np.zeros(3 * obj.n), F, DT)
+    lcp = make_maximal_lcp(Model(obj, params), step.q, np.zeros(3 * obj.n), F, DT)
     solution = solve_as_qp(lcp)
     assert (np.abs(solution.xdot).max() > 1e-6) == moves
     if moves:
@@ -122,7 +123,7 @@ def test_velocities_decay_by_mu_g_dt():
     step = make_random_step(8)
     params = CellParameters(step.params.mass, np.full(step.obj.n, 0.3))
     xdot = np.tile([0.0, 0.3, 0.4], step.obj.n)
-    lcp = make_maximal_lcp(step.obj, params, step.q, xdot, np.zeros_like(xdot), DT)
+    lcp = make_maximal_lcp(Model(step.obj, params), step.q, xdot, np.zeros_like(xdot), DT)
     solution = solve_as_qp(lcp)
     np.testing.assert_allclose(solution.xdot, (0.5 - 0.3 * 9.81 * DT) / 0.5 * xdot, atol=1e-13)
     np.testing.assert_allclose(solution.lam_f[: lcp.n], lcp.bound[: lcp.n])
@@ -154,7 +155,7 @@ def test_no_neighbor_of_the_isotropic_step_has_less_energy(case, spin):
     for seed in range(6):
         step = make_random_step(seed, **CASES[case])
         nu = solve_isotropic_socp(
-            step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin
+            Model(step.obj, step.params), step.q, step.nu, step.T.T @ step.F, DT, spin=spin
         )
         best = calc_step_energy(step, nu, spin)
         scale = np.abs(step.nu).max() + np.abs(nu).max() + 1e-3
@@ -172,7 +173,7 @@ def test_the_isotropic_step_balances_momentum(spin):
     for seed in range(20):
         step = make_random_step(seed, speed=2.0)
         nu = solve_isotropic_socp(
-            step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin
+            Model(step.obj, step.params), step.q, step.nu, step.T.T @ step.F, DT, spin=spin
         )
         T, lcp = step.T, step.make_lcp()
         n, s = step.obj.n, step.obj.cell_size
@@ -198,20 +199,22 @@ def test_where_the_directions_keep_the_isotropic_step_is_the_lagged_one():
     params = CellParameters(step.params.mass, np.full(obj.n, 0.3))
     nu = np.array([0.3, 0.4, 0.0])
     solution = solve_as_qp(
-        make_maximal_lcp(obj, params, step.q, step.T @ nu, np.zeros(3 * obj.n), DT)
+        make_maximal_lcp(Model(obj, params), step.q, step.T @ nu, np.zeros(3 * obj.n), DT)
     )
     for spin in ("separate", "coupled", "none"):
-        after = solve_isotropic_socp(obj, params, step.q, nu, np.zeros(3), DT, spin=spin)
+        after = solve_isotropic_socp(Model(obj, params), step.q, nu, np.zeros(3), DT, spin=spin)
         np.testing.assert_allclose(step.T @ after, solution.xdot, atol=1e-12)
 
 
 def test_the_isotropic_step_sticks_exactly_and_refuses_an_unknown_spin():
     step = make_random_step(10, speed=0.0, force=0.05)
-    nu = solve_isotropic_socp(step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT)
+    nu = solve_isotropic_socp(Model(step.obj, step.params), step.q, step.nu, step.T.T @ step.F, DT)
     np.testing.assert_allclose(nu, 0, atol=1e-14)
     np.testing.assert_array_equal(
-        solve_isotropic_socp(step.obj, step.params, step.q, np.zeros(3), np.zeros(3), DT),
+        solve_isotropic_socp(Model(step.obj, step.params), step.q, np.zeros(3), np.zeros(3), DT),
         np.zeros(3),
     )
     with pytest.raises(SimulationError, match="spin"):
-        solve_isotropic_socp(step.obj, step.params, step.q, step.nu, np.zeros(3), DT, spin="both")
+        solve_isotropic_socp(
+            Model(step.obj, step.params), step.q, step.nu, np.zeros(3), DT, spin="both"
+        )

@@ -8,6 +8,7 @@ from gridpush_drake.dynamics.reference.paper_gradient import (
     calc_paper_step_jacobian,
     calc_x11,
 )
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import calc_finite_difference, check_jacobian
 from tests.helpers.random_pushes import DT, make_random_step
@@ -156,7 +157,7 @@ def test_step_jacobian_is_the_gradient_in_three_unknowns(seed):
     lcp, solution = solve(step)
     nu_next = np.linalg.lstsq(step.T, solution.xdot)[0]
     by_mass, by_friction = calc_paper_step_jacobian(
-        step.obj, step.params, step.q, step.nu, nu_next, DT
+        Model(step.obj, step.params), step.q, step.nu, nu_next, DT
     )
     gradient = calc_paper_gradient(lcp, solution, step.T)
     np.testing.assert_allclose(
@@ -174,11 +175,13 @@ def test_step_jacobian_of_a_body_that_stays_at_rest_is_zero_and_from_rest_takes_
     step = make_random_step(0, speed=0.0, force=3.0)
     zero = np.zeros(3)
     for derivative in calc_paper_step_jacobian(
-        step.obj, step.params, step.q, np.array([0.01, 0.0, 0.1]), zero, DT
+        Model(step.obj, step.params), step.q, np.array([0.01, 0.0, 0.1]), zero, DT
     ):
         np.testing.assert_array_equal(derivative, np.zeros((3, step.obj.n)))
     nu_next = np.linalg.lstsq(step.T, solve(step)[1].xdot)[0]
-    _, by_friction = calc_paper_step_jacobian(step.obj, step.params, step.q, zero, nu_next, DT)
+    _, by_friction = calc_paper_step_jacobian(
+        Model(step.obj, step.params), step.q, zero, nu_next, DT
+    )
     assert (np.linalg.norm(by_friction, axis=0) > 0).all()
 
 

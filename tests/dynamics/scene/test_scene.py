@@ -12,6 +12,7 @@ from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_objects import make_random_pose
@@ -37,7 +38,7 @@ def test_one_object_moves_as_by_itself(shape, spin):
     pose = make_random_pose(rng)
     push = make_random_push(rng, obj, pose, length=0.1)
     physics = Physics(regime="quasi_static", spin=spin)
-    alone = simulate(obj, params, push, pose, physics=physics, gradients=True)
+    alone = simulate(Model(obj, params, physics), push, pose, gradients=True)
     scene = simulate_scene([SceneBody(obj, params, pose)], push, physics=physics, gradients=True)
     assert alone.status == scene.status == "ok"
     np.testing.assert_allclose(scene.poses[:, 0], alone.poses, rtol=0, atol=SAME)

@@ -12,6 +12,7 @@ from gridpush_drake.identification.baselines.search import (
     SearchStopped,
     run_search,
 )
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -58,7 +59,7 @@ def test_loss_is_the_mean_cell_distance_over_observed_times():
             ]
         )
         for made, push in zip(
-            predict(BLOCK.obj, params, BLOCK.log, "inertial"), BLOCK.log, strict=True
+            predict(Model(BLOCK.obj, params), BLOCK.log, "inertial"), BLOCK.log, strict=True
         )
     ]
     assert make_loss()(params, "here") == pytest.approx(np.mean(means), rel=1e-9)

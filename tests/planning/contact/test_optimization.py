@@ -10,6 +10,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import rotate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact import limit_surface
@@ -47,7 +48,7 @@ def make_params(obj, seed=0):
 def run_fixed(obj, params, distance, **changes):
     """A runner of pushes of one distance only."""
     options = ContactOptions(distance_range=(distance, distance), **changes)
-    return make_runner(obj, params, np.array(POSE), np.array(GOAL), None, options)
+    return make_runner(Model(obj, params), np.array(POSE), np.array(GOAL), None, options)
 
 
 def test_the_cost_is_the_mean_distance_of_the_cells(hammer):
@@ -107,10 +108,13 @@ def test_the_best_distance_is_found_on_the_way(hammer):
 def test_the_gradient_finds_what_the_exhaustive_search_finds(shape, seed):
     obj = make_shape(shape, 60)
     params = make_params(obj, seed)
-    plan = optimize_contact(obj, params, POSE, GOAL)
+    plan = optimize_contact(Model(obj, params), POSE, GOAL)
     assert plan.status == "ok"
     assert plan.cost < 0.6 * plan.start_cost
-    assert plan.cost - optimize_contact(obj, params, POSE, GOAL, method="exhaustive").cost < 0.001
+    assert (
+        plan.cost - optimize_contact(Model(obj, params), POSE, GOAL, method="exhaustive").cost
+        < 0.001
+    )
     assert plan.simulations <= ContactOptions().budget
 
 
@@ -118,9 +122,9 @@ def test_the_gradient_finds_what_the_exhaustive_search_finds(shape, seed):
 def test_every_method_predicts_what_the_simulation_does(hammer, method):
     params = make_params(hammer)
     options = ContactOptions(places=20, angles=3, refined=0)
-    plan = optimize_contact(hammer, params, POSE, GOAL, method=method, options=options)
+    plan = optimize_contact(Model(hammer, params), POSE, GOAL, method=method, options=options)
     push = plan.push
-    motion = simulate(hammer, params, push.push, POSE, regime="quasi_static")
+    motion = simulate(Model(hammer, params), push.push, POSE, regime="quasi_static")
     np.testing.assert_allclose(motion.final_pose, push.pose, atol=1e-5)
     assert calc_goal_error(hammer, push.pose, GOAL) == pytest.approx(push.cost, abs=1e-12)
     again = Push.on_outline(
@@ -143,7 +147,7 @@ def test_every_method_predicts_what_the_simulation_does(hammer, method):
 
 def test_the_same_every_time(hammer):
     params = make_params(hammer)
-    first, second = (optimize_contact(hammer, params, POSE, GOAL) for _ in range(2))
+    first, second = (optimize_contact(Model(hammer, params), POSE, GOAL) for _ in range(2))
     assert (first.push.arc_length, first.push.angle, first.push.distance, first.cost) == (
         second.push.arc_length, second.push.angle, second.push.distance, second.cost
     )  # fmt: skip
@@ -151,7 +155,7 @@ def test_the_same_every_time(hammer):
 
 
 def test_nearly_there_nothing_helps(hammer):
-    plan = optimize_contact(hammer, make_params(hammer), GOAL, GOAL)
+    plan = optimize_contact(Model(hammer, make_params(hammer)), GOAL, GOAL)
     assert plan.status == "no_improvement"
     assert plan.cost >= plan.start_cost == 0
 
@@ -213,14 +217,14 @@ def test_the_finger_stays_over_the_table_and_the_object_on_it():
     table = SupportSurface.rectangle((0.0, 0.0), (0.5, 0.4))
     pose, goal = (0.0, -0.185, 0.0), (0.0, 0.1, 0.3)
     rules = PushConstraints(table, finger_inset=0.005)
-    free = optimize_contact(bar, params, pose, goal)
-    plan = optimize_contact(bar, params, pose, goal, constraints=rules)
+    free = optimize_contact(Model(bar, params), pose, goal)
+    plan = optimize_contact(Model(bar, params), pose, goal, constraints=rules)
     over = table.polygon.buffer(-0.005)
     assert not over.contains(shapely.LineString(free.push.push.xy))
     assert plan.candidates
     for push in plan.candidates:
         assert over.buffer(1e-6).contains(shapely.LineString(push.push.xy))
-        motion = simulate(bar, params, push.push, pose, regime="quasi_static")
+        motion = simulate(Model(bar, params), push.push, pose, regime="quasi_static")
         assert table.contains_cells(bar, motion.poses, -2e-4).all()
     assert plan.cost > free.cost
 
@@ -232,10 +236,10 @@ def test_what_hangs_over_may_not_hang_over_further(hammer):
     most = -table.cell_distances(hammer, np.array(pose)).min()
     assert most > 0.005
     plan = optimize_contact(
-        hammer, params, pose, goal, constraints=PushConstraints(table, finger_inset=-0.1)
+        Model(hammer, params), pose, goal, constraints=PushConstraints(table, finger_inset=-0.1)
     )
     for push in plan.candidates:
-        motion = simulate(hammer, params, push.push, pose, regime="quasi_static")
+        motion = simulate(Model(hammer, params), push.push, pose, regime="quasi_static")
         assert -table.cell_distances(hammer, motion.poses).min() < most + 2e-4
 
 
@@ -244,11 +248,11 @@ def test_obstacles_stop_object_and_finger(hammer):
     pose, goal = (0.0, 0.0, 0.0), (0.2, 0.0, 0.0)
     wall = box(0.12, -0.3, 0.14, 0.3)
     plan = optimize_contact(
-        hammer, params, pose, goal, constraints=PushConstraints(obstacles=(wall,))
+        Model(hammer, params), pose, goal, constraints=PushConstraints(obstacles=(wall,))
     )
     outline = hammer.outline
     for push in plan.candidates:
-        motion = simulate(hammer, params, push.push, pose, regime="quasi_static")
+        motion = simulate(Model(hammer, params), push.push, pose, regime="quasi_static")
         assert wall.distance(shapely.LineString(push.push.xy)) > 0.008
         for x, y, theta in motion.poses[::10]:
             moved = shapely.affinity.translate(
@@ -264,7 +268,7 @@ def test_a_finger_shut_out_finds_no_contact():
     rules = PushConstraints(obstacles=walls, obstacle_margin=0.001)
     for method in ("gradient", "finite_difference", "exhaustive"):
         plan = optimize_contact(
-            obj, make_params(obj), (0, 0, 0), (0.2, 0, 0), method=method, constraints=rules
+            Model(obj, make_params(obj)), (0, 0, 0), (0.2, 0, 0), method=method, constraints=rules
         )
         assert (plan.status, plan.push, plan.simulations) == ("no_reachable_contact", None, 0)
 
@@ -272,10 +276,10 @@ def test_a_finger_shut_out_finds_no_contact():
 def test_a_further_rule_is_kept(hammer):
     params = make_params(hammer)
     rules = PushConstraints(pose_rule=lambda poses: poses[:, 2] < POSE[2] + 0.1)
-    plan = optimize_contact(hammer, params, POSE, GOAL, constraints=rules)
+    plan = optimize_contact(Model(hammer, params), POSE, GOAL, constraints=rules)
     assert plan.push is not None
     assert all(push.pose[2] < POSE[2] + 0.1 for push in plan.candidates)
-    assert optimize_contact(hammer, params, POSE, GOAL).push.pose[2] > POSE[2] + 0.1
+    assert optimize_contact(Model(hammer, params), POSE, GOAL).push.pose[2] > POSE[2] + 0.1
 
 
 def test_the_rule_of_the_page_is_kept():
@@ -296,11 +300,11 @@ def test_the_limit_surface_ranks_pushes(hammer):
     s, piece = reach.spread(0.02)
     normal = reach.normal[piece]
     start = reach.point(s, piece) + 0.008 * normal
-    rough = predict_roughly(hammer, params, start, -normal, 0.1, 0.008)[-1]
+    rough = predict_roughly(Model(hammer, params), start, -normal, 0.1, 0.008)[-1]
     exact = np.array(
         [
             simulate(
-                hammer, params, Push(p, -0.03 * n, 0.1 / 0.03, 0.008), regime="quasi_static"
+                Model(hammer, params), Push(p, -0.03 * n, 0.1 / 0.03, 0.008), regime="quasi_static"
             ).final_pose
             for p, n in zip(start, normal, strict=True)
         ]
@@ -317,7 +321,7 @@ def test_rough_pushes_are_those_in_numpy(hammer):
     normal = reach.normal[piece]
     start = reach.point(s, piece) + 0.01 * normal
     direction = rotate(np.linspace(-1.0, 1.0, len(s)), -normal)
-    found = predict_roughly(hammer, params, start, direction, 0.15, 0.008)
+    found = predict_roughly(Model(hammer, params), start, direction, 0.15, 0.008)
     expected = follow_in_numpy(hammer, params, start, direction, 0.15, 0.008)
     np.testing.assert_allclose(found, expected, atol=1e-9)
     assert np.ptp(found[-1], axis=0).min() > 0.05
@@ -374,7 +378,9 @@ def test_a_trial_that_is_no_better_has_no_derivatives(hammer):
 
 def test_screening_keeps_its_starts_apart(hammer):
     options = ContactOptions(starts=10)
-    runner = make_runner(hammer, make_params(hammer), np.array(POSE), np.array(GOAL), None, options)
+    runner = make_runner(
+        Model(hammer, make_params(hammer)), np.array(POSE), np.array(GOAL), None, options
+    )
     found = screen(runner)
     assert runner.simulations == 0
     assert len(found.arc_length) == 10
@@ -391,13 +397,12 @@ def test_screening_keeps_its_starts_apart(hammer):
         ({"method": "newton"}, "method.*gradient"),
         ({"goal": (0, 0)}, "goal.*three"),
         ({"pose": (0, 0, np.nan)}, "pose.*three"),
-        ({"params": CellParameters(np.ones(3), np.ones(3))}, "3 cells"),
     ],
 )
 def test_refuses(hammer, arguments, says):
-    given = {"params": make_params(hammer), "pose": POSE, "goal": GOAL, **arguments}
+    given = {"pose": POSE, "goal": GOAL, **arguments}
     with pytest.raises(PlanningError, match=says):
-        optimize_contact(hammer, **given)
+        optimize_contact(Model(hammer, make_params(hammer)), **given)
 
 
 @pytest.mark.parametrize(
@@ -426,7 +431,7 @@ def test_asking_the_rules_in_blocks_picks_the_same_pushes(monkeypatch):
         rng = np.random.default_rng(seed)
         pose, goal = rng.uniform(-0.12, 0.12, (2, 3)) * (1, 1, 20)
         runner = make_runner(
-            obj, CellParameters.random(obj, seed), pose, goal, constraints, ContactOptions()
+            Model(obj, CellParameters.random(obj, seed)), pose, goal, constraints, ContactOptions()
         )
         picked = [screen(runner)]
         for block in (1, 5):

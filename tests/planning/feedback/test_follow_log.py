@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback import (
@@ -40,7 +41,7 @@ def steer(**more):
 
 
 def calc_mean_error(params, log):
-    errors = calc_final_errors(OBJ, predict(OBJ, params, log, "quasi_static"), log)
+    errors = calc_final_errors(OBJ, predict(Model(OBJ, params), log, "quasi_static"), log)
     return np.mean([error.cell for error in errors])
 
 
@@ -57,7 +58,7 @@ def test_pieces_are_curved_and_tell_of_the_object(tmp_path):
     made = PushLog(tuple(pushes))
     # the truth explains what was seen, and what is learned of it does nearly as well
     assert calc_mean_error(TRUTH, made) < 1e-3
-    found = identify(OBJ, made, regime="quasi_static")
+    found = identify(Model(OBJ), made, regime="quasi_static")
     assert calc_mean_error(found.params, made) < 0.5 * calc_mean_error(EVEN, made)
     # a file keeps them as they are
     made.write_csv(tmp_path / "pieces.csv")

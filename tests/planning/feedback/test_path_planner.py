@@ -6,6 +6,7 @@ from shapely import box
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.feedback import (
@@ -33,7 +34,7 @@ GOAL = np.array([0.4, -0.05, 0.0])
 
 
 def plan(rules=RULES, goal=GOAL, **more):
-    return plan_pose_path(OBJ, TRUTH, START, goal, FINGER, rules, **{"speed": 0.05, **more})
+    return plan_pose_path(Model(OBJ, TRUTH), START, goal, FINGER, rules, **{"speed": 0.05, **more})
 
 
 def test_a_path_leads_round_a_wall_and_is_followed_to_its_end():

@@ -12,6 +12,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform, transform_shape, wrap_angle
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback import (
     FeedbackFinger,
@@ -65,7 +66,7 @@ def measure(pose, goal):
 def test_the_search_moves_the_object_as_simulate_does():
     tips = np.array([[-0.08, 0.004], [-0.055, 0.004], [-0.04, 0.006], [-0.03, 0.014]])
     push = Push.along(np.arange(4.0), tips, FINGER.radius)
-    expected = simulate(OBJ, TRUTH, push, physics=Physics(regime="quasi_static")).final_pose
+    expected = simulate(Model(OBJ, TRUTH, Physics(regime="quasi_static")), push).final_pose
     state = np.zeros(STATE)
     state[TIP_X : TIP_X + 2] = tips[0]
     follow_tip(make_model(OBJ, TRUTH, FINGER.radius), state, tips[1:])

@@ -6,6 +6,7 @@ from shapely import box
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import LoopOptions
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -39,7 +40,7 @@ def check_plan(obj, params, plan):
     pose = plan.start
     motions = []
     for planned in plan.pushes:
-        motion = simulate(obj, params, planned.push, pose, regime="quasi_static")
+        motion = simulate(Model(obj, params), planned.push, pose, regime="quasi_static")
         np.testing.assert_allclose(motion.final_pose, planned.pose, atol=1e-5)
         motions.append(motion)
         pose = planned.pose
@@ -55,8 +56,7 @@ def place(obj, pose):
 @pytest.mark.parametrize("horizon", [1, 2])
 def test_a_plan_ends_at_the_goal(block, hidden, horizon):
     plan = plan_pushes(
-        block,
-        hidden,
+        Model(block, hidden),
         START,
         GOAL,
         GoalRules(PushConstraints(TABLE), horizon=horizon, tolerance=0.005),
@@ -69,14 +69,14 @@ def test_a_plan_ends_at_the_goal(block, hidden, horizon):
 
 
 def test_nothing_to_do(block, hidden):
-    plan = plan_pushes(block, hidden, GOAL, GOAL)
+    plan = plan_pushes(Model(block, hidden), GOAL, GOAL)
     assert (plan.status, len(plan.pushes), plan.simulations) == ("reached", 0, 0)
 
 
 def test_a_plan_goes_round_an_obstacle(block, hidden):
     start, goal = (-0.15, 0.0, 0.0), (0.15, 0.0, 0.0)
     rules = PushConstraints(SupportSurface.rectangle((0.0, 0.0), (0.8, 0.6)), (WALL,))
-    plan = plan_pushes(block, hidden, start, goal, GoalRules(rules, horizon=2))
+    plan = plan_pushes(Model(block, hidden), start, goal, GoalRules(rules, horizon=2))
     assert plan.status == "reached"
     assert plan.poses[:, 1].max() > 0.12
     for planned, motion in zip(plan.pushes, check_plan(block, hidden, plan), strict=True):
@@ -102,7 +102,10 @@ def test_a_plan_goes_round_an_obstacle(block, hidden):
 )
 def test_says_why_not(block, hidden, start, goal, rules, status):
     plan = plan_pushes(
-        block, hidden, start, goal, GoalRules(rules, horizon=2, max_pushes=2, tolerance=0.001)
+        Model(block, hidden),
+        start,
+        goal,
+        GoalRules(rules, horizon=2, max_pushes=2, tolerance=0.001),
     )
     assert plan.status == status
     assert len(plan.pushes) == 0 or status == "stuck"
@@ -112,7 +115,7 @@ def test_says_why_not(block, hidden, start, goal, rules, status):
 
 def test_counts_its_pushes(block, hidden):
     plan = plan_pushes(
-        block, hidden, START, GOAL, GoalRules(horizon=2, max_pushes=1, tolerance=0.001)
+        Model(block, hidden), START, GOAL, GoalRules(horizon=2, max_pushes=1, tolerance=0.001)
     )
     assert (plan.status, len(plan.pushes)) == ("too_many_pushes", 1)
 
@@ -139,9 +142,12 @@ def test_reaches_the_goal_with_hidden_masses(block, hidden, known):
         block, hidden, START, TABLE, position_std=0.0005, angle_std=0.003, seed=1
     )
     run = push_to_goal(
-        world, make_block(24), GOAL, GoalRules(PushConstraints(TABLE), tolerance=0.015),
-        params=hidden if known else None, learner=None,
-    )  # fmt: skip
+        world,
+        Model(make_block(24), hidden if known else None),
+        GOAL,
+        GoalRules(PushConstraints(TABLE), tolerance=0.015),
+        learner=None,
+    )
     assert run.status == "reached"
     assert calc_goal_error(block, world.truth.pose, GOAL) < 0.02
     assert len(run.log) == len(run.steps) == world.pushes <= 12
@@ -153,7 +159,7 @@ def test_learns_on_the_way(block, hidden):
     world = SimulatedWorld(block, hidden, START, TABLE)
     seen = []
     run = push_to_goal(
-        world, make_block(24), GOAL, GoalRules(PushConstraints(TABLE)), progress=seen.append
+        world, Model(make_block(24)), GOAL, GoalRules(PushConstraints(TABLE)), progress=seen.append
     )
     assert run.status == "reached"
     assert seen == list(run.steps)
@@ -188,7 +194,7 @@ class MeddledWorld(SimulatedWorld):
 def test_goes_on_where_a_stranger_left_the_object(block, hidden):
     world = MeddledWorld(block, hidden, START, TABLE)
     run = push_to_goal(
-        world, block, GOAL, GoalRules(PushConstraints(TABLE)), params=hidden, learner=None
+        world, Model(block, hidden), GOAL, GoalRules(PushConstraints(TABLE)), learner=None
     )
     assert run.status == "reached"
     assert calc_goal_error(block, run.steps[1].seen.pose, run.steps[0].seen.final_pose) > 0.05
@@ -199,9 +205,8 @@ def test_gives_up_on_an_object_that_is_not_seen(block, hidden):
     world = MeddledWorld(block, hidden, START, TABLE)
     run = push_to_goal(
         world,
-        block,
+        Model(block, hidden),
         GOAL,
-        params=hidden,
         learner=None,
         options=LoopOptions(observations=1, timeout=0.07),
     )
@@ -228,7 +233,7 @@ def test_a_fallen_object_is_lost(block, hidden):
         block, hidden, (0.3, 0.0, 0.0), SupportSurface.rectangle((0.0, 0.0), (0.4, 0.4))
     )
     world.execute(Push((0.3, -0.1), (0.0, 0.03), 2.0, 0.008))
-    run = push_to_goal(world, block, GOAL, params=hidden, learner=None)
+    run = push_to_goal(world, Model(block, hidden), GOAL, learner=None)
     assert (run.status, len(run.steps)) == ("lost", 0)
     assert np.isnan(run.error)
 
@@ -272,7 +277,11 @@ def test_learning_predicts_better_than_not(block):
             world = SimulatedWorld(obj, masses, START, TABLE, seed=seed)
             options = {} if learns else {"learner": None}
             run = push_to_goal(
-                world, obj, GOAL, GoalRules(PushConstraints(TABLE, edge_margin=-0.05)), **options
+                world,
+                Model(obj),
+                GOAL,
+                GoalRules(PushConstraints(TABLE, edge_margin=-0.05)),
+                **options,
             )
             assert run.status == "reached"
             later[learns] += [step.prediction_error for step in run.steps[1:]]

@@ -7,6 +7,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions
@@ -41,12 +42,12 @@ def even(bar):
 
 
 def make_robustness(bar, even, samples=None, rules=RULES):
-    samples = draw_model_samples(bar, even, None, OPTIONS) if samples is None else samples
+    samples = draw_model_samples(Model(bar, even), None, OPTIONS) if samples is None else samples
     return Robustness(bar, [even, *samples], rules, ContactOptions(), OPTIONS)
 
 
 def test_samples_lean_to_every_side(bar, even):
-    samples = draw_model_samples(bar, even, None, OPTIONS)
+    samples = draw_model_samples(Model(bar, even), None, OPTIONS)
     assert len(samples) == len(OPTIONS.tilts) * OPTIONS.sides
     centers = np.array([sample.relative_friction() @ bar.p_BC for sample in samples])
     assert centers[:, 0].max() > 0.03
@@ -59,14 +60,14 @@ def test_learning_narrows_the_samples(bar):
     world = SimulatedWorld(bar, hidden, POSE)
     seen = []
     for _ in range(3):
-        plan = optimize_contact(bar, CellParameters.uniform(bar), world.observe(), GOAL)
+        plan = optimize_contact(Model(bar), world.observe(), GOAL)
         seen.append(world.execute(plan.push.push))
-    found = identify(bar, PushLog(tuple(seen)), regime="quasi_static")
+    found = identify(Model(bar), PushLog(tuple(seen)), regime="quasi_static")
     spread = [
         np.std(
             [
                 sample.relative_friction() @ bar.p_BC[:, 0]
-                for sample in draw_model_samples(bar, found.params, given, OPTIONS)
+                for sample in draw_model_samples(Model(bar, found.params), given, OPTIONS)
             ]
         )
         for given in (None, found)
@@ -76,7 +77,7 @@ def test_learning_narrows_the_samples(bar):
 
 def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
     robustness = make_robustness(bar, even)
-    plan = optimize_contact(bar, even, POSE, GOAL, constraints=RULES)
+    plan = optimize_contact(Model(bar, even), POSE, GOAL, constraints=RULES)
     found = [robustness.cut(np.array(POSE), push) for push in plan.candidates]
     cuts = [None if safe is None else safe.planned for safe in found]
     assert robustness.simulations == len(cuts) * (1 + OPTIONS.sides * len(OPTIONS.tilts))
@@ -91,13 +92,13 @@ def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
         assert cut.push.length == pytest.approx(cut.distance, abs=1e-9)
         np.testing.assert_array_equal(cut.push.start, whole.push.start)
         np.testing.assert_allclose(
-            simulate(bar, even, cut.push, POSE, regime="quasi_static").final_pose,
+            simulate(Model(bar, even), cut.push, POSE, regime="quasi_static").final_pose,
             cut.pose,
             atol=1e-4,
         )
     for cut in cuts:
         for params in robustness.models if cut is not None else ():
-            motion = simulate(bar, params, cut.push, POSE, regime="quasi_static")
+            motion = simulate(Model(bar, params), cut.push, POSE, regime="quasi_static")
             assert TABLE.contains_cells(bar, motion.poses, -OPTIONS.leeway - 1e-3).all()
             world = SimulatedWorld(bar, params, POSE, TABLE)
             world.execute(cut.push)
@@ -109,7 +110,7 @@ def test_the_center_of_friction_stays_over_the_table_by_every_model_to_the_end(b
     rules = PushConstraints(TABLE, edge_margin=-0.2, finger_inset=-0.2)
     robustness = make_robustness(bar, even, rules=rules)
     pose = np.array([0.05, 0.2, 0.1])
-    plan = optimize_contact(bar, even, pose, (0.05, 0.4, 0.1), constraints=rules)
+    plan = optimize_contact(Model(bar, even), pose, (0.05, 0.4, 0.1), constraints=rules)
     safe = [robustness.cut(pose, push) for push in plan.candidates]
     lengths = [
         (one.planned.distance, whole.distance)
@@ -127,20 +128,20 @@ def test_the_center_of_friction_stays_over_the_table_by_every_model_to_the_end(b
 
 def test_without_edges_nothing_is_cut(bar, even):
     robustness = make_robustness(bar, even, rules=PushConstraints())
-    plan = optimize_contact(bar, even, POSE, GOAL)
+    plan = optimize_contact(Model(bar, even), POSE, GOAL)
     assert robustness.cut(np.array(POSE), plan.push).planned is plan.push
     assert robustness.simulations == 0
 
 
 def test_without_samples_a_push_that_keeps_the_rules_stays_whole(bar, even):
-    plan = optimize_contact(bar, even, POSE, GOAL, constraints=RULES)
+    plan = optimize_contact(Model(bar, even), POSE, GOAL, constraints=RULES)
     safe = make_robustness(bar, even, samples=[]).cut(np.array(POSE), plan.push)
     assert safe.planned is plan.push
     np.testing.assert_allclose(safe.ends, [plan.push.pose], atol=1e-6)
 
 
 def test_a_share_of_the_draws_may_contradict(bar, even):
-    plan = optimize_contact(bar, even, POSE, GOAL, constraints=RULES)
+    plan = optimize_contact(Model(bar, even), POSE, GOAL, constraints=RULES)
     pose = np.array(POSE)
 
     def measure(samples):
@@ -149,7 +150,9 @@ def test_a_share_of_the_draws_may_contradict(bar, even):
         return sum(0.0 if one is None else one.planned.distance for one in cuts)
 
     # the sample that shortens pushes most, among 100 draws
-    sample = min(draw_model_samples(bar, even, None, OPTIONS), key=lambda one: measure([one]))
+    sample = min(
+        draw_model_samples(Model(bar, even), None, OPTIONS), key=lambda one: measure([one])
+    )
     lengths = [measure([sample] * count + [even] * (100 - count)) for count in (0, 5, 6)]
     assert lengths[0] == lengths[1]
     assert lengths[2] == measure([sample]) < lengths[1] - 0.01
@@ -171,10 +174,10 @@ def test_draws_choose_the_push_that_leaves_least_on_their_average(bar, even):
             robustness = Robustness(
                 bar, [even, *draws], rules.constraints, rules.contact, OPTIONS, learned=learned
             )
-            chosen = choose_push(bar, even, np.zeros(3), cost_to_go, rules, robustness)
+            chosen = choose_push(Model(bar, even), np.zeros(3), cost_to_go, rules, robustness)
             assert (robustness.simulations >= 101) == learned
             ends = [
-                simulate(bar, draw, chosen.push.push, regime="quasi_static").final_pose
+                simulate(Model(bar, draw), chosen.push.push, regime="quasi_static").final_pose
                 for draw in draws[::10]
             ]
             costs.append(float(np.mean([cost_to_go.calc_cost(end) for end in ends])))

@@ -8,6 +8,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -76,7 +77,7 @@ def test_what_a_push_would_show_is_the_derivative_of_where_it_ends(model, pokes)
     def end(z):
         mass = np.exp(z[:-1]) / obj.prior.friction
         params = replace(model.params, mass=mass, contact_friction=float(np.exp(z[-1])))
-        return simulate(obj, params, push, HERE, regime="quasi_static").final_pose
+        return simulate(Model(obj, params), push, HERE, regime="quasi_static").final_pose
 
     pose, centroid = end(mean), obj.p_BC.mean(axis=0)
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -135,10 +136,10 @@ def test_pokes_keep_the_object_on_the_table_and_the_places_apart(model):
     free = make_pokes(model, pose, options)
     assert 0 < len(kept) < len(free)
     for push in kept:
-        motion = simulate(model.obj, model.params, push, pose, regime="quasi_static")
+        motion = simulate(model, push, pose, regime="quasi_static")
         assert table.contains_cells(model.obj, motion.poses, 0.009).all()
     log = PushLog((ObservedPush("poke", free[0], pose, np.array([free[0].duration]), pose[None]),))
-    found = identify(model.obj, log, regime="quasi_static")
+    found = identify(Model(model.obj), log, regime="quasi_static")
     rest = make_pokes(UncertainModel.of_identification(found, log=log), pose, options)
     perimeter = model.obj.edges.perimeter
     assert 0 < len(rest) < len(free)
@@ -164,12 +165,12 @@ def poke_until_known(obj, truth, active, rng, std=0.005, most=16):
         else:
             push = pokes[int(rng.integers(len(pokes)))]
         noise = rng.normal(size=3) * (0.0005, 0.0005, 0.003)
-        after = simulate(obj, truth, push, pose, regime="quasi_static").final_pose + noise
+        after = simulate(Model(obj, truth), push, pose, regime="quasi_static").final_pose + noise
         log.append(
             ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None])
         )
         pose = after
-        found = identify(obj, PushLog(tuple(log)), regime="quasi_static")
+        found = identify(Model(obj), PushLog(tuple(log)), regime="quasi_static")
         model = UncertainModel.of_identification(found, log=PushLog(tuple(log)) if active else None)
         known = found.identifiability
         if np.linalg.eigvalsh(known.center_of_friction_covariance)[-1] < std**2:

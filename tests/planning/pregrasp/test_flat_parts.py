@@ -10,6 +10,7 @@ from scipy.optimize import linprog
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import make_rotation
 from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -134,7 +135,7 @@ def test_a_tray_is_brought_to_the_edge_and_a_part_hangs_over_that_the_pads_hold(
         PreGraspPlanner(obj, TABLE)
     planner = make_planner(obj)
     params = CellParameters.uniform(obj)
-    plan = plan_pregrasp(planner, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3))
+    plan = plan_pregrasp(planner, UncertainModel.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3))
     assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert len(plan.pushes) >= 1
     (share,) = planner.pads.calc_shares(
@@ -150,7 +151,7 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
     obj = make_tray(total_mass=3.0)
     planner = make_planner(obj)
     params = CellParameters.uniform(obj)
-    plan = plan_pregrasp(planner, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3))
+    plan = plan_pregrasp(planner, UncertainModel.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3))
     assert plan.status == PreGraspPlanStatus.FAILED
     center = params.center_of_mass(obj)
     nearest = min(np.abs(part.p_BG - center).max() for part in planner.flat_parts)
@@ -167,7 +168,9 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
         assert figure in plan.message
     strong = make_planner(obj, force=2 * 80.0)
     assert (
-        plan_pregrasp(strong, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3)).status
+        plan_pregrasp(
+            strong, UncertainModel.of_parameters(Model(obj, params)), (0.1, 0.2, 0.3)
+        ).status
         == PreGraspPlanStatus.READY
     )
 
@@ -206,7 +209,7 @@ def test_narrow_parts_go_first_and_both_reasons_are_given():
     obj, pose = make_handle(0.3), (0.1, 0.2, 0.3)
     planner, model = (
         make_planner(obj),
-        UncertainModel.of_parameters(obj, CellParameters.uniform(obj)),
+        UncertainModel.of_parameters(Model(obj)),
     )
     alone = PreGraspPlanner(obj, TABLE, PreGraspOptions(min_pokes=1))
     np.testing.assert_array_equal(
@@ -215,7 +218,7 @@ def test_narrow_parts_go_first_and_both_reasons_are_given():
     obj = make_handle(3.0)
     planner, model = (
         make_planner(obj),
-        UncertainModel.of_parameters(obj, CellParameters.uniform(obj)),
+        UncertainModel.of_parameters(Model(obj)),
     )
     near = PreGraspPlanner(obj, TABLE, replace(planner.options, max_arm=0.02))
     decision = near.decide(pose, model)
@@ -226,7 +229,7 @@ def test_narrow_parts_go_first_and_both_reasons_are_given():
 
 def test_a_heavy_object_is_not_taken_by_a_handle_that_it_would_turn_about():
     obj, pose = make_handle(3.0), (0.1, 0.2, 0.3)
-    model = UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
+    model = UncertainModel.of_parameters(Model(obj))
     planner = make_planner(obj)
     assert planner.pads.max_arm == pytest.approx(0.8 * 80.0 * 0.012 / (3.0 * 9.81), rel=1e-3)
     decision = planner.decide(pose, model)
@@ -253,11 +256,7 @@ def test_a_bar_beside_the_center_of_mass_is_taken_where_the_pads_hold_across_the
     obj = GridObject.from_outline(
         body - hole, max_cells=80, prior=replace(PRIOR, total_mass=total_mass)
     )
-    uncertain = (
-        UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
-        if known
-        else UncertainModel.of_prior(obj)
-    )
+    uncertain = UncertainModel.of_parameters(Model(obj)) if known else UncertainModel.of_prior(obj)
     masses = uncertain.masses
     pose, pads = np.array([0.0, 0.46, 0.35]), GRIPPER.limit_pads(obj, 80.0)
     taken = find_side_grasps(obj, pose, TABLE, GRIPPER, (-0.05, 0.1))[0]

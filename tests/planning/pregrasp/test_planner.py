@@ -7,6 +7,7 @@ from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
@@ -144,7 +145,7 @@ def test_overhangs_never_claim_what_is_over_the_table(parts, surface):
 
 @pytest.mark.parametrize("surface", [TABLE, ROUND, L_SHAPED])
 def test_goals_hang_over_far_enough_and_are_safe(pan, parts, heavy_plate, surface):
-    masses = PlausibleMassSet.of_masses(pan, heavy_plate)
+    masses = PlausibleMassSet.of_masses(Model(pan, heavy_plate))
     middle = surface.polygon.representative_point()
     start, options = np.array([middle.x, middle.y, 1.0]), GoalOptions(margin=0.01)
     goals = find_pregrasp_goals(masses, parts, start, surface, options)
@@ -154,7 +155,7 @@ def test_goals_hang_over_far_enough_and_are_safe(pan, parts, heavy_plate, surfac
         assert footprint.distance(surface.polygon) >= options.min_overhang
         assert goal.margin >= 0.01
         assert goal.margin == pytest.approx(calc_stability_margin(masses, goal.pose, surface))
-        assert calc_loads(pan, heavy_plate, goal.pose, surface.corners) is not None
+        assert calc_loads(Model(pan, heavy_plate), goal.pose, surface.corners) is not None
         assert goal.travel == pytest.approx(calc_goal_error(pan, start, goal.pose))
         assert abs(goal.pose[2] - start[2]) <= np.pi + 1e-9
         np.testing.assert_allclose(goal.p_WG, place(goal.part.p_BG, goal.pose))
@@ -163,7 +164,7 @@ def test_goals_hang_over_far_enough_and_are_safe(pan, parts, heavy_plate, surfac
 
 def test_a_heavy_handle_leaves_no_safe_goal_but_says_where_it_is_weak(pan, parts):
     heavy_handle = CellParameters.by_part(pan, {1: 0.5, 2: 0.005}, 0.35)
-    masses = PlausibleMassSet.of_masses(pan, heavy_handle)
+    masses = PlausibleMassSet.of_masses(Model(pan, heavy_handle))
     goals = find_pregrasp_goals(masses, parts, np.zeros(3), TABLE, GoalOptions(margin=0.06))
     assert len(goals) == 1
     assert goals[0].margin < 0.06
@@ -179,17 +180,22 @@ def test_a_table_too_small_and_an_object_too_wide_are_refused(pan, parts):
 
 
 def test_what_hangs_over_already_is_grasped_and_only_if_it_stays(pan, parts, heavy_plate):
-    masses = PlausibleMassSet.of_masses(pan, heavy_plate)
+    masses = PlausibleMassSet.of_masses(Model(pan, heavy_plate))
     pose = np.array([0.4 - 0.165, 0.0, 0.0])
     here = find_grasp_at(masses, parts, pose, TABLE)
     assert here is not None
     assert here.margin > 0.01
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
-    assert planner.decide(pose, UncertainModel.of_parameters(pan, heavy_plate)).action == "grasp"
-    heavy_handle = CellParameters.by_part(pan, {1: 0.5, 2: 0.005}, 0.35)
-    assert calc_loads(pan, heavy_handle, (0.38, 0.0, 0.0), TABLE.corners) is None
     assert (
-        planner.decide((0.38, 0.0, 0.0), UncertainModel.of_parameters(pan, heavy_handle)).action
+        planner.decide(pose, UncertainModel.of_parameters(Model(pan, heavy_plate))).action
+        == "grasp"
+    )
+    heavy_handle = CellParameters.by_part(pan, {1: 0.5, 2: 0.005}, 0.35)
+    assert calc_loads(Model(pan, heavy_handle), (0.38, 0.0, 0.0), TABLE.corners) is None
+    assert (
+        planner.decide(
+            (0.38, 0.0, 0.0), UncertainModel.of_parameters(Model(pan, heavy_handle))
+        ).action
         != "grasp"
     )
 
@@ -216,11 +222,11 @@ def test_a_slide_is_safe_with_every_draw_all_the_way(pan, parts, heavy_plate):
     assert slide is not None
     assert slide.planned.cost < calc_goal_error(pan, pose, slide.goal.pose)
     for params in (heavy_plate, *draws):
-        motion = simulate_near_edge(pan, params, slide.planned.push, pose, TABLE)
+        motion = simulate_near_edge(Model(pan, params), slide.planned.push, pose, TABLE)
         assert not motion.fell
         assert calc_stability_margins(masses, motion.poses, TABLE).min() > 0.001
     np.testing.assert_allclose(
-        simulate_near_edge(pan, heavy_plate, slide.planned.push, pose, TABLE).final_pose,
+        simulate_near_edge(Model(pan, heavy_plate), slide.planned.push, pose, TABLE).final_pose,
         slide.planned.pose,
         atol=2e-3,
     )
@@ -246,22 +252,22 @@ def test_slides_goals_and_pokes_keep_clear_of_what_else_lies_there(pan, parts, h
         return plan_slide(masses, heavy_plate, draws, pose, goals, TABLE, obstacles=obstacles)
 
     free = slide(())
-    end = simulate_near_edge(pan, heavy_plate, free.planned.push, pose, TABLE).final_pose
+    end = simulate_near_edge(Model(pan, heavy_plate), free.planned.push, pose, TABLE).final_pose
     swept = transform_shape(end, body) - transform_shape(pose, body).buffer(OBSTACLE_MARGIN)
     obstacle = swept.representative_point().buffer(0.002)
     kept = slide((obstacle,))
     for params in (heavy_plate, *draws):
-        path = simulate_near_edge(pan, params, free.planned.push, pose, TABLE).poses
+        path = simulate_near_edge(Model(pan, params), free.planned.push, pose, TABLE).poses
         assert come_near(path, obstacle) < OBSTACLE_MARGIN  # without the rule it is not clear
         if kept is not None:
-            path = simulate_near_edge(pan, params, kept.planned.push, pose, TABLE).poses
+            path = simulate_near_edge(Model(pan, params), kept.planned.push, pose, TABLE).poses
             assert come_near(path, obstacle) > OBSTACLE_MARGIN - 0.003
 
     model = UncertainModel.of_prior(pan)
     beside = shapely.box(-0.2, 0.12, 0.4, 0.13)  # a wall along one side
     poke = suggest_poke(model, pose, TABLE, obstacles=(beside,)).push
     assert shapely.LineString(poke.xy).distance(beside) > OBSTACLE_MARGIN
-    motion = simulate(pan, model.params, poke, pose, regime="quasi_static")
+    motion = simulate(Model(pan, model.params), poke, pose, regime="quasi_static")
     room = come_near([pose], beside)
     assert come_near(motion.poses, beside) >= min(room, OBSTACLE_MARGIN) - 1e-5
 
@@ -343,14 +349,16 @@ def test_a_part_too_far_off_is_hoped_for_while_the_center_may_be_nearer(pan, par
     asks = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_prior(pan), pokes=3)
     assert asks.action == "poke"
     assert "no pose lets" in asks.reason
-    ends = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_parameters(pan, heavy_plate), pokes=3)
+    ends = planner.decide(
+        (0.0, 0.0, 0.0), UncertainModel.of_parameters(Model(pan, heavy_plate)), pokes=3
+    )
     assert ends.action == "fail"
 
 
 def test_a_decision_forgets_where_the_object_was(pan, parts, heavy_plate):
     planner, model = (
         PreGraspPlanner(pan, TABLE, parts=parts),
-        UncertainModel.of_parameters(pan, heavy_plate),
+        UncertainModel.of_parameters(Model(pan, heavy_plate)),
     )
     first = planner.decide((0.1, 0.0, 0.3), model)
     planner.decide((-0.2, 0.1, 2.0), model)
@@ -363,12 +371,12 @@ def test_a_plan_ends_with_something_to_grasp(pan, parts, heavy_plate, surface):
     planner = PreGraspPlanner(pan, surface, parts=parts)
     middle = surface.polygon.centroid
     plan = plan_pregrasp(
-        planner, UncertainModel.of_parameters(pan, heavy_plate), (middle.x, middle.y, 2.0)
+        planner, UncertainModel.of_parameters(Model(pan, heavy_plate)), (middle.x, middle.y, 2.0)
     )
     assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert 1 <= len(plan.pushes) == len(plan.poses) - 1
     assert calc_overhangs(parts, plan.poses[-1], surface).max() > 0
-    assert calc_loads(pan, heavy_plate, plan.poses[-1], surface.corners) is not None
+    assert calc_loads(Model(pan, heavy_plate), plan.poses[-1], surface.corners) is not None
 
 
 @pytest.mark.parametrize("pose", [(np.nan, 0.0, 0.0), (0.0, 0.0)])
@@ -384,7 +392,7 @@ def test_a_plan_without_a_safe_goal_says_so(pan, parts):
     plan = plan_pregrasp(planner, UncertainModel.of_prior(pan), (0.0, 0.0, 0.0))
     assert plan.status == PreGraspPlanStatus.POKE_FIRST
     assert plan.poke is not None
-    certain = UncertainModel.of_parameters(pan, CellParameters.uniform(pan))
+    certain = UncertainModel.of_parameters(Model(pan))
     assert plan_pregrasp(planner, certain, (0.0, 0.0, 0.0)).status == PreGraspPlanStatus.FAILED
 
 

@@ -10,6 +10,7 @@ from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, QUASI_STATIC
 from gridpush_drake.dynamics.push import DEFAULT_TIP_STEP, Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -59,9 +60,9 @@ def test_many_models_are_simulated_as_each_by_itself(hammer, draws):
     made = simulate_models(hammer, draws[:12], push, pose, **options)
     fell = 0
     for m, params in enumerate(draws[:12]):
-        alone = simulate(hammer, params, push, pose, **options)
+        alone = simulate(Model(hammer, params), push, pose, **options)
         np.testing.assert_array_equal(made.poses[m], alone.poses)
-        motion = simulate_near_edge(hammer, params, push, pose, TABLE)
+        motion = simulate_near_edge(Model(hammer, params), push, pose, TABLE)
         assert made.upright[m] == len(motion.poses) - motion.fell
         fell += motion.fell
     assert fell > 0
@@ -89,7 +90,7 @@ def test_models_are_followed_to_where_they_fall(hammer, draws, distance, tip_ste
     followed = follow_near_edge(hammer, draws[:20], push, pose, TABLE, places, tip_step=tip_step)
     assert followed.poses.shape == (20, len(places), 3)
     for m, params in enumerate(draws[:20]):
-        motion = simulate_near_edge(hammer, params, push, pose, TABLE)
+        motion = simulate_near_edge(Model(hammer, params), push, pose, TABLE)
         count = int((places < motion.traveled[-1]).sum()) if motion.fell else len(places)
         assert followed.counts[m] == count
         for i in range(3):
@@ -160,7 +161,7 @@ def test_the_cost_and_the_margin_are_those_of_all_models(slide_task):
     ends = []
     broken = 0
     for params in (slide_task["params"], *slide_task["draws"]):
-        motion = simulate_near_edge(obj, params, slide.planned.push, pose, TABLE)
+        motion = simulate_near_edge(Model(obj, params), slide.planned.push, pose, TABLE)
         assert not motion.fell
         margins = slides.calc_stability_margins(slide_task["masses"], motion.poses, TABLE)
         broken += margins.min() < min(kept, slide.margin) - 2e-3

@@ -10,6 +10,7 @@ from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_di
 from gridpush_drake.identification.hypotheses import SmoothField
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
@@ -100,7 +101,7 @@ def test_the_polygon_holds_every_center_of_mass_of_the_set(hammer):
 
 def test_masses_known_for_certain_leave_one_point(hammer):
     params = CellParameters.random(hammer, 0, by="cell")
-    corners = PlausibleMassSet.of_masses(hammer, params).center_of_mass_polygon
+    corners = PlausibleMassSet.of_masses(Model(hammer, params)).center_of_mass_polygon
     np.testing.assert_allclose(corners - params.center_of_mass(hammer), 0.0, atol=1e-8)
 
 
@@ -129,7 +130,7 @@ def test_a_known_center_of_mass_cuts_the_set_down():
 
 def test_a_rod_over_an_edge_tips_where_the_lever_says(rod):
     table = SupportSurface.rectangle((-0.5, 0.0), (1.0, 1.0))
-    known = PlausibleMassSet.of_masses(rod, CellParameters.uniform(rod))
+    known = PlausibleMassSet.of_masses(Model(rod))
     columns = np.unique(rod.p_BC[:, 0])
     for out in np.linspace(0.01, 0.15, 29):
         pose = (out - LENGTH / 2, 0.0, 0.0)
@@ -145,7 +146,7 @@ def test_a_rod_over_an_edge_tips_where_the_lever_says(rod):
             assert calc_stability_margin(known, pose, table, inset=0.0) == pytest.approx(
                 expected, abs=1e-9
             )
-            stays = calc_loads(rod, CellParameters.uniform(rod), pose, table.corners) is not None
+            stays = calc_loads(Model(rod), pose, table.corners) is not None
             assert stays == (out < LENGTH / 2) and (stays or expected <= 0)
 
 
@@ -154,7 +155,7 @@ def test_an_inset_and_a_worse_set_only_take_margin_away(hammer):
     poses = np.column_stack([np.linspace(0.1, 0.4, 20), np.zeros(20), np.linspace(0, 2, 20)])
     params = CellParameters.uniform(hammer)
     known, doubtful = (
-        PlausibleMassSet.of_masses(hammer, params),
+        PlausibleMassSet.of_masses(Model(hammer, params)),
         PlausibleMassSet(hammer, params.mass[None] / 3, params.mass[None]),
     )
     plain = calc_stability_margins(known, poses, table, 0.0)
@@ -167,7 +168,7 @@ def test_an_inset_and_a_worse_set_only_take_margin_away(hammer):
 def test_the_compiled_hull_is_the_hull(hammer):
     rng = np.random.default_rng(5)
     table = SupportSurface.round((0.0, 0.0), 0.25)
-    masses = PlausibleMassSet.of_masses(hammer, CellParameters.random(hammer, 2, by="cell"))
+    masses = PlausibleMassSet.of_masses(Model(hammer, CellParameters.random(hammer, 2, by="cell")))
     poses = np.column_stack([rng.uniform(-0.3, 0.3, (100, 2)), rng.uniform(-4, 4, 100)])
     expected = []
     for pose in poses:
@@ -192,7 +193,7 @@ def test_loads_over_an_edge_balance_and_only_press(seed, hammer):
     weight = 9.81 * params.total_mass
     for x in np.linspace(-0.15, 0.1, 15):
         table = SupportSurface.rectangle((x - 1, 0.0), (2.0, 2.0))
-        load = calc_loads(hammer, params, table=table.corners)
+        load = calc_loads(Model(hammer, params), table=table.corners)
         held = hammer.p_BC[:, 0] < x + hammer.cell_size / 2
         if center[0] > x:
             assert load is None
@@ -212,7 +213,7 @@ def test_a_rod_s_loads_over_an_edge_are_known(rod):
     edge = -LENGTH / 2 + 0.75 * LENGTH
     on = np.unique(rod.p_BC[:, 0]) < edge
     table = SupportSurface.rectangle((edge - 1, 0.0), (2.0, 2.0))
-    load = calc_loads(rod, CellParameters.uniform(rod), table=table.corners)
+    load = calc_loads(Model(rod), table=table.corners)
     columns = [load[rod.p_BC[:, 0] == x].sum() for x in np.unique(rod.p_BC[:, 0])]
     growth = np.diff(np.log(np.array(columns)[on]))[:-1]
     np.testing.assert_allclose(growth, growth[0], rtol=1e-6)
@@ -221,18 +222,18 @@ def test_a_rod_s_loads_over_an_edge_are_known(rod):
 
 def test_all_on_the_table_every_cell_bears_its_own_weight(hammer):
     params = CellParameters.random(hammer, 1, by="cell")
-    np.testing.assert_allclose(calc_loads(hammer, params), 9.81 * params.mass, rtol=1e-12)
+    np.testing.assert_allclose(calc_loads(Model(hammer, params)), 9.81 * params.mass, rtol=1e-12)
 
 
 def test_a_push_over_the_edge_drops_the_rod_when_it_tips(rod):
     table = SupportSurface.rectangle((-0.5, 0.0), (1.0, 1.0))
     params = CellParameters.uniform(rod)
     push = Push((-0.308, 0.0), (0.03, 0.0), 8.0, 0.008)
-    motion = simulate_near_edge(rod, params, push, (-0.2, 0.0, 0.0), table)
+    motion = simulate_near_edge(Model(rod, params), push, (-0.2, 0.0, 0.0), table)
     assert motion.fell
     assert motion.final_pose[0] == pytest.approx(0.0, abs=0.001)
     short = Push((-0.308, 0.0), (0.03, 0.0), 5.0, 0.008)
-    stays = simulate_near_edge(rod, params, short, (-0.2, 0.0, 0.0), table)
+    stays = simulate_near_edge(Model(rod, params), short, (-0.2, 0.0, 0.0), table)
     assert not stays.fell
     assert stays.final_pose[0] == pytest.approx(-0.05, abs=1e-3)
 
@@ -241,15 +242,15 @@ def test_a_push_that_stays_on_the_table_is_the_plain_one(hammer):
     params = CellParameters.random(hammer, 1)
     push = Push.on_outline(hammer, 0.3, 0.2, 0.05, radius=0.008, speed=0.03)
     table = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
-    motion = simulate_near_edge(hammer, params, push, (0.0, 0.0, 0.0), table)
-    plain = simulate(hammer, params, push, regime="quasi_static")
+    motion = simulate_near_edge(Model(hammer, params), push, (0.0, 0.0, 0.0), table)
+    plain = simulate(Model(hammer, params), push, regime="quasi_static")
     np.testing.assert_allclose(motion.poses, plain.poses, atol=1e-9)
 
 
 def test_the_way_around_a_corner_is_all_of_the_path(rod):
     table = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
     push = Push.along([0.0, 1.0, 2.0], [[-0.2, -0.2], [-0.1507, -0.2], [-0.1507, -0.1504]], 0.008)
-    motion = simulate_near_edge(rod, CellParameters.uniform(rod), push, (0.0, 0.0, 0.0), table)
+    motion = simulate_near_edge(Model(rod), push, (0.0, 0.0, 0.0), table)
     assert motion.traveled[-1] == pytest.approx(push.length, abs=1e-12)
 
 
@@ -258,8 +259,8 @@ def test_an_overhanging_rod_pushed_at_its_center_of_mass_hardly_turns(rod):
     table = SupportSurface.rectangle((-0.5, 0.0), (1.0, 1.0))
     params = CellParameters.uniform(rod)
     push = Push((-0.03, -0.018), (0.0, 0.03), 1.0, 0.008)
-    motion = simulate_near_edge(rod, params, push, (-0.03, 0.0, 0.0), table)
-    load = calc_loads(rod, params, (-0.03, 0.0, 0.0), table.corners)
+    motion = simulate_near_edge(Model(rod, params), push, (-0.03, 0.0, 0.0), table)
+    load = calc_loads(Model(rod, params), (-0.03, 0.0, 0.0), table.corners)
     assert load @ rod.p_BC[:, 0] / load.sum() == pytest.approx(0.0, abs=0.01 * rod.cell_size)
     assert abs(motion.final_pose[2]) < 0.05
     assert (load @ rod.p_BC[:, 0] ** 2) / load.sum() < (
@@ -306,7 +307,7 @@ def test_one_path_leads_from_an_identification_to_samples_and_masses(found):
     noise = NoiseModel()
     expected = (found.noise_std / noise.pose, found.load_shift_std / noise.load_shift)
     assert model.noise_scale == pytest.approx(expected)
-    for sample, expected in zip(model.samples, found.samples(3, seed=7), strict=True):
+    for sample, expected in zip(model.samples, found.draws(3, seed=7), strict=True):
         np.testing.assert_array_equal(sample.mass, expected.mass)
     expected = PlausibleMassSet.from_posterior(found.obj, found.posterior, (0.2, 0.5), seed=7)
     np.testing.assert_array_equal(model.masses.mass_min, expected.mass_min)
@@ -325,7 +326,7 @@ def test_the_prior_is_described_as_any_identification():
 def test_parameters_taken_for_granted_leave_nothing_to_learn():
     obj = make_shape("square", 16)
     params = CellParameters.uniform(obj)
-    model = UncertainModel.of_parameters(obj, params)
+    model = UncertainModel.of_parameters(Model(obj, params))
     assert model.samples == ()
     np.testing.assert_array_equal(model.masses.mass_min, model.masses.mass_max)
     with pytest.raises(PlanningError, match="taken for granted"):

@@ -8,6 +8,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import MissingExtraError, PushLogError, PushLogWarning
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers import mit_tracked
 from gridpush_drake.pushes.importers.mit import TIP_RADIUS, make_mit_object
@@ -30,7 +31,7 @@ def make_tables(obj, params, arc, *, late=LATE, unseen=0.0, rest=0.6, forces=1.0
     push = Push.on_outline(
         obj, arc, 0.15, 0.05, radius=TIP_RADIUS, speed=0.05, pose=pose, clearance=1e-3
     )
-    motion = simulate(obj, params, push, pose)
+    motion = simulate(Model(obj, params), push, pose)
     t = np.arange(-0.3, push.duration + rest, 0.004)
     inside = np.clip(t, 0, push.duration)
     tip = push.start + push.velocity * inside[:, None]
@@ -86,7 +87,7 @@ def test_a_folder_of_pushes_with_two_clocks(tmp_path, body):
     with pytest.warns(PushLogWarning, match="--object-delay says otherwise, and is believed"):
         MitTrackedImporter(object_delay=0.2).read(tmp_path)
     with pytest.warns(PushLogWarning, match="the forces are not used, as the pushes are fast"):
-        found = identify(obj, told)
+        found = identify(Model(obj), told)
     off = found.params.center_of_mass(obj) - params.center_of_mass(obj)
     assert np.linalg.norm(off) < 0.003
 

@@ -5,6 +5,7 @@ from scipy.spatial.transform import Rotation
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushLogError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
@@ -66,7 +67,7 @@ def pushed():
         push = Push.on_outline(
             obj, arc, 0.1, 0.08, radius=RADIUS, speed=0.05, pose=pose, clearance=1e-3
         )
-        motion = simulate(obj, params, push, pose)
+        motion = simulate(Model(obj, params), push, pose)
         for height in np.linspace(0.1, 0.01, 60):
             add(push.start, pose, height)
         for time in np.arange(0, push.duration + 0.8, 0.01):

@@ -1,0 +1,169 @@
+"""`Bodies`: one or several objects on a table, what their cells weigh, and how they slide.
+
+It is the part of a model that simulations need. `identification.model.Model` is made of it and adds
+what a model can do; users make that one. Where there is one object, `obj` and `params` are it and
+its parameters, and nobody has to write an index.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Self, TypeVar
+
+import numpy as np
+
+from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics, Regime
+from gridpush_drake.errors import SimulationError
+from gridpush_drake.frozen import Frozen
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Bodies(Frozen):
+    """N objects with their parameters, and the physics by which they move.
+
+    Attributes:
+        objects: the N objects.
+        parameters: (N,) the masses and frictions of their cells.
+        physics: friction law, regime, spin, gravity and tolerances.
+    """
+
+    objects: tuple[GridObject, ...]
+    parameters: tuple[CellParameters, ...]
+    physics: Physics = DEFAULT_PHYSICS
+
+    def __init__(
+        self,
+        objects: GridObject | Sequence[GridObject],
+        parameters: CellParameters | Sequence[CellParameters] | None = None,
+        physics: Physics | None = None,
+    ) -> None:
+        """Copies and checks what is given.
+
+        Args:
+            objects: an object, or several.
+            parameters: its masses and frictions, or those of each; by default the total mass and
+                friction of the objects' files, spread evenly over the cells.
+            physics: `Physics()` by default.
+
+        Raises:
+            SimulationError: there is no object, or parameters belong to another object.
+            TypeError: an argument is of another type, or they are swapped.
+        """
+        many = _make_tuple("objects", objects, GridObject)
+        object.__setattr__(self, "objects", many)
+        if parameters is None:
+            parameters = [CellParameters.uniform(obj) for obj in many]
+        object.__setattr__(
+            self, "parameters", _make_tuple("parameters", parameters, CellParameters)
+        )
+        object.__setattr__(self, "physics", DEFAULT_PHYSICS if physics is None else physics)
+        self.__post_init__()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.physics, Physics):
+            raise TypeError(f"physics is a {type(self.physics).__name__}; expected a Physics")
+        if not self.objects:
+            raise SimulationError("objects: there is none; expected at least one")
+        if len(self.parameters) != len(self.objects):
+            raise SimulationError(
+                f"parameters of {len(self.parameters)} objects; "
+                f"expected {len(self.objects)}, one for each"
+            )
+        for obj, params in self:
+            if params.n != obj.n:
+                raise SimulationError(
+                    f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has"
+                )
+
+    def __len__(self) -> int:
+        """Number of objects."""
+        return len(self.objects)
+
+    def __iter__(self) -> Iterator[tuple[GridObject, CellParameters]]:
+        """Each object with its parameters."""
+        return iter(zip(self.objects, self.parameters, strict=True))
+
+    @property
+    def obj(self) -> GridObject:
+        """The object.
+
+        Raises:
+            SimulationError: there are several.
+        """
+        return self.objects[self._find_only("obj")]
+
+    @property
+    def params(self) -> CellParameters:
+        """The masses and frictions of the object's cells.
+
+        Raises:
+            SimulationError: there are several objects.
+        """
+        return self.parameters[self._find_only("params")]
+
+    @property
+    def center_of_mass(self) -> Array:
+        """The center of mass p_BBcm in the body frame, m: (2,), or (N, 2) of several objects."""
+        centers = np.array([params.center_of_mass(obj) for obj, params in self])
+        return centers[0] if len(self) == 1 else centers
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of all objects together, kg."""
+        return float(sum(params.total_mass for params in self.parameters))
+
+    def with_params(self, *parameters: CellParameters) -> Self:
+        """The same objects with other masses and frictions, one set of parameters for each."""
+        return self._with(parameters=parameters)
+
+    def with_physics(self, physics: Physics) -> Self:
+        """The same objects by another physics."""
+        return self._with(physics=physics)
+
+    def resolve(self, speed: float, regime: Regime | None = None) -> Self:
+        """Replaces the regime "auto" by the one that suits a speed, as `Physics.resolve` does.
+
+        Args:
+            speed: mean speed of the fastest push, m/s.
+            regime: takes the place of the one in `physics`, unless None.
+        """
+        physics = self.physics.with_regime(regime)
+        if physics.regime != "auto":
+            return self.with_physics(physics)
+        for obj, params in self:
+            mean_friction = float(params.friction @ params.mass / params.total_mass)
+            physics = physics.resolve(obj, mean_friction, speed)
+        return self.with_physics(physics)
+
+    def _with(self, **changes: object) -> Self:
+        """Copies the record with other fields, which are known to fit: nothing is checked."""
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__)
+        made.__dict__.update(changes)
+        return made
+
+    def _find_only(self, name: str) -> int:
+        """The place of the only object, for the property of that name."""
+        if len(self.objects) != 1:
+            names = ", ".join(obj.name for obj in self.objects)
+            raise SimulationError(
+                f"{name}: there are {len(self.objects)} objects ({names}); expected one"
+            )
+        return 0
+
+
+def _make_tuple(name: str, given: Any, kind: type[T]) -> tuple[T, ...]:
+    """Makes a tuple of one or several values, each of a certain kind."""
+    if isinstance(given, kind):
+        return (given,)
+    if not isinstance(given, Sequence):
+        raise TypeError(f"{name} is a {type(given).__name__}; expected a {kind.__name__}")
+    values = tuple(given)
+    for value in values:
+        if not isinstance(value, kind):
+            raise TypeError(f"{name}: a {type(value).__name__}; expected a {kind.__name__}")
+    return values

@@ -1,0 +1,71 @@
+"""Whether a learned model may be trusted: against the pushes it was learned from, and what was known.
+
+`doubt_fit` says in sentences what speaks against it. How far off predictions may be is in `spread`.
+"""
+
+import numpy as np
+
+from gridpush_drake.identification.center_of_mass import CenterOfMass
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.outliers import remove_outliers
+from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.identification.result import Identification, IdentificationStatus
+from gridpush_drake.notebook import MM
+from gridpush_drake.pushes.push_log import PushLog
+
+CONTRADICTED = 4.0
+"""Distance, in standard deviations, of the center of friction from the center of mass that was
+told, beyond which the pushes contradict that center of mass."""
+
+
+def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, float]:
+    """Calculates how far off the final poses of the pushes learned from are predicted.
+
+    Returns:
+        Mean cell errors, m: with uniform parameters, as before any push, and as learned.
+    """
+    used = _select_used(result, log)
+    before = calc_mean_cell_error(Model(result.obj, physics=result.physics), used)
+    after = calc_mean_cell_error(result, used)
+    return before, after
+
+
+def doubt_fit(result: Identification) -> str | None:
+    """Says in sentences why a model should not be trusted; None where nothing speaks against it.
+
+    That is a model that explains too little of the pushes it was learned from (its status is then
+    "explains_little"), and a center of friction too far from the center of mass told.
+    """
+    if not result.push_names:
+        return None
+    poor = result.status == IdentificationStatus.EXPLAINS_LITTLE
+    doubts = (result.message if poor else None, doubt_center(result))
+    return " ".join(filter(None, doubts)) or None
+
+
+def doubt_center(result: Identification) -> str | None:
+    """Says that the center of friction is too far from the center of mass that was told.
+
+    Returns:
+        The sentences; None where both agree, or no center of mass was told.
+    """
+    told = CenterOfMass.of_prior(result.obj.prior)
+    z = result.posterior.mean
+    if told is None:
+        return None
+    # In standard deviations: frictions that scatter move the center of friction, too (section 4).
+    off, _ = told.linearize(result.obj, z, told.make_whitening(result.obj, z)[0])
+    if np.linalg.norm(off) < CONTRADICTED:
+        return None
+    x, y = told.at
+    distance = float(np.linalg.norm(result.identifiability.center_of_friction - told.at))
+    return (
+        f"The pushes put the center of friction {distance * MM:.1f} mm "
+        f"from the center of mass that was told, [{x:g}, {y:g}] m. Is center_of_mass.at right?"
+    )
+
+
+def _select_used(result: Identification, log: PushLog) -> PushLog:
+    """Selects the pushes learned from, without what was refused of them."""
+    used = remove_outliers(log, result.outliers)
+    return used.subset([i for i, seen in enumerate(used) if seen.name in result.push_names])

@@ -1,0 +1,152 @@
+"""`predict_spread`: how far a learned model's predictions may be off, said beforehand.
+
+`docs/theory/identification.md`, sections 4 and 5.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f
+
+from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.noise import NORMAL
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.notebook import DEGREES, MM
+from gridpush_drake.pushes.arguments import LOG_TYPES, PushLogOrFile, check_types, read_log
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+INTERVAL = 0.9
+"""Probability with which an error is within a predicted interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """How far a push's predicted final pose may be off.
+
+    Attributes:
+        name: name of the push.
+        std: (3,) standard deviations of the cells' centroid, x and y, m, world frame, and of theta,
+            rad.
+        cell_error: m; with probability INTERVAL the cell error is below it.
+    """
+
+    name: str
+    std: Array
+    cell_error: float
+
+    def __repr__(self) -> str:
+        """Name and how far off the end may be, in a line."""
+        x, y, theta = self.std
+        return (
+            f"Spread of {self.name!r}: "
+            f"± {x * MM:.1f} mm, ± {y * MM:.1f} mm, ± {theta * DEGREES:.1f}°; "
+            f"cell error below {self.cell_error * MM:.1f} mm with probability {INTERVAL:g}"
+        )
+
+
+def predict_spread(
+    model: Identification, log: PushLogOrFile, physics: Physics | None = None
+) -> list[Spread]:
+    """Predicts how far the final poses of a log's pushes may be off.
+
+    Their covariance is J S J^T + Sigma, S that of z after the pushes learned from. The error is
+    Student's t, with the freedom that these pushes leave it, and `interval_scale` times as wide.
+
+    Args:
+        model: what was learned, with its posterior, and the noise that its pushes showed.
+        log: pushes, with or without later observations, or the name of their CSV file.
+        physics: physics of the simulations; the model's by default.
+
+    Returns:
+        One spread a push.
+
+    Raises:
+        PushLogError: the log's file cannot be read.
+        TypeError: an argument is of another type, or they are swapped.
+    """
+    check_types("predict_spread", model=(model, (Identification,)), log=(log, LOG_TYPES))
+    log = read_log(log, model.obj, require_final=False)
+    obj = model.obj
+
+    # Residuals are in the axes of the observed pose. With a final pose whose angle is zero, they
+    # are in the world's; where it is does not matter to their derivatives.
+    ends = [
+        ObservedPush(
+            name=seen.name,
+            push=seen.push,
+            pose=seen.pose,
+            t_observed=np.array([seen.push.duration]),
+            poses_observed=np.zeros((1, 3)),
+        )
+        for seen in log
+    ]
+    log_of_ends = PushLog(tuple(ends), table=log.table)
+    problem = PushProblem(obj, log_of_ends, model.params, physics or model.physics)
+    linear = problem.linearize(model.posterior.mean)
+
+    found = []
+    for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):
+        covariance = calc_end_covariance(model, J, inputs)
+        # The third residual is rho dtheta.
+        std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
+        cell_error = calc_end_quantile(model, covariance, INTERVAL)
+        found.append(Spread(name=seen.name, std=std, cell_error=cell_error))
+    return found
+
+
+def calc_end_covariance(
+    model: Identification, J: Array, inputs: Array, *, least_scale: float = 0.0
+) -> Array:
+    """Calculates the covariance of how far off a push's end is predicted.
+
+    Args:
+        model: what was learned, with its posterior, and the noise that its pushes showed.
+        J: (3, n+1) derivatives of the end's residuals by z.
+        inputs: (3, 5) their derivatives by the inputs, see `NoiseModel.calc_covariance`.
+        least_scale: takes the place of the model's `interval_scale` if that is smaller.
+
+    Returns:
+        (3, 3), m².
+    """
+    # kappa² (J S J^T + Sigma)
+    left_open = J @ model.posterior.covariance @ J.T
+    covariance = left_open + model.noise.calc_covariance(inputs, model.noise_scale)
+    covariance *= max(model.interval_scale, least_scale) ** 2
+    return np.asarray(covariance)
+
+
+def calc_end_quantile(model: Identification, covariance: Array, probability: float) -> float:
+    """Calculates the distance from its predicted end that a push keeps with some probability.
+
+    Args:
+        model: what was learned.
+        covariance: (3, 3) of the end, see `calc_end_covariance`, m².
+        probability: the probability.
+
+    Returns:
+        The distance, root mean square over the cells, m.
+    """
+    pushes = len(model.push_names)
+    typical = model.noise.calc_typical_share(pushes) * covariance
+    return calc_norm_quantile(typical, model.noise.calc_freedom(pushes), probability)
+
+
+def calc_norm_quantile(
+    covariance: Array, freedom: float = NORMAL, probability: float = INTERVAL
+) -> float:
+    """Calculates a quantile of |r|, where r has Student's t distribution.
+
+    Args:
+        covariance: (p, p) of r at infinite freedom, m².
+        freedom: degrees of freedom; normal by default.
+        probability: probability with which |r| is below the quantile.
+
+    Returns:
+        The quantile, m.
+    """
+    # |r|² is taken for a scaled F, with as many numbers as give it the normal's first two moments.
+    values = np.linalg.eigvalsh(covariance)
+    numbers = values.sum() ** 2 / (values**2).sum()
+    return float(np.sqrt(values.sum() * f.ppf(probability, numbers, freedom)))
