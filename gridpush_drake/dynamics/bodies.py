@@ -160,7 +160,7 @@ def _make_tuple(name: str, given: Any, kind: type[T]) -> tuple[T, ...]:
     """Makes a tuple of one or several values, each of a certain kind."""
     if isinstance(given, kind):
         return (given,)
-    if not isinstance(given, Sequence):
+    if isinstance(given, str) or not isinstance(given, Sequence):
         raise TypeError(f"{name} is a {type(given).__name__}; expected a {kind.__name__}")
     values = tuple(given)
     for value in values:

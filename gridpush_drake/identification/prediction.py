@@ -100,7 +100,7 @@ def predict(
             cannot be read.
         TypeError: an argument is of another type, or they are swapped.
     """
-    check_types("predict", bodies=(bodies, (Bodies,)), log=(log, LOG_TYPES))
+    check_types("predict", model=(bodies, (Bodies,)), log=(log, LOG_TYPES))
     log = read_log(log, bodies.obj, require_final=False)
     check_plausible(bodies.obj, log, learning=False)
     resolved = bodies.resolve(find_fastest(log), regime)

@@ -80,10 +80,8 @@ def _describe_type(value: Any) -> str:
 
 
 def _suggest(name: str, arguments: Mapping[str, tuple[Any, tuple[type, ...]]]) -> str:
-    """What the caller may have meant: parts of a model, for instance."""
+    """What the caller may have meant."""
     value = arguments[name][0]
-    if hasattr(value, "params") and hasattr(value, "obj"):
-        return "; of a model, give its .obj and .params"
     if isinstance(value, (list, tuple)) and arguments[name][1] == LOG_TYPES:
         return "; PushLog(pushes) makes a log of several pushes"
     return ""

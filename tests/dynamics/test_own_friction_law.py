@@ -42,7 +42,7 @@ assert motion.physics == Physics("ribbed", "quasi_static")
 assert np.abs(motion.final_pose - isotropic.final_pose).max() > 1e-3
 
 # learned: the truth explains the pushes, and so does the model, better than with the other law
-wrong = identify(obj, log)
+wrong = identify(Model(obj), log)
 assert model.physics == motion.physics
 _, error = calc_training_errors(model, log)
 _, wrong_error = calc_training_errors(wrong, log)

@@ -14,7 +14,7 @@ import sys
 import numpy as np
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -36,7 +36,7 @@ def simulate_pushes(rng):
         for _ in range(6):
             place, angle = rng.uniform(0, obj.edges.perimeter), rng.uniform(-0.5, 0.5)
             push = Push.on_outline(obj, place, angle, 0.05, radius=0.01, speed=0.05)
-            motion = simulate(obj, draw(rng), push, gradients=True, regime=regime)
+            motion = Model(obj, draw(rng)).simulate(push, gradients=True, regime=regime)
             yield motion.poses
             yield motion.jacobian.mass
 
@@ -44,7 +44,7 @@ def simulate_pushes(rng):
 def choose_pushes(rng):
     for _ in range(3):
         x, y, turn = 0.05 * rng.normal(size=3)
-        for planned in optimize_contact(obj, draw(rng), [0, 0, 0], [x, y, 10 * turn]).candidates:
+        for planned in optimize_contact(Model(obj, draw(rng)), [0, 0, 0], [x, y, 10 * turn]).candidates:
             yield np.array([*planned.push.start, *planned.push.velocity, planned.push.duration])
 
 

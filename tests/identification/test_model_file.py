@@ -61,9 +61,7 @@ def test_keeps_the_noise_that_was_supposed(tmp_path):
 def test_keeps_the_patch_and_takes_the_whole_cell_where_none_is_said(model, tmp_path):
     found = make_identification()
     path = tmp_path / "points.yaml"
-    write_model(
-        path, dataclasses.replace(found, params=dataclasses.replace(found.params, patch_ratio=0.1))
-    )
+    write_model(path, found.with_params(dataclasses.replace(found.params, patch_ratio=0.1)))
     assert read_model(path).params.patch_ratio == 0.1
     model.write_text(re.sub(r"patch_ratio: .*\n", "", model.read_text()))
     assert_same(read_model(model), found)

@@ -128,7 +128,7 @@ def test_observations_a_rounding_error_beside_a_step_do_not_matter(regime):
         beside[-1] = np.nextafter(times[-1], 0.0)
         off = replace(seen, t_observed=beside)
         expected, poses = (
-            TimedPush.of(each, regime).simulate(obj, params, Physics(regime=regime)).poses
+            TimedPush.of(each, regime).simulate(Model(obj, params, Physics(regime=regime))).poses
             for each in (seen, off)
         )
         assert len(expected) == len(poses)

@@ -9,7 +9,6 @@ from gridpush_drake import Model, PushLog, identify, predict
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.identification.spread import predict_spread
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
-from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.simulated_pushes import make_pushes
 
@@ -53,21 +52,17 @@ def test_a_file_that_is_not_there_is_named(obj):
 
 
 def test_swapped_arguments_are_named(obj, log):
-    uniform = CellParameters.uniform(obj)
     swapped = "the arguments are swapped; expected"
+    model = Model(obj)
     with pytest.raises(
         TypeError,
-        match=rf"^identify: obj is a PushLog and log is a GridObject: {swapped} identify\(obj, log\)$",
+        match=rf"^identify: model is a PushLog and log is a Model: {swapped} identify\(model, log\)$",
     ):
-        identify(Model(log), obj)
-    with pytest.raises(TypeError, match=rf"{swapped} identify\(obj, log\)"):
-        identify(Model("pushes.csv"), obj)
-    with pytest.raises(
-        TypeError, match=rf"params is a PushLog .*: {swapped} predict\(obj, params, log\)"
-    ):
-        predict(obj, log, uniform)
-    with pytest.raises(TypeError, match=rf"{swapped} predict\(obj, params, log\)"):
-        predict(uniform, log, obj)
+        identify(log, model)
+    with pytest.raises(TypeError, match=rf"{swapped} identify\(model, log\)"):
+        identify("pushes.csv", model)
+    with pytest.raises(TypeError, match=rf"{swapped} predict\(model, log\)"):
+        predict(log, model)
     with pytest.raises(TypeError, match=rf"{swapped} predict_spread\(model, log\)"):
         predict_spread(log, make_identification())
 
@@ -75,12 +70,12 @@ def test_swapped_arguments_are_named(obj, log):
 def test_other_things_are_named(obj, log):
     with pytest.raises(
         TypeError,
-        match=r"obj is a str; expected for obj a GridObject, such as GridObject.from_yaml",
+        match=r"model is a GridObject; expected for model a Model, such as Model\(obj\)",
     ):
-        identify(Model("claw_hammer"), log)
+        identify(obj, log)
+    with pytest.raises(TypeError, match="objects is a str; expected a GridObject"):
+        Model("claw_hammer")
     with pytest.raises(TypeError, match=r"log is a list; .* PushLog\(pushes\) makes a log"):
         identify(Model(obj), list(log))
-    with pytest.raises(TypeError, match=r"obj is an Identification; .* give its .obj and .params"):
-        predict(Model(make_identification(), CellParameters.uniform(obj)), log)
     with pytest.raises(TypeError, match="log is a NoneType; expected for log a PushLog"):
         identify(Model(obj), None)

@@ -32,7 +32,9 @@ from tests.helpers.made_logs import make_pushed_block
 
 OBJ = make_block(12)
 TRUTH = CellParameters.by_part(OBJ, {1: 0.05, 2: 0.2}, 0.4, 0.4)
-LEARNED = replace(make_identification(OBJ), params=TRUTH, push_names=("push_0",), unused_pushes=())
+LEARNED = replace(
+    make_identification(OBJ), parameters=(TRUTH,), push_names=("push_0",), unused_pushes=()
+)
 LOG = make_pushed_block().log[:1]
 FINGER = FeedbackFinger(radius=0.01, speed=0.1, walking_speed=0.2)
 RULES = FollowRules(
@@ -317,7 +319,7 @@ def test_a_clone_goes_on_alike():
 def test_it_learns_on_the_way(answer_delay):
     """It begins with a model whose light end is the heavy one."""
     wrong = CellParameters.by_part(OBJ, {1: 0.2, 2: 0.05}, 0.4, 0.4)
-    run = Run(learned=replace(LEARNED, params=wrong), answer_delay=answer_delay)
+    run = Run(learned=LEARNED.with_params(wrong), answer_delay=answer_delay)
     run.poke()
     assert run.go(40.0).mode == FollowMode.REACHED
     state = run.context.get_abstract_state(0).get_value()

@@ -45,7 +45,7 @@ def test_many_steps_go_where_the_system_with_a_memory_goes():
         for kind, more in ((GridLcpStep, {}), (GridLcpSystem, {"regime": "quasi_static"})):
             builder = DiagramBuilder()
             system = builder.AddSystem(
-                kind(OBJ, PARAMS, dt, pusher_radius=0.006, pose=POSE, **more)
+                kind(Model(OBJ, PARAMS), dt, pusher_radius=0.006, pose=POSE, **more)
             )
             # a pusher whose place is told anew in each step
             path = builder.AddSystem(ConstantVectorSource(PUSHER))

@@ -22,7 +22,7 @@ GRAVITY = 9.81
 def run_kernel_loads(obj, params, friction, table=None, pose=(0.0, 0.0, 0.0)):
     """The kernel's loads, N, at a pose, with a friction F (2,) of the step before; None where the object tips."""
     edges = None if table is None else np.column_stack([table, np.roll(table, -1, axis=0)])
-    support = make_support(Model(obj, params), GRAVITY, edges)
+    support = make_support(Model(obj, params), edges)
     loads, k = make_loads(support), np.empty(obj.n)
     loads.friction[:] = friction
     state = make_state(np.array(pose), np.zeros(3), 0.0, 0.0)
