@@ -238,7 +238,7 @@ def explain_result(result: Identification, found: dict[str, Any]) -> list[str]:
         result.message,
         *([doubt] if doubt else []),
         f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "
-        f"{found['mean_cell_error_before'] * MM:.2f} mm with uniform friction",
+        f"{found['mean_cell_error_before'] * MM:.2f} mm of an even object",
         f"center of friction: x {x}, y {y}, in the body frame",
         f"contact friction: {contact_friction:.2f} ± {result.std.contact_friction:.2f}",
     ]

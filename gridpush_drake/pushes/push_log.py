@@ -7,6 +7,7 @@ columns of the file in `push_csv`.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import overload
 
@@ -192,3 +193,22 @@ class PushLog(Frozen):
             replace(seen, push=replace(seen.push, radius=radius)) for seen in self.pushes
         )
         return replace(self, pushes=pushes, radius_given=True)
+
+
+def find_shipped_log(name: str) -> Path:
+    """Finds the file of a push log that comes with the package.
+
+    The log of "claw_hammer" has eight pushes of the shipped object of that name, simulated in
+    Drake with poses that are off by 0.3 mm and 0.1° (standard deviations). The cells of the
+    hammer's head weigh four times as much as those of its handle.
+
+    Raises:
+        PushLogError: there is none of that name; the message lists all.
+    """
+    folder = Path(str(files("gridpush_drake"))) / "models" / "logs"
+    known = sorted(path.stem for path in folder.glob("*.csv"))
+    if name not in known:
+        raise PushLogError(
+            f"{name}: no shipped push log has this name; shipped are: {', '.join(known)}"
+        )
+    return folder / f"{name}.csv"

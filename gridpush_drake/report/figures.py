@@ -134,7 +134,7 @@ def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> F
     ax.plot(simulations, loss, ".", color=LEARNED, markersize=4)
     if before is not None and np.isfinite(before):
         ax.axhline(
-            before * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="uniform friction"
+            before * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="even object"
         )
     ax.set_ylim(bottom=0)
     tidy(ax, "simulated pushes", "mean cell error, mm")
@@ -345,7 +345,7 @@ def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
     drawn = {
         "before the push": FAINT,
         "observed": INK,
-        "uniform friction": BEFORE,
+        "even object": BEFORE,
         "learned": LEARNED,
     }
     handles = [
@@ -381,24 +381,24 @@ def _draw_overlay(ax: Axes, obj: GridObject, outcome: Outcome) -> None:
 
 
 def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
-    """Draws every push's cell error with uniform friction and as learned."""
+    """Draws every push's cell error of an even object and as learned."""
     return _draw_dumbbells(outcomes) if len(outcomes) <= MAX_DUMBBELLS else _draw_scatter(outcomes)
 
 
 def _collect_errors(outcomes: Sequence[Outcome]) -> tuple[Array, Array]:
-    """Collects the errors (P,) with uniform friction and as learned, mm."""
+    """Collects the errors (P,) of an even object and as learned, mm."""
     before = MM * np.array([outcome.error_before for outcome in outcomes])
     after = MM * np.array([outcome.error_after for outcome in outcomes])
     return before, after
 
 
 def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
-    """Draws a line for each push, from its error with uniform friction to that as learned."""
+    """Draws a line for each push, from its error of an even object to that as learned."""
     figure, ax = make_chart(6.5, LINE_HEIGHT * len(outcomes) + 0.9)
     before, after = _collect_errors(outcomes)
     places = np.arange(len(outcomes))[::-1]
     ax.hlines(places, before, after, color=FAINT, linewidth=1.2)
-    ax.plot(before, places, "o", color=BEFORE, markersize=5, label="uniform friction")
+    ax.plot(before, places, "o", color=BEFORE, markersize=5, label="even object")
     ax.plot(after, places, "o", color=LEARNED, markersize=5, label="learned")
     names = [
         f"{outcome.seen.name}{' (held out)' if outcome.held_out else ''}" for outcome in outcomes
@@ -412,7 +412,7 @@ def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
 
 
 def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
-    """Draws a point for each push: its error as learned over that with uniform friction."""
+    """Draws a point for each push: its error as learned over that of an even object."""
     figure, ax = make_chart(5.0, 4.6)
     before, after = _collect_errors(outcomes)
     held_out = np.array([outcome.held_out for outcome in outcomes])
@@ -429,7 +429,7 @@ def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
     ax.set_xlim(0, top)
     ax.set_ylim(0, top)
     ax.set_aspect("equal")
-    tidy(ax, "cell error with uniform friction, mm", "cell error as learned, mm")
+    tidy(ax, "cell error of an even object, mm", "cell error as learned, mm")
     ax.legend(fontsize=FONT, frameon=False, loc="upper left")
     return figure
 
