@@ -71,7 +71,7 @@ def identify(
         list[str] | None,
         typer.Option(
             "--with",
-            metavar="\\[NAME=]OBJECT.yaml",
+            metavar="NAME=OBJECT.yaml",
             help="Another object that is in the log, too; may be repeated. All are learned "
             "together from pushes in which one pushes another, and each gets a model file of its "
             "own, MODEL_NAME.yaml. The log has the columns NAME_x, NAME_y and NAME_theta for each; "
@@ -82,9 +82,11 @@ def identify(
     method: Annotated[
         Method,
         typer.Option(
+            metavar="METHOD",
             help="The method of learning. default is the best and the fastest; the others are "
-            "there to be compared with. paper is the method of Song and Boularias; cma_es needs "
-            "pip install '.\\[baselines]'."
+            "there to be compared with: paper, the method of Song and Boularias, random_search, "
+            "weighted_sampling, finite_difference, nelder_mead and cma_es, which needs "
+            "pip install '.\\[baselines]'.",
         ),
     ] = "default",
     seed: options.Seed = 0,

@@ -147,8 +147,9 @@ LargestPiece = Annotated[
 Regime = Annotated[
     Literal["auto", "quasi_static", "inertial"],
     typer.Option(
+        metavar="REGIME",
         help="How pushes are simulated: quasi_static without inertia, for slow pushes; inertial "
-        "with it, for fast ones; auto decides by the speed of the pushes."
+        "with it, for fast ones; auto decides by the speed of the pushes.",
     ),
 ]
 

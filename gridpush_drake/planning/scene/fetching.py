@@ -367,19 +367,32 @@ class FetchLearning:
         belief: SceneBelief,
         pushes: Sequence[ObservedScenePush],
         seed: int,
+        *,
+        last: bool = False,
     ) -> SceneBelief | None:
-        """Learns anew, where the last push tells something; see `SceneLearner`."""
-        found = None if self.scene is None else self.scene.learn(belief, pushes, seed)
+        """Learns anew, where the last push tells something; see `SceneLearner`.
+
+        The wanted object is learned after each push that tells of it, so that nothing of it is left
+        to learn at last.
+        """
+        found = None
+        if self.scene is not None:
+            found = self.scene.learn(belief, pushes, seed, last=last)
         obj = self.obj or belief.objects[self.wanted]
-        if not pushes or not self._tells(pushes[-1], obj):
+        if last or not pushes or not self._tells(pushes[-1], obj):
             return found
         clean = [self._single_out(seen) for seen in pushes if self._tells(seen, obj)]
         log = PushLog(tuple(clean))
+        alone = identify(obj, log, seed=seed)
         learned = UncertainModel.of_identification(
-            identify(obj, log, seed=seed), friction_range=self.friction_range, log=log
+            alone, friction_range=self.friction_range, log=log
         )
         models: Mapping[int, UncertainModel] = {**belief.models, self.wanted: learned}
-        return replace(found or belief, models=models)
+        return replace(
+            found or belief,
+            models=models,
+            learned_alone={**belief.learned_alone, self.wanted: alone},
+        )
 
     def _tells(self, seen: ObservedScenePush, obj: GridObject) -> bool:
         """Says whether only the wanted object moved in a push, and lay wholly on the table."""
