@@ -80,7 +80,8 @@ def view(
             "--with",
             metavar="NAME=MODEL|OBJECT",
             help="For a log of several objects: the model or the object file of one of them, after "
-            "the name with which its columns in the log begin (by default its own). The option is repeated for each.",
+            "the name with which its columns in the log begin; NAME= may be left out if that is "
+            "the object's own. The option is repeated for each.",
         ),
     ] = None,
     shows: Annotated[

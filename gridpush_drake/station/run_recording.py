@@ -41,8 +41,10 @@ TOPICS = {
     "/phase": "std_msgs/msg/String",
     PICTURE_TOPIC: "sensor_msgs/msg/CompressedImage",
 }
-"""Types of the messages, by topic. In a task with several objects, the topics of an object after the
-first stand below its name, such as /other_0/object_pose; see `name_topic`."""
+"""Types of the messages, by topic.
+
+In a task with several objects, the topics of an object after the first stand below its name, such
+as /other_0/object_pose; see `name_topic`."""
 
 OBJECT = "object"
 """Name of the first object, and of its frame."""

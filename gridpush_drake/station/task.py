@@ -278,7 +278,7 @@ class StationTask(Generic[R]):
     """If nothing new happens for this long, the task is stuck; simulated time, s."""
 
     pushes_others: ClassVar[bool] = False
-    """Whether the task is about the other objects on the table, too: they are pushed and learned."""
+    """Whether the task is about the other objects on the table, too: it pushes and learns them."""
 
     def __init__(
         self, builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat | None
