@@ -326,6 +326,7 @@ def draw_numbered_push(ax: Axes, push: Push, number: int, color: str) -> None:
         ha="center",
         va="center_baseline",
         fontweight="bold",
+        bbox={"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": color},
         zorder=7,
     )
 

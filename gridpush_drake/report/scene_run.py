@@ -1,4 +1,4 @@
-"""What a robot did with several objects, and learned of them: its figure, and a page of its own."""
+"""What a robot did with several objects, and learned of them: a figure, and a page of its own."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
@@ -36,14 +37,14 @@ PANEL_HEIGHT = 4.4
 ROOM = 0.05
 """Room about what is drawn, m."""
 
-LINE = 1.6
-"""Width of the line that is drawn last, points."""
+LINE = 2.0
+"""Width of the lines of what was measured, points."""
 
-MARKER = 4.0
-"""Size of its markers, points."""
+MARKER = 4.5
+"""Size of their markers, points."""
 
-WIDER_BELOW = 2.0
-"""By how much each line, and its markers, are larger than those drawn over it, points."""
+POINTS_PER_INCH = 72.0
+"""Points in an inch."""
 
 LEGEND_COLUMNS = 3
 """Columns of a legend."""
@@ -140,18 +141,21 @@ def draw_scene_run(
     # What was measured.
     ax = axes[0, 1]
     for b, color in enumerate(colors):
-        # Two objects that lie nearest to each other have the same room: what is drawn later is
-        # narrower, so that a line below it is seen on both its sides.
-        wider = WIDER_BELOW * (len(colors) - 1 - b)
-        ax.plot(
+        # Two objects that lie nearest to each other have the same room. Their lines would lie on
+        # each other, so that each is drawn beside the one before, a line's width higher.
+        beside = (b - (len(colors) - 1) / 2) * LINE / POINTS_PER_INCH
+        (line,) = ax.plot(
             np.arange(len(values)),
             MM * values[:, b],
             color=color,
-            linewidth=LINE + wider,
+            linewidth=LINE,
             marker="o",
-            markersize=MARKER + wider,
+            markersize=MARKER,
             zorder=3,
         )
+        # set only now: the axes find their limits by lines whose places are plain data
+        up = ScaledTranslation(0.0, beside, figure.dpi_scale_trans)
+        line.set_transform(ax.transData + up)
     words, wanted = measured
     if wanted is not None:
         ax.axhline(MM * wanted, color=FAINT, linestyle="dashed", linewidth=1.2, zorder=2)

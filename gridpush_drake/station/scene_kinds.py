@@ -28,15 +28,21 @@ from gridpush_drake.station.scene_task import (
 )
 from gridpush_drake.station.task import TaskStatus
 from gridpush_drake.station.task_kind import (
-    FIRST_TITLE,
     MODEL,
     PUSHES,
     REPORT,
     GoalKind,
 )
 
+LOOKING = (
+    "Looking at the objects",
+    "The robot looks where the objects lie. Colors and ellipses show what it supposes beforehand: "
+    "even objects, of which little is known.",
+)
+"""Title and text beside the scene until the first push."""
+
 TITLES = {
-    SceneMode.WAITING: FIRST_TITLE,
+    SceneMode.WAITING: LOOKING[0],
     SceneMode.PUSHING: "Push {}",
     SceneMode.GRASPING: "Grasping and lifting",
     SceneMode.HOLDING: "Lifted and held",
@@ -59,6 +65,7 @@ class SceneKind(GoalKind):
 
     done = TaskStatus.REACHED
     several = True
+    looking = LOOKING
     verb: ClassVar[str]
 
     def list_model_files(self, resolved: ResolvedScenario) -> tuple[str, ...]:
@@ -139,7 +146,8 @@ class SceneKind(GoalKind):
                 surface=record.surface,
             ),
             caption="Left: the objects before, after each push and at the end, the pushes as "
-            f"arrows with their numbers, goals dotted. Right: {words}, as it was seen.",
+            f"arrows with their numbers, goals dotted. Right: {words}, as it was seen; lines "
+            "that would lie on each other are drawn side by side.",
             heads=("time", "pushed", "why"),
             steps=steps,
         )

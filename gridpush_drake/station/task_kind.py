@@ -95,6 +95,7 @@ class TaskKind:
         marks: entries of the recording's legend, besides those of the estimate.
         grasps: whether the robot needs a gripper.
         several: whether it is a task with several objects, of which the robot is told the outlines.
+        looking: title and text beside the scene until the first push.
         hides: whether the arm hides the object from the camera again and again while it works.
     """
 
@@ -106,6 +107,7 @@ class TaskKind:
     marks: tuple[Mark, ...] = ()
     grasps: bool = False
     several: bool = False
+    looking: tuple[str, str] = (FIRST_TITLE, BEFORE_LOOKING)
     hides: bool = False
 
     @property
@@ -178,7 +180,7 @@ class TaskKind:
         task = self.make_task(resolved, page.meshcat)
         task.AimCamera(page.meshcat)
         page.overlay = self.make_overlay(task.list_objects())
-        phases = [Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)]
+        phases = [Phase(0.0, *self.looking)]
         page.show_phases(phases)
 
         def show(status: PushStatus, logged: int) -> None:
@@ -242,7 +244,7 @@ class TaskKind:
 
     def list_phases(self, record: Any) -> list[Phase]:
         """Lists what the robot did when, for the recording: a phase for each controller's step."""
-        phases = [Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)]
+        phases = [Phase(0.0, *self.looking)]
         for step in record.steps:
             phase = self._make_phase(step.status, step.time)
             if phase is not None:
