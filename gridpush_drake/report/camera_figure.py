@@ -64,6 +64,6 @@ def describe_sight(sight: Sight) -> str:
         f"The object was seen in {sight.seen.mean() * 100:.0f} % of the pictures, its pose wrong "
         f"by {position * MM:.2f} mm and {angle * DEGREES:.2f} degrees root mean square. Above, the "
         "photograph and the outline found, on the table in blue and on top in green, with the axes "
-        f"of the body frame, x in red and y in green, {AXIS * MM:.0f} mm long; below, the poses less "
-        "the true ones, and twice the standard deviation that the tracker states."
+        f"of the body frame, x in red and y in green, {AXIS * MM:.0f} mm long; below, the poses "
+        "less the true ones, and twice the standard deviation that the tracker states."
     )

@@ -375,10 +375,12 @@ class FetchLearning:
         The wanted object is learned after each push that tells of it, so that nothing of it is left
         to learn at last.
         """
+        obj = self.obj or belief.objects[self.wanted]
         found = None
         if self.scene is not None:
-            found = self.scene.learn(belief, pushes, seed, last=last)
-        obj = self.obj or belief.objects[self.wanted]
+            # the model of a scene knows no edge, over which the wanted object is slid at last
+            lying = [each for each in pushes if self._lies(each, obj)]
+            found = self.scene.learn(belief, lying, seed, last=last)
         if last or not pushes or not self._tells(pushes[-1], obj):
             return found
         clean = [self._single_out(seen) for seen in pushes if self._tells(seen, obj)]
@@ -402,6 +404,10 @@ class FetchLearning:
         others = np.delete(moved + turned, self.wanted)
         if others.max(initial=0.0) > self.still or moved[self.wanted] < self.min_move:
             return False
+        return self._lies(seen, obj)
+
+    def _lies(self, seen: ObservedScenePush, obj: GridObject) -> bool:
+        """Says whether the wanted object lay wholly on the table throughout a push."""
         return stayed_supported(obj, self._single_out(seen), self.surface)
 
     def _single_out(self, seen: ObservedScenePush) -> ObservedPush:
