@@ -150,7 +150,7 @@ def check_plausible_weighings(obj: GridObject, log: WeighingLog) -> None:
 
 def find_implausible(obj: GridObject, log: PushLog) -> list[Finding]:
     """Finds what cannot be true of a log, or hardly, at most one finding of a kind."""
-    finders = [(partial(find, obj, log), *kind) for find, *kind in KINDS]
+    finders = [(partial(find, obj, log), certain, first) for find, certain, first in KINDS]
     return _collect(finders, ("push", "pushes"))
 
 
@@ -445,9 +445,10 @@ def _find_large_tables(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 def _name_weighings(log: WeighingLog) -> Iterator[tuple[str, EdgePress | Lift]]:
     """Names each weighing by its kind and its number among those of its kind, from 1."""
-    for kind, weighings in (("press", log.presses), ("lift", log.lifts)):
-        for i, weighing in enumerate(weighings, start=1):
-            yield f"{kind} {i}", weighing
+    for i, press in enumerate(log.presses, start=1):
+        yield f"press {i}", press
+    for i, lift in enumerate(log.lifts, start=1):
+        yield f"lift {i}", lift
 
 
 def _find_misplaced_weighings(obj: GridObject, log: WeighingLog) -> Iterator[str]:

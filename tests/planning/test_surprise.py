@@ -41,7 +41,7 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.robot_status import PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 from tests.helpers.changing_world import ChangingEdgeWorld, ChangingWorld
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
@@ -311,7 +311,7 @@ def test_pokes_keep_to_the_rules_of_the_goal(learned) -> None:
     obj = learned[0].obj
     assert (
         poked.push.length <= PokeOptions.distance + 1e-9
-        and poked.push.radius == ContactOptions.radius
+        and poked.push.radius == DEFAULT_PUSHER_RADIUS
     )
     # Where it begins and how it is turned says the same as the push itself.
     planned = poked.planned
