@@ -77,6 +77,10 @@ RETREAT_DEPTH = 0.02
 """How much farther inside the edge than pokes keep it an object is brought back to, m, so that it
 can be poked there."""
 
+RETREAT_MODELS = 20
+"""Least number of models by which the object stays where it lies. With fewer of them, what was
+learned says too little of how it would move, and it is not pushed."""
+
 RETREAT_STEPS = 50
 """Greatest number of steps in which a place on the table is found for an object."""
 
@@ -167,8 +171,8 @@ class PreGraspPlanner:
         """Decides on a push that brings an object from over the edge back onto the table.
 
         That the object lies still is known, whatever else is in doubt: models by which it would
-        fall where it lies do not count. On the way, its stability margin at the worst is to
-        become no thinner.
+        fall where it lies do not count, and by none of the others may it fall on the way. No
+        stability margin is asked for, as the worst masses are among those that do not count.
 
         Args:
             pose: (3,) where it lies, X_WB, m and rad.
@@ -194,10 +198,18 @@ class PreGraspPlanner:
             for params in (model.params, *model.samples)
             if calc_loads(self.obj, params, q, corners, model.physics.gravity) is not None
         ]
-        if not stays:
+        if len(stays) < RETREAT_MODELS:
             return None
         staying = replace(model, params=stays[0])
-        return self._slide(q, staying, [goal], "lying wholly on the table", stays[1:])
+        planner = self._ask_margin(-np.inf)
+        return planner._slide(q, staying, [goal], "lying wholly on the table", stays[1:])
+
+    def _ask_margin(self, margin: float) -> "PreGraspPlanner":
+        """Makes a planner whose slides keep another stability margin, m."""
+        other = copy(self)
+        slide = replace(self.options.slide, margin=margin)
+        other.options = replace(self.options, slide=slide)
+        return other
 
     def _find_home(self, pose: Array) -> Array:
         """Finds where an object at a pose (3,) would lie wholly on the table, without a turn."""
@@ -313,10 +325,9 @@ class PreGraspPlanner:
         )
         if slide is None:
             return None
-        reason = (
-            f"{slide.planned.cost * MM:.0f} mm from {aim} after this push; stability margin "
-            f"{slide.margin * MM:.0f} mm or more on the way"
-        )
+        reason = f"{slide.planned.cost * MM:.0f} mm from {aim} after this push"
+        if np.isfinite(self.options.slide.margin):
+            reason += f"; stability margin {slide.margin * MM:.0f} mm or more on the way"
         return PreGraspDecision(
             "slide",
             reason,

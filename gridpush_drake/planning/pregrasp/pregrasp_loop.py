@@ -33,7 +33,7 @@ heavier than was supposed, and is pressed where less force would do.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import nan
+from math import inf, nan
 from typing import Any
 
 from gridpush_drake.dynamics.push import Push
@@ -496,11 +496,15 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         """The state with a push asked for, and watched."""
         planner = self.planner
         known = uncertain or UncertainModel.of_prior(planner.obj)
+        slide = planner.options.slide
+        if now.retreating:
+            # It was planned by the models by which the object stays, not by the worst masses.
+            slide = replace(slide, margin=-inf)
         monitor = PushMonitor.of_push(
             masses=known.masses,
             surface=planner.surface,
             pose=pose,
-            options=planner.options.slide,
+            options=slide,
             error=self.options.rest_distance,
             obstacles=planner.obstacles,
         )
