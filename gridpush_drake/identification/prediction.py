@@ -389,19 +389,20 @@ def doubt_fit(result: Identification) -> str | None:
     return " ".join(filter(None, doubts)) or None
 
 
-def explain_poor_fit(
-    obj: GridObject, params: CellParameters, used: PushLog, physics: Physics
-) -> str | None:
-    """Says in sentences that a model is far off where pushes ended; None where it is not.
+def judge_fit(result: Identification, used: PushLog) -> tuple[IdentificationStatus, str] | None:
+    """Says that a model is far off where pushes ended, or no better than an even object.
 
     Args:
-        obj: the object.
-        params: the model.
+        result: the model; the regime of its physics is not "auto".
         used: the pushes that it was learned from, without what was refused of them.
-        physics: physics of the simulations; its regime is not "auto".
+
+    Returns:
+        The status that it deserves, and why, in sentences; None where nothing is wrong with it.
     """
     if not len(used):
         return None
+    obj = result.obj
+    physics = result.physics
 
     # How far the pushes moved the object's cells on average: what a model without any skill, by
     # which nothing moves, would be off by.
@@ -411,18 +412,35 @@ def explain_poor_fit(
         moved.append(np.linalg.norm(np.diff(cells, axis=0), axis=2).mean())
     mean = float(np.mean(moved))
 
-    # By how much the model is off, in the same measure.
-    predictions = [_predict_push(obj, params, seen, physics, used.table) for seen in used]
-    errors = calc_final_errors(obj, predictions, used)
-    error = float(np.mean([each.cell for each in errors if each is not None]))
-    if error <= DOUBTFUL * mean:
-        return None
-    return (
-        f"This model explains these pushes poorly: it is off by {error * MM:.1f} mm on average, "
-        f"while the object moves by {mean * MM:.1f} mm. "
-        "Is object_theta in rad and counterclockwise, are all poses in one frame, "
-        f"and are all pushes of {obj.name} and its outline right?"
+    # By how much the model is off, in the same measure, and by how much an even object is.
+    error = _calc_mean_error(obj, result.params, used, physics)
+    even = _calc_mean_error(obj, CellParameters.uniform(obj), used, physics)
+    off = (
+        f"it is off by {error * MM:.1f} mm on average, an even object by {even * MM:.1f} mm, "
+        f"while the object moves by {mean * MM:.1f} mm."
     )
+    if error > DOUBTFUL * mean or error > even + result.noise_std:
+        return (
+            IdentificationStatus.EXPLAINS_LITTLE,
+            f"This model explains these pushes poorly: {off} "
+            "Is object_theta in rad and counterclockwise, are all poses in one frame, "
+            f"and are all pushes of {obj.name} and its outline right?",
+        )
+    if error > even:
+        return (
+            IdentificationStatus.PRIOR_KEPT,
+            f"This model predicts these pushes no better than an even object would: {off}",
+        )
+    return None
+
+
+def _calc_mean_error(
+    obj: GridObject, params: CellParameters, log: PushLog, physics: Physics
+) -> float:
+    """Mean cell error of a log's final poses, m; the regime of the physics is not "auto"."""
+    predictions = [_predict_push(obj, params, seen, physics, log.table) for seen in log]
+    errors = calc_final_errors(obj, predictions, log)
+    return float(np.mean([each.cell for each in errors if each is not None]))
 
 
 def doubt_center(result: Identification) -> str | None:

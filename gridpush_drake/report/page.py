@@ -418,8 +418,8 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
     which = "pushes it had never seen" if judged.held_out else "the pushes it learned from"
     if result.status == IdentificationStatus.EXPLAINS_LITTLE:
         return (
-            f"This model of the {name} should not be used: it explains little of the pushes it was "
-            f"learned from, and is off by {after * MM:.1f} mm on average where {which} end."
+            f"This model of the {name} should not be used. Where {which} end, it is off by "
+            f"{after * MM:.1f} mm on average, and an even object by {before * MM:.1f} mm."
         )
     if result.status == IdentificationStatus.PRIOR_KEPT:
         return (

@@ -23,6 +23,7 @@ from gridpush_drake.dynamics.scene.bodies import describe_object
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision, PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, find_pregrasp_goals
@@ -281,7 +282,12 @@ class FetchPlanner:
             found = search.find_push(poses, cost, range(len(poses)), rng)
         if found is None:
             return SceneDecision(
-                SceneAction.FAIL, describe_no_room(self.objects, bodies, self.options.search.radius)
+                SceneAction.FAIL,
+                describe_no_room(
+                    self.objects,
+                    bodies,
+                    find_pusher_radius(self.objects, self.options.search.radius),
+                ),
             )
         return SceneDecision(
             SceneAction.PUSH,
