@@ -253,7 +253,8 @@ class FollowTask(StationTask[FollowRecord]):
             record.poses.append(record.pose)
             record.tips.append(np.array(self.read("pusher.state")[:2]))
             self._draw(GONE_PATH, record.way, GONE_COLOR)
-        # While it waits to see object or finger, nothing is new; else the follower says if nothing gets on.
+        # While it waits to see object or finger, nothing is new; else the follower says if
+        # nothing gets on.
         rests = record.last.cause in BLIND
         return is_new or (self.is_at_work() and not rests)
 
