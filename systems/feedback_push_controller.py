@@ -50,7 +50,7 @@ class FeedbackPushStatus:
 
     Attributes:
         mode: what it does, see `FOLLOW_REASONS`.
-        reason: the mode in a sentence; empty where it pushes.
+        reason: the mode in a sentence; empty while it pushes and the finger moves.
         pose: (x, y, theta) where the object is now, as the controller thinks, W, m and rad; NaN
             where it does not know.
         progress: how far the object came on its path, m.
@@ -110,7 +110,8 @@ class FeedbackPushController(AbstractStateSystem[FeedbackPushState]):
     * pose_time: vector of 1, time at which it was seen, s. It need not be connected: then a pose
       was seen `pose_delay` before the port changed.
     * pusher_state: vector of 6, position p_WP of the finger's center, m, and its velocity, m/s, as
-      `PusherStateSensor` and `ArmTipSensor` have it; only x and y are used.
+      `PusherStateSensor` and `ArmTipSensor` have it; only x and y are used. Where they are NaN the
+      finger rests.
     * identification: abstract `Identification`, what was learned; it need not be connected. While
       it has no `push_names`, `params` is the model.
     * goal_pose: vector of 3, X_WB of the object at the goal, m and rad; NaN for no goal. It need

@@ -38,6 +38,7 @@ from gridpush_drake.planning.feedback.follow_options import (
     FollowDecision,
     FollowStatus,
 )
+from gridpush_drake.planning.feedback.pose_track import is_plausible
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.messages import (
     STEER_COMMAND_SIZE,
@@ -68,8 +69,8 @@ LEAD_GAIN = 0.3
 """Share of the latest one in how long decisions take."""
 
 MAX_BLIND_TIME = 3.0
-"""Time for which the finger waits for a pose, s. Then it goes up: it may be the arm that hides the
-object from the camera."""
+"""Time for which the finger waits for a pose, or for its own place, s. Then it goes up: it may be
+the arm that hides the object from the camera."""
 
 LEARNING_TIME = 10.0
 """Longest wait for the last poke to be learned from, s."""
@@ -77,7 +78,10 @@ LEARNING_TIME = 10.0
 LEARN_EVERY = 1.5
 """Time from one learning on the way to the next, s."""
 
-GIVING_UP = (FollowStatus.STUCK, FollowStatus.UNLIKE_MODEL)
+BLIND = (FollowStatus.NO_POSE, FollowStatus.NO_FINGER)
+"""Statuses of a follower in which the finger rests until object or finger are seen again."""
+
+GIVING_UP = (FollowStatus.STUCK, FollowStatus.UNLIKE_MODEL, FollowStatus.DISTURBED)
 """Statuses of a follower after which another path is planned, from where the object then lies."""
 
 UNKNOWN = (np.nan, np.nan, np.nan)
@@ -97,6 +101,9 @@ class FollowMode(StrEnum):
 
 POKING_REASON = "The object is poked, to learn where it is heavy."
 """Reason in the status before all pokes were made."""
+
+PUSHING_REASON = "The object is pushed along its path."
+"""Reason in the status while the finger is steered and moves."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +177,11 @@ class FollowControlState(Unchanging):
         cause = self.status.cause if cause is None else cause
         status = replace(self.status, mode=mode, reason=reason, cause=cause)
         return replace(self, status=status, request=None)
+
+    def explain(self, reason: str, cause: FollowStatus) -> "FollowControlState":
+        """Returns the state in the same mode for another reason; itself if nothing changes."""
+        status = replace(self.status, reason=reason, cause=cause)
+        return self if status == self.status else replace(self, status=status)
 
     def give_up(self, reason: str, cause: FollowStatus | None = None) -> "FollowControlState":
         """Returns the state after which nothing more is done; the finger goes up."""
@@ -346,9 +358,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
             return self._send_down(replace(now, place=now.place + 1))
         if steer.phase != SteerPhase.STEERING:
             return now
-        now = now.turn_to(
-            FollowMode.FOLLOWING, "The object is pushed along its path.", FollowStatus.PUSHING
-        )
+        now = now.turn_to(FollowMode.FOLLOWING, PUSHING_REASON, FollowStatus.PUSHING)
         time = context.get_time()
         return replace(
             now,
@@ -389,7 +399,9 @@ class FollowController(AbstractStateSystem[FollowControlState]):
                 lead=now.lead,
                 velocity=held * now.command.velocity,
             )
-            ride = Ride((*now.ride.tips, *now.tips), (*now.ride.seen, *now.seen))
+            # a place that is not known tells nothing of the way
+            known = (tip for tip in now.tips if is_plausible(tip[1:]))
+            ride = Ride((*now.ride.tips, *known), (*now.ride.seen, *now.seen))
             now = replace(
                 now,
                 tips=(),
@@ -414,7 +426,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
             return now.give_up(f"No decision could be made: {answer.error}.")
         after, decision = answer.value
         now = replace(now, prepared=replace(now.prepared, follower=after))
-        is_blind = decision.status == FollowStatus.NO_POSE
+        is_blind = decision.status in BLIND
         now = replace(now, blind_since=min(now.blind_since, time) if is_blind else np.inf)
         if time > now.blind_since + MAX_BLIND_TIME:
             return self._plan_anew(now, decision.reason, decision.status)
@@ -446,11 +458,8 @@ class FollowController(AbstractStateSystem[FollowControlState]):
         vx, vy = decision.velocity.tolist()
         now = replace(now, progress=decision.progress, command=replace(now.command, vx=vx, vy=vy))
         status = decision.status
-        if status in (FollowStatus.PUSHING, FollowStatus.NO_POSE):
-            if status == now.status.cause:
-                return now
-            reason = decision.reason or "The object is pushed along its path."
-            return now.turn_to(FollowMode.FOLLOWING, reason, status)
+        if status == FollowStatus.PUSHING or status in BLIND:
+            return now.explain(decision.reason or PUSHING_REASON, status)
         if status == FollowStatus.REACHED:
             now = now.turn_to(FollowMode.REACHED, "The object is at the end of its path.", status)
             return replace(now, command=SteerCommand())
@@ -474,7 +483,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
         if shown == now.shown and time < now.shown_at + REPEATED_AFTER:
             return now
         now = replace(now, shown=shown, shown_at=time)
-        if not np.isfinite(shown).all():
+        if not is_plausible(shown):
             return now
         seen = SeenPose(time - self.rules.pose_delay, np.array(shown))
         return replace(now, seen=(*now.seen, seen))

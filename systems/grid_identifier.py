@@ -384,7 +384,10 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         # What was learned from pushes stays; the weighings are added to it anew.
         before = state.estimate
         state = replace(state, weighings=log)
-        estimate = _add_weighings(before.pushed, state.counting_weighings, before)
+        try:
+            estimate = _add_weighings(before.pushed, state.counting_weighings, before)
+        except UNUSABLE as error:
+            return replace(state, message=f"The weighings were not learned from: {error}.")
         return replace(state, estimate=estimate)
 
     def _log_push(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
@@ -473,9 +476,12 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         state = replace(state, request=None, considered=state.considered + 1)
         if isinstance(answer.value, Estimate):
             estimate = answer.value
-            if len(state.counting_weighings):
+            message = ""
+            try:
                 estimate = _add_weighings(estimate.pushed, state.counting_weighings, estimate)
-            return replace(state, estimate=estimate, learned_at=asked, message="")
+            except UNUSABLE as error:
+                message = f"The weighings were not learned from: {error}."
+            return replace(state, estimate=estimate, learned_at=asked, message=message)
         message = f"Nothing could be learned from {name}: {answer.value or answer.error}."
         return replace(state, left_out=(*state.left_out, name), message=message)
 

@@ -1,9 +1,14 @@
 """`SceneController`: a task with several objects; `planning.scene.scene_loop` between ports."""
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context
 
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.result import Identification, calc_center_of_mass
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.planning.robot_status import GraspStatus, PushStatus
 from gridpush_drake.planning.scene.scene_loop import SceneLoop, SceneLoopState, SceneObservation
@@ -31,6 +36,12 @@ class SceneController(AbstractStateSystem[SceneLoopState]):
         - status
         - push_command
         - grasp_command
+        - mass
+        - friction
+        - contact_friction
+        - center_of_mass
+        - center_of_mass_covariance
+        - predicted_poses
 
     * object_poses: vector of 3 N, observed X_WB of the N objects, (x, y, theta) each, m and rad;
       NaN for an object that is not seen.
@@ -41,6 +52,14 @@ class SceneController(AbstractStateSystem[SceneLoopState]):
     * push_command: vector of 6, see `PushCommand`; its id is 0 before the first command.
     * grasp_command: vector of 6, see `GraspCommand`; its id is 0 before a grasp is asked for. There
       is no such port where the loop finds no grasps.
+    * mass: vector of all n, estimated mass of each cell of the objects, kg; this vector and the
+      following ones have the first object's numbers first, then the second one's.
+    * friction: vector of all n, estimated friction coefficient of each cell against the support.
+    * contact_friction: vector of N, estimated friction coefficients of the tip against the objects.
+    * center_of_mass: vector of 2 N, estimated p_BBcm of each object in its B, m.
+    * center_of_mass_covariance: vector of 4 N, their covariances in B, row-major, m².
+    * predicted_poses: vector of 3 N, X_WB that each object is expected to have after the commanded
+      push, m and rad; NaN while no push is under way.
 
     Abstract state: one `SceneLoopState`.
     """
@@ -79,6 +98,29 @@ class SceneController(AbstractStateSystem[SceneLoopState]):
                 lambda now: _make_grasp_command(now, grasp_height, lift).to_vector(),
             )
 
+        self._declare_estimates(loop)
+
+    def _declare_estimates(self, loop: SceneLoop) -> None:
+        """Declares the ports that show what is believed of the objects, and expected of a push."""
+        count = len(loop.belief.objects)
+        cells = sum(obj.n for obj in loop.belief.objects)
+
+        def declare(name: str, size: int, show: Callable[[Identification], ArrayLike]) -> None:
+            self._declare_vector(
+                name,
+                size,
+                lambda now: np.concatenate(
+                    [np.ravel(show(found)) for found in now.belief.identifications]
+                ),
+            )
+
+        declare("mass", cells, lambda found: found.params.mass)
+        declare("friction", cells, lambda found: found.params.friction)
+        declare("contact_friction", count, lambda found: found.params.contact_friction)
+        declare("center_of_mass", 2 * count, lambda found: calc_center_of_mass(found)[0])
+        declare("center_of_mass_covariance", 4 * count, lambda found: calc_center_of_mass(found)[1])
+        self._declare_vector("predicted_poses", 3 * count, _list_expected)
+
     def GetState(self, context: Context) -> SceneLoopState:
         """Returns what the loop remembers in a Context of this system."""
         return self._get_state(context)
@@ -96,6 +138,14 @@ class SceneController(AbstractStateSystem[SceneLoopState]):
                 gripper=gripper,
             ),
         )
+
+
+def _list_expected(now: SceneLoopState) -> Array:
+    """Lists where the push under way is expected to leave the objects, (3 N,); NaN for unknown."""
+    asked = now.asked
+    if asked is None or asked.decision.expected is None:
+        return np.full(3 * len(now.belief.objects), np.nan)
+    return asked.decision.expected.ravel()
 
 
 def _make_grasp_command(now: SceneLoopState, height: float, lift: float) -> GraspCommand:

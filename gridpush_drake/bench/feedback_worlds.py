@@ -74,15 +74,13 @@ class MujocoFingerWorld(FingerWorld):
         """(3,) where the object truly is, for judges, m and rad."""
         return self._world.read_pose()
 
-    def _begin(self, pose: Array) -> None:
+    def do_put(self, pose: Array) -> None:
+        """Puts the body down at a pose (3,), m and rad."""
         self._world.put(pose)
 
-    def _advance(self, tip: Array, duration: float) -> None:
+    def do_steer(self, tip: Array, duration: float) -> None:
+        """Moves the rod evenly from `tip` to a place (2,), m, within a time, s."""
         self._world.steer(self.tip, tip, duration)
-
-    def shove(self, pose: ArrayLike) -> None:
-        """Puts the object down elsewhere, at a pose (3,), m and rad."""
-        self._world.put(pose)
 
 
 class WorldMaker(Protocol):

@@ -100,7 +100,8 @@ class Options(StudyOptions):
         "Which part to measure: photographs are generated objects in photographs and, with --data, "
         "real ones; outlines and pushes are shipped objects, from above and tracked, tags the same "
         "by a tag; hidden are look-alikes that are pushed out of sight; several are objects that "
-        "push each other.",
+        "push each other; all is each of them.",
+        metavar="PART",
     )
     data: Path | None = option(
         None,

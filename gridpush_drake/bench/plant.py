@@ -53,7 +53,6 @@ from gridpush_drake.multibody.parser import AddPlantAndSceneGraph
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import (
     FALLEN_TILT,
@@ -63,7 +62,7 @@ from gridpush_drake.planning.world import (
     WorldMotion,
     WorldTruth,
 )
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 OBJECTS = ("claw_hammer", "combination_wrench", "toolbox", "spray_bottle")
 """Shipped objects that are pushed."""
@@ -199,7 +198,7 @@ def calc_scores(
 def run_job(job: PlantJob) -> list[PlantScore]:
     """Pushes one object in the plant and in the model, once for each seed."""
     obj = GridObject.from_yaml(find_shipped_object(job.name))
-    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    radius = choose_pusher_radius(obj)
     world = PlantWorld(obj, CellParameters.uniform(obj), radius=radius, base=job.base)
     scores = []
     for seed in job.seeds:
@@ -365,7 +364,7 @@ class PlantWorld(TrackedWorld):
         """
         self.obj = obj
         self.params = params
-        self.radius = ContactOptions().radius if radius is None else radius
+        self.radius = choose_pusher_radius(obj, radius)
         self.dt = TIME_STEP[base]
         self.tracking_error = 0.0
         self._support = None if surface is None else CenterOfMassSupport(obj, params, surface)

@@ -42,7 +42,7 @@ from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
 from gridpush_drake.planning.weighing.press import PressOutcome
 from gridpush_drake.planning.weighing.sequence import plan_next_press
 from gridpush_drake.planning.world import FALLEN_TILT
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog, choose_pusher_radius
 from gridpush_drake.pushes.weighings import WeighingLog
 
 SCALE = "scale"
@@ -380,7 +380,7 @@ def make_pushes(obj: GridObject, truth: CellParameters, seed: int, count: int) -
     """Makes pushes from random places of the outline inwards, with measured forces."""
     rng = np.random.default_rng((seed, 13, crc32(obj.name.encode())))
     noise = WeighingNoise()
-    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    radius = choose_pusher_radius(obj)
     pushes: list[ObservedPush] = []
     while len(pushes) < count:
         place = rng.uniform(0, obj.edges.perimeter)

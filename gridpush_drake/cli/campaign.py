@@ -17,6 +17,7 @@ from gridpush_drake.bench.campaign import (
 from gridpush_drake.bench.results import Results, hash_content, open_results
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line, print_table
+from gridpush_drake.cli.demo import Task
 from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.files import exists, make_folder, read_bytes, read_text, write_whole
 from gridpush_drake.objects.object_file import list_shipped_objects
@@ -77,9 +78,7 @@ def campaign(
             show_default="the scenario's",
         ),
     ] = None,
-    task: Annotated[
-        TaskName, typer.Option(help="What the robot should do; `gridpush demo --help` explains it.")
-    ] = TaskName.pregrasp,
+    task: Task = TaskName.pregrasp,
     record: Annotated[
         bool,
         typer.Option(

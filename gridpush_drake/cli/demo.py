@@ -1,6 +1,6 @@
 """`gridpush demo`: a simulated robot learns an object by poking it, and pushes or lifts it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,17 +27,29 @@ EXIT_NOT_DONE = 1
 """Exit code if the command worked as it should, but the robot did not reach its goal."""
 
 
+Task = Annotated[
+    TaskName,
+    typer.Option(
+        metavar="TASK",
+        help=f"What the robot should do: {', '.join(TaskName)}; `gridpush demo --help` explains "
+        "each.",
+    ),
+]
+"""The task, where `gridpush demo` explains what each is."""
+
+
 def demo(
     task: Annotated[
         TaskName,
         typer.Option(
+            metavar="TASK",
             help="What the robot should do. identify: poke the object, learn where it is heavy, "
             "and test what was learned; push: push it to a goal pose, and learn on the way; "
             "pregrasp: poke and learn it, slide it to the table's edge, grasp it there and lift "
             "it; follow: poke and learn it, and push it along a path between obstacles, with a "
             "finger that is steered ten times a second. "
             "With several objects: separate: push them apart; rearrange: push each to a goal; "
-            "fetch: clear the way for one, and grasp it at the table's edge."
+            "fetch: clear the way for one, and grasp it at the table's edge.",
         ),
     ] = TaskName.pregrasp,
     object_file: Annotated[
@@ -162,8 +174,9 @@ def demo(
     chosen.check(resolved)
 
     # Everything that can be refused is refused now, before minutes are spent
+    files = chosen.list_files(resolved)
     with output_folder(out):
-        options.check_outputs(force, *(out / name for name in chosen.files), record_file)
+        options.check_outputs(force, *(out / name for name in files), record_file)
         recorder = None if record_file is None else RunRecorder()
         view = None if rerun is None else RerunView(rerun, force)
         watchers = [each.note for each in (recorder, view) if each is not None]
@@ -182,20 +195,20 @@ def demo(
             record = chosen.run(resolved, page, realtime_rate, report, watchers)
         if view is not None:
             view.finish()
-        folder = _find_place(out, chosen, force)
+        folder = _find_place(out, files, force)
         print_notice(f"Writing to {folder} ...")
         written = write_files(chosen, folder, scenario, record, page.meshcat, force)
         if recorder is not None and record_file is not None:
             recorder.write(record_file, record, force)
     summary = chosen.summarize(record)
     if json:
-        files = written if record_file is None else [*written, record_file]
-        print_json({**summary, "written": [str(path) for path in files]})
+        outputs = written if record_file is None else [*written, record_file]
+        print_json({**summary, "written": [str(path) for path in outputs]})
     else:
         print_summary(chosen, summary, written)
         if record_file is not None:
             print_line(f"The run is recorded in {record_file}.")
-    report_file = folder / chosen.files[0]
+    report_file = folder / files[0]
     if open_browser and report_file in written:
         typer.launch(str(report_file.resolve()))
     if summary["status"] == "interrupted":
@@ -223,10 +236,10 @@ def call_first(begin: Callable[[], None], report: Callable[..., None]) -> Callab
     return call
 
 
-def _find_place(out: Path, task: TaskKind, force: bool) -> Path:
+def _find_place(out: Path, files: Sequence[str], force: bool) -> Path:
     """Returns the folder to write to: `out`, or a new one if `out` was taken during the run."""
     try:
-        options.check_outputs(force, *(out / name for name in task.files))
+        options.check_outputs(force, *(out / name for name in files))
     except OutputError as error:
         beside = make_folder_beside(out)
         # the run took minutes, so that its files are worth more than a refusal

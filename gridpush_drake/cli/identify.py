@@ -18,6 +18,7 @@ from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.identification.weighed_learning import learn_with_weighings
 from gridpush_drake.pushes.misplaced import explain_no_contact
+from gridpush_drake.pushes.plausibility import check_plausible_weighings
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import WeighingLog
 from gridpush_drake.report.page import make_report
@@ -34,7 +35,8 @@ Method = Literal[
 """A method of learning."""
 
 EXIT_EXPLAINS_LITTLE = 3
-"""Exit code if a model was learned and written, but is far off from its own pushes."""
+"""Exit code if a model was written, but should not be used: it is far off from its own pushes, or
+its center of mass is outside the object."""
 
 
 def identify(
@@ -71,7 +73,7 @@ def identify(
         list[str] | None,
         typer.Option(
             "--with",
-            metavar="\\[NAME=]OBJECT.yaml",
+            metavar="NAME=OBJECT.yaml",
             help="Another object that is in the log, too; may be repeated. All are learned "
             "together from pushes in which one pushes another, and each gets a model file of its "
             "own, MODEL_NAME.yaml. The log has the columns NAME_x, NAME_y and NAME_theta for each; "
@@ -82,9 +84,11 @@ def identify(
     method: Annotated[
         Method,
         typer.Option(
+            metavar="METHOD",
             help="The method of learning. default is the best and the fastest; the others are "
-            "there to be compared with. paper is the method of Song and Boularias; cma_es needs "
-            "pip install '.\\[baselines]'."
+            "there to be compared with: paper, the method of Song and Boularias, random_search, "
+            "weighted_sampling, finite_difference, nelder_mead and cma_es, which needs "
+            "pip install '.\\[baselines]'.",
         ),
     ] = "default",
     seed: options.Seed = 0,
@@ -105,7 +109,8 @@ def identify(
     """Learn from a log of pushes where an object is heavy and where it rubs.
 
     The model that is written holds the learned masses and frictions, and how sure they are. The
-    exit code is 3 if the model explains little of the very pushes that it was learned from.
+    exit code is 3 if it should not be used: it explains little of the very pushes that it was
+    learned from, or weighings put its center of mass outside the object.
 
     Example: gridpush identify object.yaml pushes.csv --out model.yaml --report report.html
     """
@@ -132,6 +137,8 @@ def identify(
     full = options.load_log(pushes, obj)
     log = full.supported
     weighed = WeighingLog() if weighings is None else WeighingLog.read_csv(weighings)
+    # What cannot be true is refused before the pushes are learned from, which takes a while.
+    check_plausible_weighings(obj, weighed)
     options.compile_kernels()
     with search_progress(f"identifying {obj.name}", budget) as progress:
 

@@ -35,7 +35,7 @@ from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import MAX_FIRST_ANGLE, MAX_TABLE
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog, choose_pusher_radius
 from gridpush_drake.pushes.scene_log import SceneLog
 
 ObjectOrModel = Annotated[
@@ -147,8 +147,9 @@ LargestPiece = Annotated[
 Regime = Annotated[
     Literal["auto", "quasi_static", "inertial"],
     typer.Option(
+        metavar="REGIME",
         help="How pushes are simulated: quasi_static without inertia, for slow pushes; inertial "
-        "with it, for fast ones; auto decides by the speed of the pushes."
+        "with it, for fast ones; auto decides by the speed of the pushes.",
     ),
 ]
 
@@ -492,9 +493,7 @@ def choose_radius(radius: float | None, obj: GridObject) -> float:
     """
     if radius is not None:
         require_positive(OptionError, "--radius: ", "m", radius=radius)
-        return radius
-    known = obj.prior.pusher_radius
-    return DEFAULT_PUSHER_RADIUS if known is None else known
+    return choose_pusher_radius(obj, radius)
 
 
 def describe_overhanging(names: Sequence[str]) -> str:

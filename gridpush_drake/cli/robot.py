@@ -24,7 +24,7 @@ from gridpush_drake.cli.console import (
     print_line,
     print_notice,
 )
-from gridpush_drake.cli.demo import EXIT_NOT_DONE, print_summary
+from gridpush_drake.cli.demo import EXIT_NOT_DONE, Task, print_summary
 from gridpush_drake.cli.interrupts import (
     EXIT_INTERRUPTED,
     SIGNALED,
@@ -81,10 +81,7 @@ UNFELT = (
 
 
 def robot(
-    task: Annotated[
-        TaskName,
-        typer.Option(help="What the robot should do; `gridpush demo --help` explains it."),
-    ] = TaskName.pregrasp,
+    task: Task = TaskName.pregrasp,
     scenario_file: Scenario = None,
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,
@@ -146,7 +143,7 @@ def robot(
     check_address(ros2, lcm)
     if go:
         make_folder(out)
-        outputs = [out / name for name in (*chosen.files, LOG)]
+        outputs = [out / name for name in (*chosen.list_files(resolved), LOG)]
         options.check_outputs(force, *outputs, record_file)
     options.compile_kernels()
     bus = DrakeLcm("memq://")

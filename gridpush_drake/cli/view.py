@@ -78,16 +78,18 @@ def view(
         list[str] | None,
         typer.Option(
             "--with",
-            metavar="\\[NAME=]MODEL.yaml|OBJECT",
+            metavar="NAME=MODEL|OBJECT",
             help="For a log of several objects: the model or the object file of one of them, after "
-            "the name with which its columns in the log begin. The option is repeated for each.",
+            "the name with which its columns in the log begin; NAME= may be left out if that is "
+            "the object's own. The option is repeated for each.",
         ),
     ] = None,
     shows: Annotated[
         Shown,
         typer.Option(
+            metavar="VALUE",
             help="What the colors of a model's cells stand for: mass; friction, the coefficient; "
-            "or relative_friction, each cell's share of the friction."
+            "or relative_friction, each cell's share of the friction.",
         ),
     ] = "mass",
     height: options.Height = None,

@@ -121,7 +121,7 @@ def make_overlay(
         log: the pushes that `AddPushes` records; None if no pushes are shown.
         predictions: the predictions that are shown beside the pushes; None if there are none.
     """
-    scale = make_color_scale(target.obj, CellColors(shows)) if target.model is not None else None
+    scale = make_color_scale([target.obj], CellColors(shows)) if target.model is not None else None
     marks = list_center_marks() if target.model is not None else ()
     if log is not None:
         marks += (Mark(to_css(PLAN_COLOR), "the finger's push", "line"),)

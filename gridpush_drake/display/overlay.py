@@ -136,21 +136,22 @@ class Overlay:
     close_up: CloseUp | None = None
 
 
-def make_color_scale(obj: GridObject, colors: CellColors) -> ColorScale:
-    """Makes the scale of cells' colors.
+def make_color_scale(objects: Sequence[GridObject], colors: CellColors) -> ColorScale:
+    """Makes the scale of the colors of objects' cells.
 
-    It is by mass in g where the object was weighed, else in shares of the even mass.
+    It is by mass in g for a single object that was weighed, else in shares of the even mass, which
+    is another one for each object.
     """
     low, high = colors.resolve_limits()
     values = np.geomspace(low, high, SCALE_COLORS)
     places = np.linspace(0.0, 1.0, TICKS)
     shown = np.geomspace(low, high, TICKS)
-    weighed = colors.shows == "mass" and obj.prior.total_mass is not None
+    total_mass = objects[0].prior.total_mass if len(objects) == 1 else None
     if colors.shows == "friction":
         title = "friction coefficient of a cell"
-    elif weighed:
+    elif colors.shows == "mass" and total_mass is not None:
         title = "estimated mass of a cell, g"
-        shown = shown * obj.prior.total_mass / obj.n / GRAM  # type: ignore[operator]
+        shown = shown * total_mass / objects[0].n / GRAM
     else:
         what = "mass" if colors.shows == "mass" else "friction force"
         title = f"estimated {what} of a cell, in even shares"
@@ -175,7 +176,7 @@ def list_center_marks() -> tuple[Mark, ...]:
     """Lists the marks of the estimated center of mass."""
     return (
         Mark(to_css(CENTER_COLOR), "estimated center of mass", "dot"),
-        Mark(to_css(CENTER_COLOR), f"where it may be, {SIGMAS:g} standard deviations"),
+        Mark(to_css(CENTER_COLOR), f"where it may be, {SIGMAS:g} standard deviations", "line"),
     )
 
 

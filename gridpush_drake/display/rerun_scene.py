@@ -6,6 +6,7 @@ shows a run while it goes on, `cli.view_rerun` a model, a log or a recording. Th
     world/object                      where the object is
     world/object/cells                its cells, in colors
     world/object/center_of_mass       the ellipse in which its center of mass is
+    world/other_0/...                 the same of another object
     world/predicted                   its outline, where a model predicts it
     world/tip, world/push             the finger's tip, and the push that is under way
     camera                            pictures
@@ -120,13 +121,16 @@ class RerunScene:
         )
         self._log(entity, transform)
 
-    def show_cells(self, p_BC: Array, side: float, colors: Array) -> None:
-        """Shows the object's cells.
+    def show_cells(
+        self, p_BC: Array, side: float, colors: Array, entity: str = "world/object"
+    ) -> None:
+        """Shows the cells of the object of an entity.
 
         Args:
             p_BC: (n, 2) their middles in the body frame, m.
             side: side of a cell, m.
             colors: (n, 3) their colors, sRGB from 0 to 1.
+            entity: the object.
         """
         # Boxes that stand on the table
         size = (side, side, CELL_HEIGHT)
@@ -136,7 +140,7 @@ class RerunScene:
             colors=colors,
             fill_mode="solid",
         )
-        self._log("world/object/cells", cells)
+        self._log(f"{entity}/cells", cells)
 
     def show_outline(self, corners: Array, entity: str = "world/predicted") -> None:
         """Shows an outline (k, 2) in the body frame, m; `show_object` moves it."""
@@ -144,29 +148,35 @@ class RerunScene:
         ring = np.vstack([corners, corners[:1]])
         self._draw_line(f"{entity}/outline", lift(ring, CELL_HEIGHT), PREDICTED_COLOR)
 
-    def show_center(self, center: Array, covariance: Array) -> None:
+    def show_center(self, center: Array, covariance: Array, entity: str = "world/object") -> None:
         """Shows where the center of mass is held to be, and how well it is known.
 
         Args:
             center: (2,) in the body frame, m. The ellipse moves with the object.
             covariance: (2, 2) in the body frame, m².
+            entity: the object; curves over time are drawn for the first one.
         """
         # Above the cells, which would hide it
         ring = calc_ellipse(center, covariance)
-        self._draw_line("world/object/center_of_mass", lift(ring, 2 * CELL_HEIGHT), CENTER_COLOR)
+        self._draw_line(f"{entity}/center_of_mass", lift(ring, 2 * CELL_HEIGHT), CENTER_COLOR)
+        if entity != "world/object":
+            return
         x_std, y_std = np.sqrt(np.diag(covariance))
         self.plot("known/center_of_mass_x_mm", MILLIMETERS * float(x_std))
         self.plot("known/center_of_mass_y_mm", MILLIMETERS * float(y_std))
 
-    def show_estimate(self, found: Identification, colors: Array) -> None:
+    def show_estimate(
+        self, found: Identification, colors: Array, entity: str = "world/object"
+    ) -> None:
         """Shows the cells of an estimate, its center of mass, and of how many pushes it is.
 
         Args:
             found: the estimate.
             colors: (n, 3) of its cells, sRGB from 0 to 1.
+            entity: the object.
         """
-        self.show_cells(found.obj.p_BC, found.obj.cell_size, colors)
-        self.show_center(*calc_center_of_mass(found))
+        self.show_cells(found.obj.p_BC, found.obj.cell_size, colors, entity)
+        self.show_center(*calc_center_of_mass(found), entity)
         self.plot("known/pushes", float(len(found.push_names)))
 
     def show_push(self, start: Array, end: Array) -> None:

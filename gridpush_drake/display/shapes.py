@@ -169,9 +169,6 @@ VISIBLE = "visible"
 CENTER_COLOR = Rgba(0.93, 0.07, 0.42)
 """Color of the center of mass and its ellipse; no color of viridis comes near it."""
 
-ELLIPSE_OPACITY = 0.3
-"""Opacity of an ellipse, 0 to 1."""
-
 SIGMAS = 2.0
 """Half axes of an ellipse, in standard deviations."""
 
@@ -184,7 +181,7 @@ GHOST_OPACITY = 0.3
 CENTER_RADIUS = 0.0025
 """Radius of the dot at the center of mass, m."""
 
-RING_WIDTH = 0.0012
+RING_WIDTH = 0.0018
 """Width of an ellipse's edge, m."""
 
 ARROW_WIDTH = 0.005
@@ -225,7 +222,8 @@ def AddCenter(
 ) -> None:
     """Draws an estimated point and its ellipse of `SIGMAS` standard deviations, flat.
 
-    A dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge.
+    A dot is drawn at `path`/dot, and the ellipse's edge at `path`/edge. The ellipse is not filled:
+    whatever lies over cells, however faint, gives them colors that mean other values.
 
     Args:
         meshcat: where they are drawn.
@@ -240,8 +238,6 @@ def AddCenter(
     _AddMesh(meshcat, f"{path}/dot", dot, CENTER_COLOR)
     spread = SIGMAS**2 * np.asarray(covariance, dtype=np.float64)
     if np.isfinite(spread).all() and spread.any():
-        fill = make_disc(spread, center, height)
-        _AddMesh(meshcat, f"{path}/ellipse", fill, _fade(CENTER_COLOR, ELLIPSE_OPACITY))
         _AddMesh(
             meshcat,
             f"{path}/edge",

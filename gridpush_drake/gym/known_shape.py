@@ -23,6 +23,7 @@ from gridpush_drake.planning.contact.reachable_outline import (
 )
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, find_grasp_parts
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 PLACES = 64
 """Number of places on the outline that are observed."""
@@ -36,7 +37,10 @@ WINDOW = 0.48
 OCCUPIED = 255
 """Value of a pixel within the object."""
 
-FINGER = ContactOptions(distance_range=(0.01, 0.15))
+FINGER_RADIUS = DEFAULT_PUSHER_RADIUS
+"""Radius of the games' finger, whatever the objects' files say, m."""
+
+FINGER = ContactOptions(radius=FINGER_RADIUS, distance_range=(0.01, 0.15))
 """The finger and the pushes that it can make."""
 
 
@@ -61,7 +65,7 @@ class KnownShape:
     @cached_property
     def reachable(self) -> ReachableOutline:
         """The part of the outline that the finger can touch."""
-        return find_reachable_outline(self.obj, FINGER.radius, FINGER.clearance)
+        return find_reachable_outline(self.obj, FINGER_RADIUS, FINGER.clearance)
 
     @cached_property
     def outline(self) -> Array:
@@ -113,7 +117,7 @@ class KnownShape:
             float(s),
             low + (high - low) * angle,
             least + (greatest - least) * distance,
-            radius=FINGER.radius,
+            radius=FINGER_RADIUS,
             speed=FINGER.speed,
             pose=pose,
             clearance=FINGER.clearance,
@@ -129,7 +133,7 @@ class KnownShape:
         # The piece of the outline that is nearest to the finger's surface.
         reach = self.reachable
         normal = reach.normal
-        away = (FINGER.radius + FINGER.clearance) * normal
+        away = (FINGER_RADIUS + FINGER.clearance) * normal
         start = transform_back(pose, push.start[None])[0] - away
         along = np.clip(((start - reach.origin) * reach.tangent).sum(axis=1), reach.low, reach.high)
         off = np.linalg.norm(reach.origin + along[:, None] * reach.tangent - start, axis=1)

@@ -18,7 +18,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.gym.episode import OBJECTS, flatten_pose
-from gridpush_drake.gym.known_shape import FINGER, PLACES, KnownShape, load_shape
+from gridpush_drake.gym.known_shape import FINGER_RADIUS, PLACES, KnownShape, load_shape
 from gridpush_drake.gym.rendering import FLOOR, GOAL, LINE, SMOOTHING, TIP, WOOD
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -242,7 +242,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
         outlines = place_outlines(objects, self._seen)
         start = shapely.Point(push.start)
         distances = shapely.distance(outlines, start)
-        return bool((distances > FINGER.radius).all())
+        return bool((distances > FINGER_RADIUS).all())
 
     def _look(self, world: SimulatedSceneWorld) -> Array:
         """Looks at the objects, none of which has fallen."""

@@ -32,10 +32,10 @@ from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.map_fit import calc_laplace
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.model_check import judge_fit
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import Screening
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
-from gridpush_drake.identification.prediction import explain_poor_fit
 from gridpush_drake.identification.problem import (
     PushProblem,
     make_even_parameters,
@@ -250,16 +250,19 @@ def _list_doubts(
 
 
 def _note_poor_fit(result: Identification, log: PushLog) -> Identification:
-    """Marks a result that is far off from its own pushes "explains_little", and says why.
+    """Marks a result that predicts its own pushes poorly, or no better than an even object.
 
     A result that explains its pushes is returned as it is.
     """
-    poor = explain_poor_fit(result, log)
-    if poor is None:
+    judged = judge_fit(result, log)
+    if judged is None:
+        return result
+    status, message = judged
+    if status == IdentificationStatus.PRIOR_KEPT and result.status != IdentificationStatus.LEARNED:
         return result
     # What "default" says of itself is that it learned from the pushes. A search says how it ended.
-    message = poor if result.method == "default" else f"{result.message} {poor}"
-    return replace(result, status=IdentificationStatus.EXPLAINS_LITTLE, message=message)
+    message = message if result.method == "default" else f"{result.message} {message}"
+    return replace(result, status=status, message=message)
 
 
 def describe_prior(

@@ -13,6 +13,10 @@ from gridpush_drake.identification.result import Identification, IdentificationS
 from gridpush_drake.notebook import MM
 from gridpush_drake.pushes.push_log import PushLog
 
+DOUBTFUL = 0.2
+"""Largest error of the pushes learned from, as a share of how far the object moves. A model with a
+larger error explains little."""
+
 CONTRADICTED = 4.0
 """Distance, in standard deviations, of the center of friction from the center of mass that was
 told, beyond which the pushes contradict that center of mass."""
@@ -69,3 +73,47 @@ def _select_used(result: Identification, log: PushLog) -> PushLog:
     """Selects the pushes learned from, without what was refused of them."""
     used = remove_outliers(log, result.outliers)
     return used.subset([i for i, seen in enumerate(used) if seen.name in result.push_names])
+
+
+def judge_fit(result: Identification, used: PushLog) -> tuple[IdentificationStatus, str] | None:
+    """Says that a model is far off where pushes ended, or no better than an even object.
+
+    Args:
+        result: the model; the regime of its physics is not "auto".
+        used: the pushes that it was learned from, without what was refused of them.
+
+    Returns:
+        The status that it deserves, and why, in sentences; None where nothing is wrong with it.
+    """
+    if not len(used):
+        return None
+    obj = result.obj
+
+    # How far the pushes moved the object's cells on average: what a model without any skill, by
+    # which nothing moves, would be off by.
+    moved = []
+    for seen in used:
+        cells = obj.cells_at([seen.pose, seen.final_pose])
+        moved.append(np.linalg.norm(np.diff(cells, axis=0), axis=2).mean())
+    mean = float(np.mean(moved))
+
+    # By how much the model is off, in the same measure, and by how much an even object is.
+    error = calc_mean_cell_error(result, used)
+    even = calc_mean_cell_error(Model(obj, physics=result.physics), used)
+    off = (
+        f"it is off by {error * MM:.1f} mm on average, an even object by {even * MM:.1f} mm, "
+        f"while the object moves by {mean * MM:.1f} mm."
+    )
+    if error > DOUBTFUL * mean or error > even + result.noise_std:
+        return (
+            IdentificationStatus.EXPLAINS_LITTLE,
+            f"This model explains these pushes poorly: {off} "
+            "Is object_theta in rad and counterclockwise, are all poses in one frame, "
+            f"and are all pushes of {obj.name} and its outline right?",
+        )
+    if error > even:
+        return (
+            IdentificationStatus.PRIOR_KEPT,
+            f"This model predicts these pushes no better than an even object would: {off}",
+        )
+    return None

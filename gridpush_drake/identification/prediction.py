@@ -24,10 +24,6 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 P90 = 0.9
 """Share of the pushes whose errors are below the last figure of a summary."""
 
-DOUBTFUL = 0.2
-"""Largest error of the pushes learned from, as a share of how far the object moves. A model with a
-larger error explains little."""
-
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -207,43 +203,11 @@ def summarize_errors(
     ]
 
 
-def explain_poor_fit(bodies: Bodies, used: PushLog) -> str | None:
-    """Says in sentences that a model is far off where pushes ended; None where it is not.
-
-    Args:
-        bodies: one object, with its parameters and physics.
-        used: the pushes that it was learned from, without what was refused of them.
-    """
-    obj = bodies.obj
-    if not len(used):
-        return None
-
-    # How far the pushes moved the object's cells on average: what a model without any skill, by
-    # which nothing moves, would be off by.
-    moved = []
-    for seen in used:
-        cells = obj.cells_at([seen.pose, seen.final_pose])
-        moved.append(np.linalg.norm(np.diff(cells, axis=0), axis=2).mean())
-    mean = float(np.mean(moved))
-
-    # By how much the model is off, in the same measure.
-    predictions = [_predict_push(bodies, seen, used.table) for seen in used]
-    errors = calc_final_errors(obj, predictions, used)
-    error = float(np.mean([each.cell for each in errors if each is not None]))
-    if error <= DOUBTFUL * mean:
-        return None
-    return (
-        f"This model explains these pushes poorly: it is off by {error * MM:.1f} mm on average, "
-        f"while the object moves by {mean * MM:.1f} mm. "
-        "Is object_theta in rad and counterclockwise, are all poses in one frame, "
-        f"and are all pushes of {obj.name} and its outline right?"
-    )
-
-
 def calc_mean_cell_error(bodies: Bodies, log: PushLog) -> float:
     """Mean cell error of a log's final poses, m; NaN where it has no push."""
-    obj = bodies.obj
-    errors = calc_final_errors(obj, predict(bodies, log), log)
     if not len(log):
         return nan
+    resolved = bodies.resolve(find_fastest(log))
+    predictions = [_predict_push(resolved, seen, log.table) for seen in log]
+    errors = calc_final_errors(bodies.obj, predictions, log)
     return float(np.mean([error.cell for error in errors if error is not None]))

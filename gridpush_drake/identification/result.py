@@ -26,11 +26,13 @@ class IdentificationStatus(StrEnum):
 
     LEARNED = "learned"
     PRIOR_KEPT = "prior_kept"
-    """The pushes do not speak against uniform friction."""
+    """The pushes do not speak against uniform friction: the model predicts them no better than an
+    even object would."""
     BUDGET_SPENT = "budget_spent"
     """A search had to end before it was done."""
     EXPLAINS_LITTLE = "explains_little"
-    """The model is far off where the pushes it was learned from ended: it should not be used."""
+    """The model should not be used: it is far off where the pushes it was learned from ended, it
+    predicts them worse than an even object would, or its center of mass is outside the object."""
     NO_DATA = "no_usable_pushes"
     """No push touched the object."""
 

@@ -266,12 +266,18 @@ def identify_scene(
     )
 
 
-def find_pusher_radius(objects: Iterable[GridObject]) -> float:
+def find_pusher_radius(objects: Iterable[GridObject], radius: float | None = None) -> float:
     """Finds the pusher's radius in objects' files, m; the shipped finger's where none has it.
+
+    Args:
+        objects: the objects.
+        radius: as given, m, which goes before the files; None where it is not.
 
     Raises:
         IdentificationError: they name different ones.
     """
+    if radius is not None:
+        return radius
     radii = [obj.prior.pusher_radius for obj in objects]
     known = {radius for radius in radii if radius is not None}
     if len(known) > 1:

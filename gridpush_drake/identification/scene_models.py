@@ -71,6 +71,9 @@ def _make_model(found: SceneIdentification, body: int) -> Identification:
     elif len(found.unexplained) >= LITTLE * len(found.push_names):
         status = IdentificationStatus.EXPLAINS_LITTLE
         message = f"The model explains little of the pushes. {message}"
+    elif after > before:
+        status = IdentificationStatus.PRIOR_KEPT
+        message = f"The pushes are predicted no better than for an even object. {message}"
     return Identification(
         objects=(obj,),
         parameters=(params,),

@@ -8,6 +8,7 @@ follow from them in `absolute_masses`.
 from dataclasses import replace
 
 import numpy as np
+from shapely import Point
 
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
@@ -31,11 +32,14 @@ from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import (
     Identification,
+    IdentificationStatus,
     calc_center_of_friction,
     calc_center_of_mass,
 )
+from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.plausibility import check_plausible_weighings
 from gridpush_drake.pushes.weighings import WeighingLog
 
 DRAWS = 64
@@ -66,11 +70,19 @@ def weigh_model(
     Returns:
         The model with absolute masses and frictions, and their estimate in `absolute`.
 
+    Its status is "explains_little" where the weighings put the center of mass outside the object:
+    then something is wrong with them, and the model should not be used.
+
+    Warns:
+        PushLogWarning: the weighings may be true, but hardly are.
+
     Raises:
-        IdentificationError: there is no weighing.
+        IdentificationError: there is no weighing, or its equations cannot be solved.
+        PushLogError: the weighings cannot be true of the object, see `pushes.plausibility`.
     """
     if not len(log):
         raise IdentificationError("weighings: there are none; expected at least one")
+    check_plausible_weighings(found.obj, log)
     center, covariance = calc_center_prior(found)
     problem = WeighingProblem(
         log=log,
@@ -81,13 +93,44 @@ def weigh_model(
         noise=noise or PoseNoise(),
         gravity=found.physics.gravity,
     )
-    estimate = _add_gyration(found, estimate_absolute(problem), seed)
+    try:
+        estimate = _add_gyration(found, estimate_absolute(problem), seed)
+    except np.linalg.LinAlgError as error:
+        source = log.source or "weighings"
+        raise IdentificationError(
+            f"{source}: no mass and center of mass are found that explain them; are force and "
+            "force_std in N, and torque_x, torque_y and torque_std in N m?"
+        ) from error
     # As much as weighings leave open of the center of mass, they leave open of the gradient of the
     # friction.
     left = float(np.trace(estimate.center_covariance) / np.trace(covariance))
     gradient = calc_gradient_std(found.obj.prior) * min(1.0, float(np.sqrt(left)))
     found = replace(found, noise=replace(found.noise, friction_gradient=gradient))
-    return apply_absolute(found, estimate)
+    return _note_center_outside(apply_absolute(found, estimate), log.source or "weighings")
+
+
+def _note_center_outside(found: Identification, source: str) -> Identification:
+    """Marks a model "explains_little" whose center of mass is outside its object, and says so.
+
+    The center of mass lies within the outline's convex hull, whatever the masses are.
+
+    Args:
+        found: the model, with its absolute numbers.
+        source: what names the weighings.
+    """
+    assert found.absolute is not None
+    x, y = found.absolute.center_of_mass
+    distance = float(found.obj.outline.convex_hull.distance(Point(x, y)))
+    if distance == 0:
+        return found
+    message = (
+        f"{source}: they put the center of mass at [{x:.4g}, {y:.4g}] m, {distance * MM:.1f} mm "
+        f"outside the outline of {found.obj.name}, where it cannot be. Are pose, place, edge and "
+        "force of each weighing right?"
+    )
+    if found.status == IdentificationStatus.EXPLAINS_LITTLE:
+        message = f"{found.message} {message}"
+    return replace(found, status=IdentificationStatus.EXPLAINS_LITTLE, message=message)
 
 
 def hold_friction(found: Identification) -> HeldFriction:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from shapely import MultiPolygon, Polygon
 
 from gridpush_drake.errors import (
@@ -297,7 +297,6 @@ def measure_object(
     contradiction = 0.0
     if options.cues == "both":
         contradiction = calc_contradiction(mask, seen.found, seen.plane)
-    picture = draw_contours(seen.color, mask, GREEN)
     return DetectedObject(
         outline=outline,
         mask=mask,
@@ -306,11 +305,30 @@ def measure_object(
         pixel=camera.project([*X_WB[:2], 0.0]),
         parts=parts,
         camera=camera,
-        picture=draw_outline(picture, camera, outline, 0.0, X_WB),
+        picture=draw_found(seen.color, camera, mask, outline, X_WB),
         contradiction=contradiction,
         doubtful=doubtful,
         crowded=crowded,
     )
+
+
+def draw_found(
+    color: Color, camera: Camera, mask: Mask, outline: Polygon, X_WB: ArrayLike
+) -> Color:
+    """Draws what was found of an object into a photograph.
+
+    Args:
+        color: (height, width, 3) uint8, the undistorted photograph.
+        camera: the camera of that photograph, with X_WC.
+        mask: (height, width) bool, the pixels that show the object; their contour is green.
+        outline: the outline on the table, in W, m; it is blue.
+        X_WB: (3,) pose of the body frame, m and rad; its axes are red (x) and green (y).
+
+    Returns:
+        A new picture.
+    """
+    picture = draw_contours(color, mask, GREEN)
+    return draw_outline(picture, camera, outline, 0.0, X_WB)
 
 
 def _find_pixels(

@@ -14,7 +14,12 @@ from shapely import Polygon
 from gridpush_drake.errors import CameraError, ObjectAtBorderError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import DetectedObject, DetectorOptions, detect_object
+from gridpush_drake.perception.detection import (
+    DetectedObject,
+    DetectorOptions,
+    detect_object,
+    draw_found,
+)
 from gridpush_drake.perception.foreground import find_foreground, remove_thin
 from gridpush_drake.perception.frames import Color
 from gridpush_drake.perception.hints import ObjectHint
@@ -97,6 +102,9 @@ def detect_by_sheet(
         sheet_pixels = sheet.cover(BESIDE_MARGIN)
         covered, _ = cover_pixels(plain, None, sheet_pixels, seed=0)
         found = detect_object(covered, None, camera.undistorted, options)
+        # What is shown to the user is the photograph, in which the paper is still white.
+        picture = draw_found(plain, found.camera, found.mask, found.outline, found.X_WB)
+        found = replace(found, picture=picture)
     at = np.array([*found.X_WB[:2], 0.0])
     return ObjectBySheet(
         found=found,

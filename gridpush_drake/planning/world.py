@@ -64,6 +64,13 @@ class WorldMotion:
         fell: whether the object fell off the table, or over, by the last of these times.
         tilt: (K,) angle of the body's z axis from the vertical, rad; None in a planar world.
         overhang: whether a part of the object hung over the table's edge at any of these times.
+        force_t: (F,) times at which the finger's force was measured, from the push's beginning on
+            and in order, s; None in a world that measures none.
+        force: (F, 2) force of the finger on the object, W, N, as a sensor measures it, with its
+            noise; None likewise. Learners take the friction's scale from it.
+
+    Raises:
+        PlanningError: the force's times or values are missing, or do not belong together.
     """
 
     times: Array
@@ -71,6 +78,19 @@ class WorldMotion:
     fell: bool = False
     tilt: Array | None = None
     overhang: bool = False
+    force_t: Array | None = None
+    force: Array | None = None
+
+    def __post_init__(self) -> None:
+        if (self.force_t is None) != (self.force is None):
+            raise PlanningError("motion: force_t and force are given together, or neither")
+        if self.force_t is None or self.force is None:
+            return
+        if np.shape(self.force) != (len(self.force_t), 2):
+            raise PlanningError(
+                f"motion: force is of shape {np.shape(self.force)}; expected "
+                f"({len(self.force_t)}, 2), a force (N) for each time in force_t"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +283,8 @@ class TrackedWorld(ABC):
             t_observed=motion.times[rows],
             poses_observed=seen,
             overhang=motion.overhang,
+            force_t=motion.force_t,
+            force=motion.force,
         )
 
     def observe(self) -> Array | None:

@@ -1,22 +1,25 @@
-"""Whether a push log can be true of an object: units, frames, and poses that no push can lead to.
+"""Whether logs of pushes and of weighings can be true of an object: units, frames, sizes, motions.
 
 What cannot be true is refused, what hardly can is warned of. Bounds are those of a rigid body that
 slides on dry friction, taken generously. A pusher that travels s moves the centroid by no more than
 about s and turns the body by no more than s / (2 rho), rho the radius of gyration; a body that is
-let go at speed v slides on for v^2 / (2 mu g).
+let go at speed v slides on for v^2 / (2 mu g). An object that a press F tilts at a distance a
+beyond the edge weighs at least F a / (g b), b the distance of its innermost point from the edge.
 """
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from shapely import Point
 
 from gridpush_drake.dynamics import GRAVITY
 from gridpush_drake.errors import GridPushError, PushLogError, PushLogWarning
-from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.geometry.se2 import Array, transform, transform_back, turn_right
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.misplaced import (
     IN_DEGREES,
@@ -28,6 +31,7 @@ from gridpush_drake.pushes.misplaced import (
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_csv import LIFT_FORCE
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
 
 TRAVEL_FACTOR = 2.0
 """Times the pusher's path that the centroid, or a point at the radius of gyration as the body
@@ -85,12 +89,21 @@ MAX_FORCE = 1e4
 PULLING_SHARE = 0.5
 """Share of the pushes with forces that may do negative work before the forces are doubted."""
 
+MIN_FORCE_STD = 1e-4
+"""Standard deviation of a force below which no robot measures it, N: the weight of 10 mg."""
+
+MIN_TORQUE_STD = 1e-6
+"""Standard deviation of a torque below which no robot measures it, N m."""
+
+TORQUE_SIGMAS = 4.0
+"""Standard deviations by which the torque of a lift may be wrong."""
+
 
 class Finding(NamedTuple):
     """One thing that cannot be true of a log, or hardly.
 
     Attributes:
-        message: push, column, what is wrong and the likely cause, in one line.
+        message: push or weighing, column, what is wrong and the likely cause, in one line.
         certain: whether it cannot be true; otherwise it may be.
         about_first: whether what a prediction begins with is in doubt (the units, the pusher's
             path, the first pose) rather than what was seen later, which only learning needs.
@@ -117,25 +130,64 @@ def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
         PushLogWarning: what may be true, but hardly is.
     """
     for finding in find_implausible(obj, log):
-        message = f"{log.source}: {finding.message}" if log.source else finding.message
-        if finding.certain and (finding.about_first or learning):
-            raise PushLogError(message)
-        warnings.warn(message, PushLogWarning, stacklevel=3)
+        _report(finding, log.source, refuse=finding.about_first or learning)
+
+
+def check_plausible_weighings(obj: GridObject, log: WeighingLog) -> None:
+    """Refuses weighings that cannot be true of an object, and warns of those that hardly can.
+
+    Raises:
+        PushLogError: places, forces or torques are in other units or another frame, or a standard
+            deviation is smaller than any sensor's. The message names weighing, column and likely
+            cause.
+
+    Warns:
+        PushLogWarning: what may be true, but hardly is.
+    """
+    for finding in find_implausible_weighings(obj, log):
+        _report(finding, log.source, refuse=True)
 
 
 def find_implausible(obj: GridObject, log: PushLog) -> list[Finding]:
     """Finds what cannot be true of a log, or hardly, at most one finding of a kind."""
+    finders = [(partial(find, obj, log), certain, first) for find, certain, first in KINDS]
+    return _collect(finders, ("push", "pushes"))
+
+
+def find_implausible_weighings(obj: GridObject, log: WeighingLog) -> list[Finding]:
+    """Finds what cannot be true of weighings, or hardly, at most one finding of a kind."""
+    finders = [(partial(find, obj, log), certain, True) for find, certain in WEIGHING_KINDS]
+    return _collect(finders, ("weighing", "weighings"))
+
+
+def _collect(
+    finders: Sequence[tuple[Callable[[], Iterator[str]], bool, bool]], nouns: tuple[str, str]
+) -> list[Finding]:
+    """Lets each finder look, and stops after the first finding that is certain.
+
+    Args:
+        finders: what looks, and `Finding.certain` and `Finding.about_first` of what it finds.
+        nouns: what a finding is about, in the singular and in the plural.
+    """
     found: list[Finding] = []
-    for find, certain, about_first in KINDS:
-        messages = list(find(obj, log))
+    for find, certain, about_first in finders:
+        messages = list(find())
         if not messages:
             continue
         more = len(messages) - 1
-        also = f" (and {more} more push{'es' if more > 1 else ''})" if more else ""
+        also = f" (and {more} more {nouns[more > 1]})" if more else ""
         found.append(Finding(messages[0] + also, certain, about_first))
         if certain:
             break
     return found
+
+
+def _report(finding: Finding, source: str, *, refuse: bool) -> None:
+    """Raises an error of a finding that is certain, if it is to be refused; warns otherwise."""
+    message = f"{source}: {finding.message}" if source else finding.message
+    if finding.certain and refuse:
+        raise PushLogError(message)
+    warnings.warn(message, PushLogWarning, stacklevel=4)
 
 
 def check_size(obj: GridObject, kind: type[GridPushError]) -> None:
@@ -200,16 +252,23 @@ def _find_slow_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
 def _find_heavy_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
     """Finds a mass that is too large for an object of this size: grams, perhaps."""
     mass = obj.prior.total_mass
-    area = float(obj.outline.area)
-    if mass is None:
-        return
-    limit = MAX_AREAL_DENSITY if obj.height is None else MAX_DENSITY * obj.height
-    if mass > min(MAX_MASS, limit * area):
-        height = "" if obj.height is None else f" and {obj.height:.3g} m high"
+    if mass is not None and mass > _calc_max_mass(obj):
         yield (
-            f"{obj.name}: total_mass is {mass:.4g} kg, of an object of {area:.3g} m²{height}: in "
+            f"{obj.name}: total_mass is {mass:.4g} kg, of an object of {_describe_size(obj)}: in "
             "grams? expected kg"
         )
+
+
+def _calc_max_mass(obj: GridObject) -> float:
+    """Largest mass of an object of this size that is not doubted, kg."""
+    limit = MAX_AREAL_DENSITY if obj.height is None else MAX_DENSITY * obj.height
+    return min(MAX_MASS, limit * float(obj.outline.area))
+
+
+def _describe_size(obj: GridObject) -> str:
+    """Says how large an object is: "0.0072 m² and 0.03 m high"."""
+    height = "" if obj.height is None else f" and {obj.height:.3g} m high"
+    return f"{float(obj.outline.area):.3g} m²{height}"
 
 
 def _find_large_forces(obj: GridObject, log: PushLog) -> Iterator[str]:
@@ -357,7 +416,7 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
         )
 
 
-def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
+def _find_large_objects(obj: GridObject, log: PushLog | WeighingLog) -> Iterator[str]:
     """Finds an outline that is larger than any object that is pushed about."""
     if calc_diameter(obj) > MAX_DIAMETER:
         yield (
@@ -383,6 +442,125 @@ def _find_large_tables(obj: GridObject, log: PushLog) -> Iterator[str]:
             f"the table spans {size:.3g}"
         )
 
+
+def _name_weighings(log: WeighingLog) -> Iterator[tuple[str, EdgePress | Lift]]:
+    """Names each weighing by its kind and its number among those of its kind, from 1."""
+    for i, press in enumerate(log.presses, start=1):
+        yield f"press {i}", press
+    for i, lift in enumerate(log.lifts, start=1):
+        yield f"lift {i}", lift
+
+
+def _find_misplaced_weighings(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+    """Finds weighings whose tip or pads were not at the object."""
+    for name, weighing in _name_weighings(log):
+        off = _calc_off_outline(obj, weighing.pose, weighing.place)
+        if off <= NOISE_SHARE * calc_diameter(obj):
+            continue
+        yield (
+            f"{name}, columns place_x, place_y: are {off:.3g} m off the outline of {obj.name} at "
+            "object_x, object_y, object_theta; expected a place on it: are both in one frame and "
+            "in m, and object_theta in rad?"
+        )
+
+
+def _calc_off_outline(obj: GridObject, pose: Array, place: Array) -> float:
+    """Distance of a place (2,) in W from the convex hull of an object at a pose (3,), m."""
+    return float(obj.outline.convex_hull.distance(Point(transform_back(pose, place))))
+
+
+def _find_presses_of_fallen(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+    """Finds presses of an object no part of which lies inside the table's edge."""
+    for i, press in enumerate(log.presses, start=1):
+        if _calc_reach_inside(obj, press) <= 0:
+            yield (
+                f"press {i}, columns edge_x, edge_y, edge_angle: {obj.name} lies wholly beyond the "
+                "edge; expected a part of it inside: is edge_angle, in rad, the direction in which "
+                "the table ends?"
+            )
+
+
+def _calc_reach_inside(obj: GridObject, press: EdgePress) -> float:
+    """Distance of the object's innermost point from the edge, m; negative beyond the edge."""
+    corners = transform(press.pose, shapely.get_coordinates(obj.outline.convex_hull))
+    return float(((press.edge_point - corners) @ press.normal).max())
+
+
+def _find_heavy_weighings(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+    """Finds forces that only an object heavier than any of its size takes to tilt or to lift."""
+    limit = _calc_max_mass(obj)
+    for name, weighing in _name_weighings(log):
+        if isinstance(weighing, EdgePress):
+            # F a = m g b, and b is at most the reach of the object inside the edge.
+            force = weighing.force
+            mass = force * weighing.arm / (_calc_reach_inside(obj, weighing) * GRAVITY)
+        else:
+            force = weighing.weight
+            mass = force / GRAVITY
+        if mass > limit:
+            yield (
+                f"{name}, column force: {force:.4g} N is that of {mass:.4g} kg or more, of an "
+                f"object of {_describe_size(obj)}; expected at most {limit:.4g} kg: in N, and not "
+                "a sensor's counts?"
+            )
+
+
+def _find_long_levers(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+    """Finds torques of lifts by which the center of mass is off the object."""
+    for i, lift in enumerate(log.lifts, start=1):
+        if lift.torque is None:
+            continue
+        # The torque is W (-l_y, l_x). Turned to the right, it is W l.
+        at = lift.place + turn_right(lift.torque) / lift.weight
+        off = _calc_off_outline(obj, lift.pose, at)
+        error = TORQUE_SIGMAS * lift.torque_std / lift.weight
+        if off > NOISE_SHARE * calc_diameter(obj) + error:
+            yield (
+                f"lift {i}, columns torque_x, torque_y: put the center of mass {off:.3g} m off the "
+                f"outline of {obj.name}: in N m, about the middle between the pads, and without "
+                "the sensor's offset?"
+            )
+
+
+def _find_small_stds(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+    """Finds standard deviations that are smaller than those of any sensor."""
+    for name, weighing in _name_weighings(log):
+        if isinstance(weighing, EdgePress):
+            stds = [("force_std", weighing.force_std, MIN_FORCE_STD, "N")]
+        else:
+            stds = [("force_std", weighing.weight_std, MIN_FORCE_STD, "N")]
+            if weighing.torque is not None:
+                stds.append(("torque_std", weighing.torque_std, MIN_TORQUE_STD, "N m"))
+        for column, std, least, unit in stds:
+            if std < least:
+                yield (
+                    f"{name}, column {column}: is {std:.3g} {unit}, and no robot feels so exactly; "
+                    f"expected at least {least:g} {unit}"
+                )
+
+
+def _find_large_weighing_angles(obj: GridObject, log: WeighingLog) -> Iterator[str]:
+    """Finds weighings with angles of many turns: degrees, perhaps."""
+    for name, weighing in _name_weighings(log):
+        if abs(weighing.pose[2]) > MAX_FIRST_ANGLE:
+            yield f"{name}, column {IN_DEGREES}; the object lies at {weighing.pose[2]:.4g}"
+        if isinstance(weighing, EdgePress) and abs(weighing.edge_angle) > MAX_FIRST_ANGLE:
+            yield (
+                f"{name}, column edge_angle: in degrees? expected rad; it is "
+                f"{weighing.edge_angle:.4g}"
+            )
+
+
+WEIGHING_KINDS = (
+    (_find_large_objects, True),
+    (_find_misplaced_weighings, True),
+    (_find_presses_of_fallen, True),
+    (_find_heavy_weighings, True),
+    (_find_long_levers, True),
+    (_find_small_stds, True),
+    (_find_large_weighing_angles, False),
+)
+"""What finds what is wrong with weighings, and whether it is certain."""
 
 KINDS = (
     (find_units, True, True),

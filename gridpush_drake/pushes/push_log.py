@@ -18,12 +18,26 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM, count, describe_move, make_page, make_table
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.observed_push import ObservedPush as ObservedPush
 from gridpush_drake.pushes.push_csv import read_pushes, write_pushes
 
 DEFAULT_PUSHER_RADIUS = 0.008
 """Radius of a pusher where neither the caller nor the object's file gives one, m: that of the
 shipped finger, `models/fingers/rod`. Learning and planning take the same one."""
+
+
+def choose_pusher_radius(obj: GridObject, radius: float | None = None) -> float:
+    """Chooses a pusher's radius, m: as given, else the object's file's, else the shipped finger's.
+
+    Args:
+        obj: the object that is pushed.
+        radius: as given, m; None where it is not.
+    """
+    if radius is not None:
+        return radius
+    known = obj.prior.pusher_radius
+    return DEFAULT_PUSHER_RADIUS if known is None else known
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from gridpush_drake.perception.drawing import AXIS
 from gridpush_drake.perception.sight import Sight
 from gridpush_drake.report.draw import FAINT, FONT, INK, LEARNED, MM, PAGE_WIDTH, make_grid, tidy
 
@@ -62,6 +63,7 @@ def describe_sight(sight: Sight) -> str:
     return (
         f"The object was seen in {sight.seen.mean() * 100:.0f} % of the pictures, its pose wrong "
         f"by {position * MM:.2f} mm and {angle * DEGREES:.2f} degrees root mean square. Above, the "
-        "photograph and the outline found, on the table in blue and on top in green; below, the "
-        "poses less the true ones, and twice the standard deviation that the tracker states."
+        "photograph and the outline found, on the table in blue and on top in green, with the axes "
+        f"of the body frame, x in red and y in green, {AXIS * MM:.0f} mm long; below, the poses "
+        "less the true ones, and twice the standard deviation that the tracker states."
     )

@@ -310,6 +310,27 @@ def draw_arrow(ax: Axes, start: ArrayLike, end: ArrayLike, color: str) -> None:
     ax.annotate("", tuple(np.asarray(end)), tuple(np.asarray(start)), arrowprops=style, zorder=5)
 
 
+def draw_numbered_push(ax: Axes, push: Push, number: int, color: str) -> None:
+    """Draws an arrow along a push, the finger where it begins, and the push's number in it."""
+    begin = push.xy[0]
+    draw_arrow(ax, begin, push.xy[-1], color)
+    ax.add_patch(
+        Circle((begin[0], begin[1]), push.radius, facecolor="white", edgecolor=color, zorder=6)
+    )
+    ax.text(
+        float(begin[0]),
+        float(begin[1]),
+        str(number),
+        color=color,
+        fontsize=FONT - 2,
+        ha="center",
+        va="center_baseline",
+        fontweight="bold",
+        bbox={"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": color},
+        zorder=7,
+    )
+
+
 def draw_tips(ax: Axes, push: Push, color: str) -> None:
     """Draws the path of the finger, open where it begins."""
     ax.plot(*push.xy.T, color=color, linewidth=TIP_LINE)

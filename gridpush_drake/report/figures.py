@@ -283,9 +283,12 @@ def _draw_map(
     cmap: str = CELL_MAP,
     alpha: Array | None = None,
 ) -> None:
-    """Draws one value of each cell, with title and color bar; `alpha` is each cell's opacity."""
+    """Draws one value of each cell, with title and color bar; `alpha` is each cell's opacity.
+
+    The unit has a line of its own: in one line, titles of three columns would touch.
+    """
     cells = draw_cells(ax, obj, values, limits=limits, cmap=cmap)
-    hide_axes(ax, f"{title}, {unit}")
+    hide_axes(ax, f"{title}\n{unit}")
     frame_object(ax, obj)
     add_color_bar(ax, cells, "")
     if alpha is not None:

@@ -7,7 +7,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from gridpush_drake import Model, __version__
@@ -329,14 +329,8 @@ def make_report(
     else:
         headline = summary.headline
         facts = summary.facts
-    environment = Environment(
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.from_string(read_template(TEMPLATE)).render(
-        style=read_template(STYLE),
+    return render(
+        TEMPLATE,
         name=obj.name.replace("_", " "),
         headline=headline,
         message=identification.message,
@@ -421,8 +415,8 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
     which = "pushes it had never seen" if judged.held_out else "the pushes it learned from"
     if result.status == IdentificationStatus.EXPLAINS_LITTLE:
         return (
-            f"This model of the {name} should not be used: it explains little of the pushes it was "
-            f"learned from, and is off by {after * MM:.1f} mm on average where {which} end."
+            f"This model of the {name} should not be used. Where {which} end, it is off by "
+            f"{after * MM:.1f} mm on average, and an even object by {before * MM:.1f} mm."
         )
     if result.status == IdentificationStatus.PRIOR_KEPT:
         return (
@@ -469,6 +463,26 @@ def _tabulate_errors(comparison: _Comparison) -> dict[str, Any]:
         rows.append((first.name, *(f"{value * first.scale:.2f} {first.unit}" for value in values)))
     kind = "held out" if comparison.held_out else "learned from"
     return {"title": f"{len(comparison.outcomes)} pushes {kind}", "rows": rows}
+
+
+def render(template: str, **values: Any) -> str:
+    """Fills in a page of the report's templates, with the style that all pages have.
+
+    Args:
+        template: the template's file.
+        values: what is filled in, by the names that the template has for it.
+
+    Returns:
+        An HTML page that needs nothing else.
+    """
+    environment = Environment(
+        loader=FunctionLoader(read_template),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(style=read_template(STYLE), **values)
 
 
 def read_template(name: str) -> str:

@@ -35,6 +35,7 @@ from gridpush_drake.report.draw import (
     add_legend_below,
     draw_arrow,
     draw_cells,
+    draw_numbered_push,
     draw_outline,
     draw_table,
     draw_tips,
@@ -172,7 +173,7 @@ def _draw_pushes(
         draw_cells(ax, obj, pose=poses[-1], alpha=0.7)
     draw_outline(ax, obj, pose=goal, color=BEFORE, linestyle="dotted").set_zorder(4)
     for count, push in enumerate(pushes, start=1):
-        _draw_push(ax, push, count)
+        draw_numbered_push(ax, push, count, LEARNED)
     handles = [
         Line2D([], [], color=INK, linestyle="dashed", label="start"),
         Line2D([], [], color=FAINT, label="in between"),
@@ -195,26 +196,6 @@ def _draw_outlines(
     for pose in poses[1:-1]:
         draw_outline(ax, obj, pose=pose, color=FAINT)
     draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
-
-
-def _draw_push(ax: Axes, push: Push, count: int) -> None:
-    """Draws an arrow along a push, the finger where it begins, and the push's number in it."""
-    begin = push.xy[0]
-    draw_arrow(ax, begin, push.xy[-1], LEARNED)
-    ax.add_patch(
-        Circle((begin[0], begin[1]), push.radius, facecolor="white", edgecolor=LEARNED, zorder=6)
-    )
-    ax.text(
-        float(begin[0]),
-        float(begin[1]),
-        str(count),
-        color=LEARNED,
-        fontsize=FONT - 2,
-        ha="center",
-        va="center_baseline",
-        fontweight="bold",
-        zorder=7,
-    )
 
 
 def _draw_errors(

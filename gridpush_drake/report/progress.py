@@ -177,7 +177,7 @@ def _draw_predicted(ax: Axes, progress: Progress) -> None:
     ]
     ax.set_ylim(bottom=0)
     ax.set_xticks(at, [name.replace("_", " ") for name in progress.names], rotation=90)
-    tidy(ax, "", "mean cell error of the final pose, mm")
+    tidy(ax, "", "mean cell error, mm")
     ax.set_title("Each push, predicted before it was learned from", fontsize=FONT, color=INK)
     add_legend_below(ax, handles, 1)
 

@@ -5,16 +5,16 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.scene_learning import SceneIdentification
 from gridpush_drake.notebook import count
+from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.scene_log import SceneLog
 from gridpush_drake.report.draw import MM
 from gridpush_drake.report.figures import draw_model, draw_scene_motion
-from gridpush_drake.report.page import STYLE, embed, read_template
+from gridpush_drake.report.page import embed, list_numbers, render
 
 TEMPLATE = "scene_report.html.j2"
 """File with the page, to be filled in."""
@@ -53,14 +53,11 @@ def make_scene_report(
             for name, error in zip(log.names, found.errors[i], strict=True)
         )
         drawn.append({"name": seen.name, "figure": embed(figure), "errors": errors})
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
     names = ", ".join(log.names[:-1]) + f" and {log.names[-1]}" if len(log.names) > 1 else "one"
     before = float(found.errors_before.mean()) * MM
     after = float(found.errors.mean()) * MM
-    return environment.from_string(read_template(TEMPLATE)).render(
-        style=read_template(STYLE),
+    return render(
+        TEMPLATE,
         names=names.replace("_", " "),
         headline=(
             f"With what was learned, the objects end {after:.1f} mm from where they were seen; as "
@@ -74,17 +71,38 @@ def make_scene_report(
         ],
         pushes=drawn,
         all_pushes=len(log),
-        objects=[
-            {
-                "name": name,
-                "message": model.message,
-                "figure": embed(draw_model(model)),
-                "statements": model.identifiability.statements,
-            }
-            for name, model in zip(log.names, models, strict=True)
-        ],
+        objects=describe_models(log.names, models),
         numbers=list_scene_numbers(found, log.names),
     )
+
+
+def describe_models(
+    names: Sequence[str],
+    models: Sequence[Identification],
+    truths: Sequence[CellParameters | None] = (),
+) -> list[dict[str, Any]]:
+    """Describes what was learned of objects, for the template `objects_learned.html.j2`.
+
+    Args:
+        names: of the N objects.
+        models: the model of each.
+        truths: what the cells of each really are; None for one of which that is not known, and
+            empty where it is known of none.
+    """
+    described = []
+    for b, (name, model) in enumerate(zip(names, models, strict=True)):
+        truth = truths[b] if truths else None
+        described.append(
+            {
+                "name": name.replace("_", " "),
+                "message": model.message,
+                "figure": embed(draw_model(model, truth)),
+                "numbers": list_numbers(model, truth),
+                "known_truth": truth is not None,
+                "statements": model.identifiability.statements,
+            }
+        )
+    return described
 
 
 def list_scene_numbers(found: SceneIdentification, names: Sequence[str]) -> list[tuple[str, str]]:

@@ -1,15 +1,13 @@
-"""What a robot did with several objects: its figure, and a page of its own.
-
-Nothing of the page is about one learned object, as that of `report.page` is.
-"""
+"""What a robot did with several objects, and learned of them: a figure, and a page of its own."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
@@ -23,21 +21,30 @@ from gridpush_drake.report.draw import (
     PAGE_WIDTH,
     PART_COLORS,
     add_legend_below,
-    draw_arrow,
     draw_cells,
+    draw_numbered_push,
     draw_outline,
     draw_table,
     frame_points,
     make_grid,
     tidy,
 )
-from gridpush_drake.report.page import STYLE, ReportSummary, embed, read_template
+from gridpush_drake.report.page import ReportSummary, embed, render
 
 PANEL_HEIGHT = 4.4
 """Height of the panels, inches."""
 
 ROOM = 0.05
 """Room about what is drawn, m."""
+
+LINE = 2.0
+"""Width of the lines of what was measured, points."""
+
+MARKER = 4.5
+"""Size of their markers, points."""
+
+POINTS_PER_INCH = 72.0
+"""Points in an inch."""
 
 LEGEND_COLUMNS = 3
 """Columns of a legend."""
@@ -46,26 +53,35 @@ TEMPLATE = "scene_run.html.j2"
 """File with the page, to be filled in."""
 
 
-def make_scene_report(name: str, summary: ReportSummary, recording: str | None = None) -> str:
+def make_scene_report(
+    name: str,
+    summary: ReportSummary,
+    recording: str | None = None,
+    *,
+    objects: Sequence[dict[str, Any]] = (),
+    numbers: Sequence[tuple[str, str]] = (),
+) -> str:
     """Makes the report of a task with several objects.
 
     Args:
         name: what was done with which objects.
         summary: what came of it.
         recording: the file with the recording of the run, as seen from the report; None without.
+        objects: what was learned of each, as `scene_page.describe_models` describes it; empty for
+            nothing.
+        numbers: what was learned of the objects beside each other, see `list_scene_numbers`.
 
     Returns:
         An HTML page that needs nothing else.
     """
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.from_string(read_template(TEMPLATE)).render(
-        style=read_template(STYLE),
+    return render(
+        TEMPLATE,
         name=name,
         summary=summary,
         figure=embed(summary.figure),
         recording=recording,
+        objects=objects,
+        numbers=numbers,
     )
 
 
@@ -116,8 +132,8 @@ def draw_scene_run(
         if goals is not None and np.isfinite(goals[b]).all():
             draw_outline(ax, obj, pose=goals[b], color=INK, linestyle="dotted")
             shown.append(obj.cells_at(goals[b]))
-    for push in pushes:
-        draw_arrow(ax, push.xy[0], push.xy[-1], INK)
+    for number, push in enumerate(pushes, start=1):
+        draw_numbered_push(ax, push, number, INK)
     frame_points(ax, shown, ROOM)
     ax.set_title("Dashed at first, filled at the end", fontsize=FONT, color=INK)
     add_legend_below(ax, handles, LEGEND_COLUMNS)
@@ -125,7 +141,21 @@ def draw_scene_run(
     # What was measured.
     ax = axes[0, 1]
     for b, color in enumerate(colors):
-        ax.plot(np.arange(len(values)), MM * values[:, b], color=color, marker="o", zorder=3)
+        # Two objects that lie nearest to each other have the same room. Their lines would lie on
+        # each other, so that each is drawn beside the one before, a line's width higher.
+        beside = (b - (len(colors) - 1) / 2) * LINE / POINTS_PER_INCH
+        (line,) = ax.plot(
+            np.arange(len(values)),
+            MM * values[:, b],
+            color=color,
+            linewidth=LINE,
+            marker="o",
+            markersize=MARKER,
+            zorder=3,
+        )
+        # set only now: the axes find their limits by lines whose places are plain data
+        up = ScaledTranslation(0.0, beside, figure.dpi_scale_trans)
+        line.set_transform(ax.transData + up)
     words, wanted = measured
     if wanted is not None:
         ax.axhline(MM * wanted, color=FAINT, linestyle="dashed", linewidth=1.2, zorder=2)

@@ -13,7 +13,7 @@ from gridpush_drake.geometry.se2 import Array, transform, transform_shape, wrap_
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.feedback.follow_calculations import FollowRules
-from gridpush_drake.planning.feedback.follow_options import FollowOptions, FollowStatus
+from gridpush_drake.planning.feedback.follow_options import FollowOptions
 from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
 from gridpush_drake.planning.feedback.pushed_object import FeedbackFinger
 from gridpush_drake.planning.push_constraints import PushConstraints
@@ -37,6 +37,7 @@ from gridpush_drake.station.task import (
     Waiting,
 )
 from gridpush_drake.systems.follow_controller import (
+    BLIND,
     SAMPLE_PERIOD,
     FollowController,
     FollowControlStatus,
@@ -252,8 +253,9 @@ class FollowTask(StationTask[FollowRecord]):
             record.poses.append(record.pose)
             record.tips.append(np.array(self.read("pusher.state")[:2]))
             self._draw(GONE_PATH, record.way, GONE_COLOR)
-        # While it waits for a pose, nothing is new; else the follower says if nothing gets on.
-        rests = record.last.cause == FollowStatus.NO_POSE
+        # While it waits to see object or finger, nothing is new; else the follower says if
+        # nothing gets on.
+        rests = record.last.cause in BLIND
         return is_new or (self.is_at_work() and not rests)
 
     def judge(self, record: FollowRecord, waiting: Waiting) -> Judgment:

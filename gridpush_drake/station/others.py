@@ -93,6 +93,8 @@ def AddOthers(
     objects: Sequence[GridObject],
     table: Sequence[GeometryId],
     pushed: GridObjectInPlant,
+    *,
+    visual: bool = True,
 ) -> tuple[OtherObject, ...]:
     """Adds a scenario's other objects to a plant; they stand on the table and touch one another.
 
@@ -103,6 +105,7 @@ def AddOthers(
         objects: the other objects, in the scenario's order.
         table: the table's collision geometries.
         pushed: the pushed object in the plant.
+        visual: whether Meshcat shows their plain outlines.
 
     Returns:
         The other objects in the plant.
@@ -118,6 +121,7 @@ def AddOthers(
             table=table,
             height=other.height,
             name=other.name,
+            visual=visual,
         )
         if scenario.camera.kind == "rgbd":
             AddSeenVisual(plant, scene_graph, part)

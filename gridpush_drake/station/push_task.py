@@ -16,6 +16,7 @@ from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_erro
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.goal_check import check_place, check_reach
 from gridpush_drake.station.push_station import MakePushStation
@@ -236,7 +237,7 @@ def check_goal(obj: GridObject, goal: Array, rules: GoalRules, field: str = "goa
     # Without a region the finger comes everywhere.
     if rules.constraints.finger_region is not None:
         region = rules.constraints.finger_region
-        check_reach(field, obj, goal, region, rules.contact.radius)
+        check_reach(field, obj, goal, region, choose_pusher_radius(obj, rules.contact.radius))
 
 
 def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float) -> None:

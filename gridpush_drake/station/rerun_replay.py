@@ -13,6 +13,7 @@ from gridpush_drake.station.run_recording import (
     RunRecording,
     read_planar_pose,
     read_point,
+    split_topic,
 )
 
 POSE = "/object_pose"
@@ -38,8 +39,8 @@ def show_run(scene: RerunScene, run: RunRecording) -> None:
     for topic, messages in run.topics.items():
         moments += [(time, topic, message) for time, message in messages]
 
-    # Of what was so at the same time, the object's pose comes first: the rest may be relative to it
-    moments.sort(key=lambda moment: (moment[0], moment[1] != POSE))
+    # Of what was so at the same time, the poses come first: the rest may be relative to them
+    moments.sort(key=lambda moment: (moment[0], split_topic(moment[1])[1] != POSE))
     for time, topic, message in moments:
         scene.set_time(time)
         shown.show(topic, message)
@@ -50,15 +51,16 @@ class _Shown:
 
     def __init__(self, scene: RerunScene) -> None:
         self._scene = scene
-        self._pose: Array | None = None
+        self._poses: dict[str, Array] = {}
         self._pushes = 0
 
     def show(self, topic: str, message: Any) -> None:
         """Shows a message of a topic."""
         scene = self._scene
+        name, topic = split_topic(topic)
         if topic == POSE:
-            self._pose = read_planar_pose(message.pose)
-            scene.show_object(self._pose)
+            self._poses[name] = read_planar_pose(message.pose)
+            scene.show_object(self._poses[name], f"world/{name}")
         elif topic == "/tip_pose":
             scene.show_tip(read_point(message.pose.position), DEFAULT_PUSHER_RADIUS)
         elif topic == "/push":
@@ -69,7 +71,7 @@ class _Shown:
                 end=read_point(last.pose.position)[:2],
             )
         elif topic == "/center_of_mass":
-            self._show_center(message.pose)
+            self._show_center(name, message.pose)
         elif topic == "/cells":
             self._show_cells(message)
         elif topic == "/phase":
@@ -84,11 +86,11 @@ class _Shown:
             for name, position in zip(message.name, message.position, strict=True):
                 scene.plot(f"joints/{name}", float(position))
 
-    def _show_center(self, message: Any) -> None:
-        """The center of mass, which the message has in W, in the body frame."""
-        if self._pose is None:
+    def _show_center(self, name: str, message: Any) -> None:
+        """The center of mass of an object, which the message has in W, in the body frame."""
+        if name not in self._poses:
             return
-        x, y, yaw = self._pose
+        x, y, yaw = self._poses[name]
         R_WB = make_rotation(yaw)
         p_WBcm = read_point(message.pose.position)[:2]
         full = np.asarray(message.covariance).reshape(POSE_SIZE, POSE_SIZE)
@@ -96,6 +98,7 @@ class _Shown:
         self._scene.show_center(
             center=R_WB.T @ (p_WBcm - [x, y]),
             covariance=R_WB.T @ covariance @ R_WB,
+            entity=f"world/{name}",
         )
         self._scene.plot("known/pushes", float(self._pushes))
 
@@ -107,4 +110,5 @@ class _Shown:
                 p_BC=np.array(points),
                 side=marker.scale.x / SEEN_SIZE,
                 colors=np.array(colors),
+                entity=f"world/{marker.header.frame_id}",
             )

@@ -24,7 +24,7 @@ class RerunView:
     def __init__(self, target: str, force: bool = False) -> None:
         """Starts the viewer, or a file; arguments and errors are those of `RerunScene`."""
         self._scene = RerunScene(target, force)
-        self._estimate: Identification | None = None
+        self._estimates: dict[str, Identification] = {}
         self._push = 0
         self._picture_time = -1.0
 
@@ -34,7 +34,7 @@ class RerunView:
         self._scene.set_time(time)
         self._show_places(task)
         self._show_push(task)
-        self._show_estimate(task)
+        self._show_estimates(task)
         self._show_picture(task, time)
 
     def finish(self) -> None:
@@ -45,9 +45,10 @@ class RerunView:
         tip = np.array(task.read("pusher.state"))[:3]
         self._scene.show_tip(tip, task.station.robot.finger.tip_radius)
         self._scene.say(str(task.read("executor.status").phase))
-        pose = np.array(task.read("object.pose"))
-        if np.isfinite(pose).all():
-            self._scene.show_object(pose)
+        for name in task.object_names:
+            pose = np.array(task.read(f"{name}.pose"))
+            if np.isfinite(pose).all():
+                self._scene.show_object(pose, f"world/{name}")
 
     def _show_push(self, task: StationTask[Any]) -> None:
         command = PushCommand.from_vector(task.read("push_command", task.controller))
@@ -56,13 +57,13 @@ class RerunView:
         self._push = command.command_id
         self._scene.show_push(command.start, command.end)
 
-    def _show_estimate(self, task: StationTask[Any]) -> None:
-        found: Identification = task.read("estimate.identification")
-        if found is self._estimate or not found.push_names:
-            return
-        self._estimate = found
-        colors = CellColors().calc_colors(found.params.mass, found.params.friction)
-        self._scene.show_estimate(found, colors)
+    def _show_estimates(self, task: StationTask[Any]) -> None:
+        for name, found in zip(task.object_names, task.read_estimates(), strict=True):
+            if found is self._estimates.get(name) or not found.push_names:
+                continue
+            self._estimates[name] = found
+            colors = CellColors().calc_colors(found.params.mass, found.params.friction)
+            self._scene.show_estimate(found, colors, f"world/{name}")
 
     def _show_picture(self, task: StationTask[Any], time: float) -> None:
         station = task.station

@@ -15,6 +15,8 @@ writes one file. It needs the package `rosbags`, and no ROS:
     /cells                       visualization_msgs/MarkerArray: the cells, colored by the masses
                                  of each estimate, in the frame `object`
     /push                        nav_msgs/Path, with each push that begins
+    /other_0/object_pose, ...    in a task with several objects, the poses of those after the first,
+    /other_0/center_of_mass, ... and their centers of mass; /tf and /cells have all objects
     /phase                       std_msgs/String, whenever the robot does something else
     /camera/color/compressed     sensor_msgs/CompressedImage (JPEG), with a color and depth camera
 
@@ -45,9 +47,11 @@ from gridpush_drake.station.run_recording import (
     GRIPPER_COMMAND_TOPIC,
     GRIPPER_TOPIC,
     NANOSECONDS,
+    OBJECT,
     PICTURE_TOPIC,
     SEEN_SIZE,
-    TOPICS,
+    find_type,
+    name_topic,
 )
 from gridpush_drake.station.task import StationTask
 from gridpush_drake.systems.messages import PushCommand
@@ -57,9 +61,6 @@ VERSION = 9
 
 CAMERA = "rgbd_noise"
 """Name of the system whose pictures are recorded."""
-
-OBJECT = "object"
-"""Frame of the object, in which the cells are."""
 
 CELL_HEIGHT = 0.005
 """Height of the cells that are shown, m."""
@@ -98,7 +99,7 @@ class RunRecorder:
         self._load: TipLoad | None = None
         self._phase = ""
         self._push = 0
-        self._estimate: Identification | None = None
+        self._estimates: dict[str, Identification] = {}
         self._picture_time = -1.0
 
     def note(self, task: StationTask[Any]) -> None:
@@ -110,7 +111,8 @@ class RunRecorder:
         self._note_commands(task, time)
         self._note_gripper(task, time)
         self._note_doing(task, time)
-        self._note_estimate(task, time)
+        self._note_other_poses(task, time)
+        self._note_estimates(task, time)
         self._note_picture(task, time)
 
     def write(self, path: Path, record: Any, force: bool = False) -> None:
@@ -129,10 +131,7 @@ class RunRecorder:
             if np.isfinite(tip).all():
                 self._add(sample.t, "/tip_pose", self._make_pose(sample.t, tip, 0.0))
             x, y, theta = (float(number) for number in sample.pose)
-            if np.isfinite([x, y, theta]).all():
-                place = np.array([x, y, 0.0])
-                self._add(sample.t, "/object_pose", self._make_pose(sample.t, place, theta))
-                self._add(sample.t, "/tf", self._make_frame(sample.t, place, theta))
+            self._add_pose(sample.t, OBJECT, x, y, theta)
         # `rosbags` writes a folder of its own; what is wanted is the one file in it.
         with TemporaryDirectory() as scratch:
             folder = Path(scratch) / "run"
@@ -145,13 +144,20 @@ class RunRecorder:
         with self._rosbag2.Writer(folder, version=VERSION, storage_plugin=plugin) as writer:
             used = {topic for _, topic, _ in self._messages}
             connections = {
-                topic: writer.add_connection(topic, kind, typestore=self._store)
-                for topic, kind in TOPICS.items()
-                if topic in used
+                topic: writer.add_connection(topic, find_type(topic), typestore=self._store)
+                for topic in sorted(used)
             }
             for time, topic, message in sorted(self._messages, key=lambda row: row[0]):
-                data = self._store.serialize_cdr(message, TOPICS[topic])
+                data = self._store.serialize_cdr(message, find_type(topic))
                 writer.write(connections[topic], round(time * NANOSECONDS), bytes(data))
+
+    def _add_pose(self, time: float, name: str, x: float, y: float, theta: float) -> None:
+        """Adds where an object was seen, m and rad; nothing if it was not seen."""
+        if np.isfinite([x, y, theta]).all():
+            place = np.array([x, y, 0.0])
+            pose = self._make_pose(time, place, theta)
+            self._add(time, name_topic(name, "/object_pose"), pose)
+            self._add(time, "/tf", self._make_frame(time, name, place, theta))
 
     def _begin(self, task: StationTask[Any]) -> None:
         """Looks at the robot of a task that is noted for the first time."""
@@ -216,13 +222,35 @@ class RunRecorder:
         ]
         self._add(time, "/push", self._make("nav_msgs/msg/Path", self._make_header(time), ends))
 
-    def _note_estimate(self, task: StationTask[Any], time: float) -> None:
-        """The center of mass in W and its covariance, which turns with the object; and cells."""
-        found: Identification = task.read("estimate.identification")
-        pose = np.array(task.read("object.pose"))
-        if found is self._estimate or not found.push_names or not np.isfinite(pose).all():
-            return
-        self._estimate = found
+    def _note_other_poses(self, task: StationTask[Any], time: float) -> None:
+        """Where the objects after the first are seen; the first one's poses are in the stream."""
+        for name in task.object_names[1:]:
+            x, y, theta = (float(number) for number in task.read(f"{name}.pose"))
+            self._add_pose(time, name, x, y, theta)
+
+    def _note_estimates(self, task: StationTask[Any], time: float) -> None:
+        """What is newly known of each object: its center of mass, and its cells."""
+        markers = []
+        for number, (name, found) in enumerate(
+            zip(task.object_names, task.read_estimates(), strict=True)
+        ):
+            pose = np.array(task.read(f"{name}.pose"))
+            known = found is self._estimates.get(name) or not found.push_names
+            if known or not np.isfinite(pose).all():
+                continue
+            self._estimates[name] = found
+            self._add(
+                time,
+                name_topic(name, "/center_of_mass"),
+                self._make_center(time, found, pose),
+            )
+            markers.append(self._make_cells(time, found, name, number))
+        if markers:
+            array = self._make("visualization_msgs/msg/MarkerArray", markers)
+            self._add(time, "/cells", array)
+
+    def _make_center(self, time: float, found: Identification, pose: Array) -> Any:
+        """The center of mass in W and its covariance, which turns with the object at a pose."""
         center, spread = calc_center_of_mass(found)
         R = make_rotation(pose[2])
         covariance = np.zeros((6, 6))
@@ -231,9 +259,7 @@ class RunRecorder:
         uncertain = self._make(
             "geometry_msgs/msg/PoseWithCovariance", at.pose, covariance.reshape(POSE_COVARIANCE)
         )
-        message = self._make("geometry_msgs/msg/PoseWithCovarianceStamped", at.header, uncertain)
-        self._add(time, "/center_of_mass", message)
-        self._add(time, "/cells", self._make_cells(time, found))
+        return self._make("geometry_msgs/msg/PoseWithCovarianceStamped", at.header, uncertain)
 
     def _note_picture(self, task: StationTask[Any], time: float) -> None:
         """The newest picture of a simulated camera, once."""
@@ -250,8 +276,8 @@ class RunRecorder:
         message = self._make("sensor_msgs/msg/CompressedImage", header, "jpeg", jpeg.ravel())
         self._add(time, PICTURE_TOPIC, message)
 
-    def _make_cells(self, time: float, found: Identification) -> Any:
-        """The cells as one list of cubes in the frame of the object."""
+    def _make_cells(self, time: float, found: Identification, name: str, number: int) -> Any:
+        """The cells as one marker, a list of cubes in the frame of the object of a name."""
         obj = found.obj
         side = SEEN_SIZE * obj.cell_size
         points = [self._make_point(np.append(p_BC, CELL_HEIGHT / 2)) for p_BC in obj.p_BC]
@@ -260,10 +286,10 @@ class RunRecorder:
             for color in CellColors().calc_colors(found.params.mass, found.params.friction)
         ]
         marker_type = self._store.types["visualization_msgs/msg/Marker"]
-        marker = marker_type(
-            header=self._make_header(time, OBJECT),
+        return marker_type(
+            header=self._make_header(time, name),
             ns="cells",
-            id=0,
+            id=number,
             type=marker_type.CUBE_LIST,
             action=marker_type.ADD,
             pose=self._make_pose(time, np.zeros(3), 0.0).pose,
@@ -282,7 +308,6 @@ class RunRecorder:
             mesh_file=self._make("visualization_msgs/msg/MeshFile", "", np.zeros(0, np.uint8)),
             mesh_use_embedded_materials=False,
         )
-        return self._make("visualization_msgs/msg/MarkerArray", [marker])
 
     def _make_no_picture(self, time: float) -> Any:
         header = self._make_header(time)
@@ -316,8 +341,8 @@ class RunRecorder:
     def _make_point(self, place: Array) -> Any:
         return self._make("geometry_msgs/msg/Point", *(float(number) for number in place))
 
-    def _make_frame(self, time: float, place: Array, yaw: float) -> Any:
-        """A `TFMessage` that says where the frame of the object is in `world`."""
+    def _make_frame(self, time: float, name: str, place: Array, yaw: float) -> Any:
+        """A `TFMessage` that says where the frame of the object of a name is in `world`."""
         turn = (float(number) for number in make_quaternion(yaw))
         transform = self._make(
             "geometry_msgs/msg/Transform",
@@ -325,7 +350,7 @@ class RunRecorder:
             self._make("geometry_msgs/msg/Quaternion", *turn),
         )
         kind = "geometry_msgs/msg/TransformStamped"
-        stamped = self._make(kind, self._make_header(time), OBJECT, transform)
+        stamped = self._make(kind, self._make_header(time), name, transform)
         return self._make("tf2_msgs/msg/TFMessage", [stamped])
 
     def _make_pose(self, time: float, place: Array, yaw: float) -> Any:

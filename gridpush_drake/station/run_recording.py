@@ -41,7 +41,16 @@ TOPICS = {
     "/phase": "std_msgs/msg/String",
     PICTURE_TOPIC: "sensor_msgs/msg/CompressedImage",
 }
-"""Types of the messages, by topic."""
+"""Types of the messages, by topic.
+
+In a task with several objects, the topics of an object after the first stand below its name, such
+as /other_0/object_pose; see `name_topic`."""
+
+OBJECT = "object"
+"""Name of the first object, and of its frame."""
+
+OTHER = "other_"
+"""Beginning of the names of other objects, as the station's ports have them; a number follows."""
 
 SEEN_SIZE = 0.95
 """Side of a cell that is shown, as a share of its true side: so that cells can be told apart."""
@@ -92,6 +101,24 @@ class RunRecording:
         return self.topics[topic]
 
 
+def name_topic(name: str, topic: str) -> str:
+    """Names the topic of an object: for the first one as in `TOPICS`, else below its name."""
+    return topic if name == OBJECT else f"/{name}{topic}"
+
+
+def split_topic(topic: str) -> tuple[str, str]:
+    """Splits a topic into the name of the object that it is about, and the topic as in `TOPICS`."""
+    name, slash, rest = topic[1:].partition("/")
+    if name.startswith(OTHER) and name[len(OTHER) :].isdigit() and slash:
+        return name, f"/{rest}"
+    return OBJECT, topic
+
+
+def find_type(topic: str) -> str | None:
+    """Returns the type of a topic's messages; None for a topic that no recording has."""
+    return TOPICS.get(split_topic(topic)[1])
+
+
 def read_run(path: Path) -> RunRecording:
     """Reads a recording that `RunRecorder` wrote.
 
@@ -107,7 +134,7 @@ def read_run(path: Path) -> RunRecording:
     topics: dict[str, list[tuple[float, Any]]] = {}
     try:
         with AnyReader([path]) as reader:
-            ours = [each for each in reader.connections if TOPICS.get(each.topic) == each.msgtype]
+            ours = [each for each in reader.connections if find_type(each.topic) == each.msgtype]
             for connection, time, data in reader.messages(connections=ours):
                 message = reader.deserialize(data, connection.msgtype)
                 topics.setdefault(connection.topic, []).append((time / NANOSECONDS, message))

@@ -8,35 +8,41 @@ import numpy as np
 from gridpush_drake.display.overlay import Mark, to_css
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, transform
+from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import MM, count
 from gridpush_drake.planning.scene.fetching import FetchOptions
 from gridpush_drake.planning.scene.scene_loop import SceneMode
 from gridpush_drake.planning.scene.separation import MARGIN, calc_clearances_along
 from gridpush_drake.pushes.scene_log import SceneLog
 from gridpush_drake.report.page import ReportSummary
+from gridpush_drake.report.scene_page import describe_models, list_scene_numbers
 from gridpush_drake.report.scene_run import draw_scene_run, make_scene_report
 from gridpush_drake.station.push_task import GOAL_COLOR
+from gridpush_drake.station.resolve import ResolvedScenario
 from gridpush_drake.station.scene_task import (
     FetchTask,
     RearrangeTask,
     SceneTaskRecord,
     SeparateTask,
+    name_objects,
 )
 from gridpush_drake.station.task import TaskStatus
 from gridpush_drake.station.task_kind import (
-    FIRST_TITLE,
-    OBJECT,
+    MODEL,
     PUSHES,
-    RECORDING,
     REPORT,
-    SCENARIO,
-    STREAM,
-    TRUTH,
     GoalKind,
 )
 
+LOOKING = (
+    "Looking at the objects",
+    "The robot looks where the objects lie. Colors and ellipses show what it supposes beforehand: "
+    "even objects, of which little is known.",
+)
+"""Title and text beside the scene until the first push."""
+
 TITLES = {
-    SceneMode.WAITING: FIRST_TITLE,
+    SceneMode.WAITING: LOOKING[0],
     SceneMode.PUSHING: "Push {}",
     SceneMode.GRASPING: "Grasping and lifting",
     SceneMode.HOLDING: "Lifted and held",
@@ -46,22 +52,33 @@ TITLES = {
 }
 """Titles beside the recording for the controller's modes; {} is the push's number."""
 
-SCENE_FILES = (REPORT, RECORDING, OBJECT, PUSHES, STREAM, TRUTH, SCENARIO)
-"""Files that a run leaves. pushes.csv has the poses of all objects; object.yaml and truth.yaml are
-the first one's."""
-
 
 class SceneKind(GoalKind):
     """A task with several objects.
+
+    Of the files that a run leaves, pushes.csv has the poses of all objects, object.yaml and
+    truth.yaml are the first one's, and each object has a model of its own.
 
     Attributes:
         verb: what is done with them, in a word, for a title.
     """
 
     done = TaskStatus.REACHED
-    files = SCENE_FILES
     several = True
+    looking = LOOKING
     verb: ClassVar[str]
+
+    def list_model_files(self, resolved: ResolvedScenario) -> tuple[str, ...]:
+        """Lists the names of the files of the objects' models, in the order of the objects."""
+        return tuple(map(name_model_file, name_objects((resolved.obj, *resolved.others))))
+
+    def list_models(self, record: SceneTaskRecord) -> dict[str, Identification]:
+        """Lists what was learned of each object by the names of the models' files."""
+        return {
+            name_model_file(name): found
+            for name, found in zip(record.names, record.learned, strict=False)
+            if found.push_names
+        }
 
     def name_phase(self, status: Any) -> str:
         """Returns a title with the push's number."""
@@ -129,7 +146,8 @@ class SceneKind(GoalKind):
                 surface=record.surface,
             ),
             caption="Left: the objects before, after each push and at the end, the pushes as "
-            f"arrows, goals dotted. Right: {words}, as it was seen.",
+            f"arrows with their numbers, goals dotted. Right: {words}, as it was seen; lines "
+            "that would lie on each other are drawn side by side.",
             heads=("time", "pushed", "why"),
             steps=steps,
         )
@@ -137,7 +155,15 @@ class SceneKind(GoalKind):
     def make_report(self, record: SceneTaskRecord, recording: str | None = None) -> str:
         """Makes the report, as HTML."""
         name = f"{self.verb}: {', '.join(record.names)}"
-        return make_scene_report(name, self.make_summary(record), recording)
+        models = record.learned
+        together = None if record.belief is None else record.belief.identification
+        return make_scene_report(
+            name,
+            self.make_summary(record),
+            recording,
+            objects=describe_models(record.names, models, record.truths) if models else (),
+            numbers=() if together is None else list_scene_numbers(together, record.names),
+        )
 
     def write_own(
         self, folder: Path, record: SceneTaskRecord, recording: str | None, force: bool
@@ -145,7 +171,7 @@ class SceneKind(GoalKind):
         """Writes the report, and what was seen of all objects in each push."""
         if not record.scene_log:
             return []
-        names = tuple(name.replace(" ", "_") for name in record.names)
+        names = tuple(map(make_plain, record.names))
         SceneLog(record.scene_log, names).write_csv(folder / PUSHES, force)
         write_whole(folder / REPORT, self.make_report(record, recording), force)
         return [PUSHES, REPORT]
@@ -210,6 +236,17 @@ class FetchKind(SceneKind):
         if kinds:
             lines.append(f"  {count(summary['pushes'], 'push')}: {kinds}")
         return [*lines, *describe_sight(summary)]
+
+
+def name_model_file(name: str) -> str:
+    """Names the file of an object's model, as `gridpush identify --with` does."""
+    file = Path(MODEL)
+    return file.with_stem(f"{file.stem}_{make_plain(name)}").name
+
+
+def make_plain(name: str) -> str:
+    """Returns an object's name without spaces, for files and columns."""
+    return name.replace(" ", "_")
 
 
 def summarize_sight(record: SceneTaskRecord) -> dict[str, Any] | None:

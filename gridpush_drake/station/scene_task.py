@@ -10,14 +10,15 @@ from os import cpu_count
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Multiplexer
+from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.sight import SceneSight
 from gridpush_drake.planning.closed_loop import LoopOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits
@@ -48,6 +49,7 @@ from gridpush_drake.planning.scene.search import SceneSearchOptions
 from gridpush_drake.planning.scene.separation import SeparatePlanner, calc_clearances
 from gridpush_drake.pushes.scene_log import ObservedScenePush
 from gridpush_drake.station.finger_region import MakeFingerRegion
+from gridpush_drake.station.others import draw_other_truth, list_parts
 from gridpush_drake.station.posts import leave_out, place_posts
 from gridpush_drake.station.pregrasp_task import (
     CLEARANCE,
@@ -62,6 +64,7 @@ from gridpush_drake.station.push_task import EDGE_MARGIN, GOAL_COLOR, MAX_PUSH
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.robot_control import Learning
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scene_camera import AddPosesTogether
 from gridpush_drake.station.setting import make_surface
 from gridpush_drake.station.station import Station, StationMaker
 from gridpush_drake.station.task import (
@@ -105,6 +108,9 @@ class SceneTaskRecord(ControlledRecord[SceneStatus]):
         begin: (N, 3) the same before anything was done.
         scene_log: what was seen of each push.
         scene_sight: what a color and depth camera saw; None with ideal cameras.
+        other_truths: true masses and frictions of the objects after the first; empty if nobody
+            knows them.
+        belief: what the robot believed of the objects at the end; None before it began.
         raised: height of the lowest point of object 0 above the table at the end, m; NaN if nobody
             knows it.
     """
@@ -116,7 +122,24 @@ class SceneTaskRecord(ControlledRecord[SceneStatus]):
     begin: Array
     scene_log: tuple[ObservedScenePush, ...] = field(default=(), kw_only=True)
     scene_sight: SceneSight | None = field(default=None, kw_only=True)
+    other_truths: tuple[CellParameters, ...] = field(default=(), kw_only=True)
+    belief: SceneBelief | None = field(default=None, kw_only=True)
     raised: float = field(default=float("nan"), kw_only=True)
+
+    def list_objects(self) -> tuple[GridObject, ...]:
+        """Lists the N objects."""
+        return self.objects
+
+    @property
+    def learned(self) -> tuple[Identification, ...]:
+        """(N,) what was learned of each object; empty where no push told anything of any."""
+        found = () if self.belief is None else self.belief.identifications
+        return found if any(each.push_names for each in found) else ()
+
+    @property
+    def truths(self) -> tuple[CellParameters, ...]:
+        """(N,) true masses and frictions of the objects; empty if nobody knows them."""
+        return () if self.truth is None else (self.truth, *self.other_truths)
 
     @property
     def pushes(self) -> int:
@@ -206,6 +229,7 @@ class SceneTask(StationTask[SceneTaskRecord]):
             ),
         )
         self._connect_poses(builder)
+        self._other_truths: tuple[CellParameters, ...] = ()
         super().__init__(builder, station, self.controller, meshcat)
         if meshcat is not None and self.has_goals:
             self._draw_goals(meshcat)
@@ -229,19 +253,18 @@ class SceneTask(StationTask[SceneTaskRecord]):
 
     def _connect_poses(self, builder: DiagramBuilder) -> None:
         """Connects the poses of all objects with the controller."""
-        poses = builder.AddNamedSystem("object_poses", Multiplexer([3] * len(self.objects)))
-        ports = ["object.pose", *(f"{other.name}.pose" for other in self.station.others)]
-        for number, name in enumerate(ports):
-            builder.Connect(self.station.GetOutputPort(name), poses.get_input_port(number))
-        builder.Connect(poses.get_output_port(), self.controller.GetInputPort("object_poses"))
+        names = ["object.pose", *(f"{other.name}.pose" for other in self.station.others)]
+        ports = [self.station.GetOutputPort(name) for name in names]
+        poses = AddPosesTogether(builder, ports, "object_poses")
+        builder.Connect(poses, self.controller.GetInputPort("object_poses"))
 
     def make_planner(self) -> ScenePlanner:
         """Makes what decides for the controller."""
         raise NotImplementedError
 
-    def make_learning(self) -> SceneLearner | None:
-        """Makes what learns the objects; None for nobody."""
-        return None
+    def make_learning(self) -> SceneLearner:
+        """Makes what learns the objects; here all together."""
+        return SceneLearning(noise=NOISE)
 
     def make_find_grasp(self) -> FindSceneGrasp | None:
         """Makes what finds grasps; None where none is made."""
@@ -270,6 +293,14 @@ class SceneTask(StationTask[SceneTaskRecord]):
             workers=cpu_count() or 1,
         )
 
+    def prepare(self, context: Context, seed: int) -> None:
+        """Notes what the other objects truly are in this run, for its record."""
+        scenario = self.station.scenario
+        self._other_truths = tuple(
+            draw_other_truth(scenario, part, number, seed)
+            for number, part in enumerate(list_parts(self.station.others))
+        )
+
     def make_record(self) -> SceneTaskRecord:
         """Makes the empty record of a run."""
         poses = self._read_poses()
@@ -282,6 +313,7 @@ class SceneTask(StationTask[SceneTaskRecord]):
             names=self.names,
             goals=self.goals,
             poses=poses,
+            other_truths=self._other_truths,
             begin=np.array([self.station.scenario.object_pose, *self._list_other_poses()]),
         )
 
@@ -289,13 +321,24 @@ class SceneTask(StationTask[SceneTaskRecord]):
         """Lists where the scenario has the other objects, (x, y, theta), m and rad."""
         return [other.pose for other in self.station.others]
 
+    def list_objects(self) -> tuple[GridObject, ...]:
+        """Lists the N objects, as the robot knows them."""
+        return self.objects
+
+    def read_estimates(self) -> tuple[Identification, ...]:
+        """Returns what is known now of each object (N,); see `StationTask.read_estimates`."""
+        context = self.controller.GetMyContextFromRoot(self.simulator.get_context())
+        return self.controller.GetState(context).belief.identifications
+
     def note(self, record: SceneTaskRecord, time: float) -> bool:
         """Writes down where the objects are, and what the controller does."""
         record.poses = self._read_poses()
         new = self.note_step(record, time)
         if new:
             context = self.controller.GetMyContextFromRoot(self.simulator.get_context())
-            record.scene_log = self.controller.GetState(context).log
+            state = self.controller.GetState(context)
+            record.scene_log = state.log
+            record.belief = state.belief
         return new or not self.read("executor.status").ready
 
     def judge(self, record: SceneTaskRecord, waiting: Waiting) -> Judgment:
@@ -400,10 +443,6 @@ class RearrangeTask(SceneTask):
             seed=self.station.scenario.seed,
         )
 
-    def make_learning(self) -> SceneLearning:
-        """Learns all objects together."""
-        return SceneLearning(noise=NOISE)
-
 
 class FetchTask(SceneTask):
     """The station with a controller that clears the way, and grasps the wanted object, object 0."""
@@ -447,13 +486,14 @@ class FetchTask(SceneTask):
         )
 
     def make_learning(self) -> FetchLearning:
-        """Learns the wanted object from pushes in which nothing else moved."""
+        """Learns the wanted object from pushes in which nothing else moved, and all together."""
         friction = self.station.scenario.object_friction
         return FetchLearning(
             0,
             self.surface,
             friction_range=None if friction is None else (friction[0], friction[1]),
             obj=self.station.obj,
+            scene=SceneLearning(noise=NOISE),
         )
 
     def make_find_grasp(self) -> FindSceneGrasp:

@@ -139,11 +139,12 @@ def AddWorld(
     Args:
         builder: an empty builder.
         resolved: the resolved scenario.
-        show_object: whether Meshcat shows the object's plain outline.
+        show_object: whether Meshcat shows the plain outlines of the objects that the task is about.
         drake_models: folder of the meshes with which the robot is shown; None to show its
             primitive shapes.
-        told: whether the robot is told the object's outline whatever its camera is. Otherwise a
-            color and depth camera takes a photograph, in which the object is found.
+        told: whether the task is about all objects, whose outlines the robot is told whatever its
+            camera is. Otherwise a color and depth camera takes a photograph, in which the one
+            object is found.
 
     Returns:
         The world.
@@ -175,7 +176,16 @@ def AddWorld(
         support=resolved.support,
         visual=show_object,
     )
-    others = AddOthers(plant, scene_graph, scenario, resolved.others, table, object_in_plant)
+    # In a task with several objects the estimates of all are drawn, in the place of their outlines.
+    others = AddOthers(
+        plant,
+        scene_graph,
+        scenario,
+        resolved.others,
+        table,
+        object_in_plant,
+        visual=show_object or not told,
+    )
     if scenario.camera.kind == "rgbd":
         AddSeenVisual(plant, scene_graph, object_in_plant)
     if found is not None:

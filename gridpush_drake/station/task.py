@@ -6,8 +6,9 @@ new (`note`), and decides whether it is over (`judge`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -29,9 +30,11 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.pushes.weighings import WeighingLog
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
+from gridpush_drake.station.others import list_parts
 from gridpush_drake.station.resolve import ResolvedScenario
+from gridpush_drake.station.scene_camera import AddPosesTogether
 from gridpush_drake.station.station import Station
-from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
+from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer, ShownObject
 from gridpush_drake.systems.guard_status import (
     GuardMode,
     GuardStatus,
@@ -158,6 +161,10 @@ class TaskRecord:
     limit_report: LimitReport = field(default_factory=LimitReport, kw_only=True)
     duration: float = field(default=0.0, kw_only=True)
 
+    def list_objects(self) -> tuple[GridObject, ...]:
+        """Lists the objects (N,) that the task was about; here the one."""
+        return (self.obj,)
+
     def __repr__(self) -> str:
         """Says in a line or two what was done with which object, and how it ended."""
         name = type(self).__name__
@@ -271,7 +278,7 @@ class StationTask(Generic[R]):
     """If nothing new happens for this long, the task is stuck; simulated time, s."""
 
     pushes_others: ClassVar[bool] = False
-    """Whether the task is to push the other objects on the table, too."""
+    """Whether the task is about the other objects on the table, too: it pushes and learns them."""
 
     def __init__(
         self, builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat | None
@@ -291,8 +298,11 @@ class StationTask(Generic[R]):
         for command in COMMANDS:
             if controller.HasOutputPort(command):
                 builder.Connect(controller.GetOutputPort(command), station.GetInputPort(command))
+        self._visualizer: EstimateVisualizer | None = None
         if meshcat is not None:
-            AddEstimateVisualizer(builder, station, controller, meshcat)
+            self._visualizer = AddEstimateVisualizer(
+                builder, station, controller, meshcat, several=self.pushes_others
+            )
         self.station = station
         self.controller = controller
         self.diagram = builder.Build()
@@ -438,7 +448,13 @@ class StationTask(Generic[R]):
             if untouched:
                 remarks.append(f"Nothing was touched in {', '.join(untouched)}.")
 
-        for part in (read_stream, read_sight, lambda: self.finish(record), name_untouched):
+        def show_last() -> None:
+            # What was learned at the very end may be newer than the last picture.
+            if self._visualizer is not None:
+                self._visualizer.ForcedPublish(self._visualizer.GetMyContextFromRoot(context))
+
+        finish = partial(self.finish, record)
+        for part in (show_last, read_stream, read_sight, finish, name_untouched):
             try:
                 part()
             except (Exception, SystemExit) as error:
@@ -497,6 +513,23 @@ class StationTask(Generic[R]):
         return system.GetOutputPort(port).Eval(
             system.GetMyContextFromRoot(self.simulator.get_context())
         )
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """Names (N,) of the objects that the task is about, as the station's ports have them."""
+        others = self.station.others if self.pushes_others else ()
+        return ("object", *(other.name for other in others))
+
+    def list_objects(self) -> tuple[GridObject, ...]:
+        """Lists the objects (N,) that the task is about, as the robot knows them; here the one."""
+        return (self.station.obj,)
+
+    def read_estimates(self) -> tuple[Identification, ...]:
+        """Returns what is known now of each object (N,) that the task is about.
+
+        Of an object of which nothing was learned it is the prior, without `push_names`.
+        """
+        return (self.read("estimate.identification"),)
 
     def note_step(self, record: ControlledRecord[Any], time: float) -> bool:
         """Adds a step to the record if the controller's status has changed; returns whether it has.
@@ -586,28 +619,42 @@ def describe_stop(guard: GuardStatus) -> str:
 
 
 def AddEstimateVisualizer(
-    builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat
+    builder: DiagramBuilder,
+    station: Station,
+    controller: System,
+    meshcat: Meshcat,
+    *,
+    several: bool = False,
 ) -> EstimateVisualizer:
-    """Adds a system that shows the station's estimate and the controller's push in Meshcat.
+    """Adds a system that shows what is known of the objects, and the controller's push, in Meshcat.
+
+    What is known is on the controller's ports where it learns by itself, else on the station's.
 
     Args:
         builder: the builder that has station and controller.
         station: a simulated station.
         controller: the system that commands it.
-        meshcat: Meshcat in which the estimate is shown.
+        meshcat: Meshcat in which the estimates are shown.
+        several: whether the station's other objects are shown, too.
     """
-    part = station.object_in_plant
-    visualizer = builder.AddNamedSystem(
-        "estimate_visualizer",
-        EstimateVisualizer(station.obj, meshcat, height=part.height, body=int(part.body.index())),
-    )
+    parts = [station.object_in_plant, *list_parts(station.others if several else ())]
+    shown = [ShownObject(part.obj, part.height, int(part.body.index())) for part in parts]
+    # The robot's object may have other cells than the true one.
+    shown[0] = replace(shown[0], obj=station.obj)
+    visualizer = builder.AddNamedSystem("estimate_visualizer", EstimateVisualizer(shown, meshcat))
     builder.Connect(station.GetOutputPort("body_poses"), visualizer.GetInputPort("body_poses"))
+    names = ("object", *(other.name for other in station.others[: len(parts) - 1]))
+    poses = [station.GetOutputPort(f"{name}.pose_true") for name in names]
+    together = AddPosesTogether(builder, poses, "true_object_poses")
+    builder.Connect(together, visualizer.GetInputPort("object_pose"))
+    for name in SHOWN:
+        source = controller if controller.HasOutputPort(name) else station
+        port = source.GetOutputPort(name if source is controller else f"estimate.{name}")
+        builder.Connect(port, visualizer.GetInputPort(name))
     builder.Connect(
-        station.GetOutputPort("object.pose_true"), visualizer.GetInputPort("object_pose")
+        station.GetOutputPort("executor.status"), visualizer.GetInputPort("push_status")
     )
-    for port in SHOWN:
-        builder.Connect(station.GetOutputPort(f"estimate.{port}"), visualizer.GetInputPort(port))
-    builder.Connect(
-        controller.GetOutputPort("push_command"), visualizer.GetInputPort("push_command")
-    )
+    for name in ("push_command", "predicted_poses"):
+        if controller.HasOutputPort(name):
+            builder.Connect(controller.GetOutputPort(name), visualizer.GetInputPort(name))
     return visualizer

@@ -5,7 +5,7 @@ files the run leaves in a folder (`write_files`), and how these are described an
 registry of the kinds there are is in `station.tasks`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from gridpush_drake.display.overlay import (
 from gridpush_drake.display.server import write_recording
 from gridpush_drake.files import write_whole
 from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.ground_truth import describe_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import PushLog
@@ -89,10 +90,12 @@ class TaskKind:
             `PushScenario()`, an iiwa with a finger.
         done: status of a run in which all went well.
         has_goal: whether there is something to reach, so that a run may end without reaching it.
-        files: names of the files that a run leaves in its folder, the report first.
+        files: names of the files that a run leaves in its folder, the report first. In a task with
+            several objects there is a `MODEL` of each, see `list_files`.
         marks: entries of the recording's legend, besides those of the estimate.
         grasps: whether the robot needs a gripper.
         several: whether it is a task with several objects, of which the robot is told the outlines.
+        looking: title and text beside the scene until the first push.
         hides: whether the arm hides the object from the camera again and again while it works.
     """
 
@@ -104,6 +107,7 @@ class TaskKind:
     marks: tuple[Mark, ...] = ()
     grasps: bool = False
     several: bool = False
+    looking: tuple[str, str] = (FIRST_TITLE, BEFORE_LOOKING)
     hides: bool = False
 
     @property
@@ -114,6 +118,18 @@ class TaskKind:
     def make_scenario(self) -> PushScenario:
         """Makes the scenario in which the task is done if none is given."""
         return PushScenario() if self.scenario is None else read_scenario(self.scenario)
+
+    def list_files(self, resolved: ResolvedScenario) -> tuple[str, ...]:
+        """Lists the names of the files that a run in a scenario may leave, the report first."""
+        return place_models(self.files, self.list_model_files(resolved))
+
+    def list_model_files(self, resolved: ResolvedScenario) -> tuple[str, ...]:
+        """Lists the names of the files of the objects' models; here one."""
+        return (MODEL,)
+
+    def list_models(self, record: Any) -> dict[str, Identification]:
+        """Lists what was learned of each object by the names of the models' files."""
+        return {MODEL: record.estimates[-1]} if record.estimates else {}
 
     def check(self, resolved: ResolvedScenario, more: Sequence[str] = ()) -> None:
         """Checks that the task can be done in a scenario, before anything is made or opened.
@@ -163,8 +179,8 @@ class TaskKind:
         """
         task = self.make_task(resolved, page.meshcat)
         task.AimCamera(page.meshcat)
-        page.overlay = self.make_overlay(task.station.obj)
-        phases = [Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)]
+        page.overlay = self.make_overlay(task.list_objects())
+        phases = [Phase(0.0, *self.looking)]
         page.show_phases(phases)
 
         def show(status: PushStatus, logged: int) -> None:
@@ -181,13 +197,18 @@ class TaskKind:
         page.meshcat.StartRecording(FRAMES_PER_SECOND)
         return task.run(progress=show, realtime_rate=realtime_rate)
 
-    def make_overlay(self, obj: GridObject, phases: Sequence[Phase] = ()) -> Overlay:
-        """Makes what stands beside the scene, in the live page and in the recording."""
+    def make_overlay(self, objects: Sequence[GridObject], phases: Sequence[Phase] = ()) -> Overlay:
+        """Makes what stands beside the scene, in the live page and in the recording.
+
+        Args:
+            objects: the objects that are learned.
+            phases: what was done from when on.
+        """
         return Overlay(
-            scale=make_color_scale(obj, CellColors()),
+            scale=make_color_scale(objects, CellColors()),
             marks=(*list_estimate_marks(), *self.marks),
             phases=tuple(phases),
-            close_up=make_close_up(obj, OBJECT_PATH),
+            close_up=make_close_up(objects[0], OBJECT_PATH),
         )
 
     def count_steps(self, scenario: PushScenario) -> int:
@@ -223,7 +244,7 @@ class TaskKind:
 
     def list_phases(self, record: Any) -> list[Phase]:
         """Lists what the robot did when, for the recording: a phase for each controller's step."""
-        phases = [Phase(0.0, FIRST_TITLE, BEFORE_LOOKING)]
+        phases = [Phase(0.0, *self.looking)]
         for step in record.steps:
             phase = self._make_phase(step.status, step.time)
             if phase is not None:
@@ -318,6 +339,12 @@ class GoalKind(TaskKind):
         return f"push {status.executed + (not status.ready)}, {status.phase}", status.executed
 
 
+def place_models(files: Sequence[str], models: Iterable[str]) -> tuple[str, ...]:
+    """Puts the names of models' files in the place of `MODEL` in the names of all files."""
+    named = tuple(models)
+    return tuple(each for name in files for each in (named if name == MODEL else (name,)))
+
+
 def write_files(
     task: TaskKind,
     folder: Path,
@@ -328,7 +355,7 @@ def write_files(
 ) -> list[Path]:
     """Writes the files of a run.
 
-    The model is the station's own. `gridpush identify` makes the same of object.yaml, pushes.csv
+    The models are the station's own. `gridpush identify` makes the same of object.yaml, pushes.csv
     and, if the object was weighed, weighings.csv.
 
     Args:
@@ -347,7 +374,7 @@ def write_files(
     """
     obj = record.obj
     written = {OBJECT, STREAM, SCENARIO}
-    overlay = task.make_overlay(obj, task.list_phases(record))
+    overlay = task.make_overlay(record.list_objects(), task.list_phases(record))
     if meshcat is not None:
         write_recording(meshcat, folder / RECORDING, force, overlay)
         written.add(RECORDING)
@@ -361,17 +388,20 @@ def write_files(
     recording = RECORDING if meshcat is not None else None
     written.update(task.write_own(folder, record, recording, force))
 
-    # Model and report need an estimate, which there is after the first push.
+    # Models and report need an estimate, which there is after the first push.
+    models = task.list_models(record)
+    for name, model in models.items():
+        write_model(folder / name, model, force)
+        written.add(name)
     training, held_out = task.split_log(record)
     if record.estimates:
         training.write_csv(folder / PUSHES, force)
-        write_model(folder / MODEL, record.estimates[-1], force)
         write_whole(folder / REPORT, task.make_report(record, recording), force)
-        written |= {PUSHES, MODEL, REPORT}
+        written |= {PUSHES, REPORT}
     if len(held_out):
         held_out.write_csv(folder / HELD_OUT, force)
         written.add(HELD_OUT)
     if len(record.weighings):
         record.weighings.write_csv(folder / WEIGHINGS, force)
         written.add(WEIGHINGS)
-    return [folder / name for name in task.files if name in written]
+    return [folder / name for name in place_models(task.files, models) if name in written]

@@ -1,5 +1,7 @@
 """What `gridpush COMMAND --help` shows: every word that was written, and a command to begin with."""
 
+import re
+
 import pytest
 import typer
 
@@ -35,6 +37,19 @@ def test_every_word_of_an_option_is_shown(capsys, monkeypatch, words):
     for option in find_command(words).params:
         said = squeeze((option.help or "").replace("\\[", "["))
         assert said in shown, option.name
+
+
+@pytest.mark.parametrize(
+    "words", [*PLAIN, *OTHERS, *[("bench", name) for name in BENCHES]], ids=" ".join
+)
+def test_what_an_option_takes_is_named_whole_on_a_narrow_terminal(capsys, monkeypatch, words):
+    """A column of 24 characters would break a list of names in the middle of a name."""
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = run_gridpush(capsys, *words, "--help").out
+    broken = [line for line in shown.splitlines() if re.search(r"<(?!=)[^>]*$", line)]
+    assert not broken
+    for option in find_command(words).params:
+        assert option.metavar is None or option.metavar in shown, option.name
 
 
 @pytest.mark.parametrize("words", [*PLAIN, *OTHERS], ids=" ".join)

@@ -300,3 +300,24 @@ def test_names_what_is_wrong_with_weighings(refuses, block, pushes, weighings, t
     refuses(*arguments, "--out", tmp_path / "learned.yaml", says=says)
     outcome = ("--out", weighings)
     refuses(*arguments, *outcome, says=[weighings])
+
+
+def test_weighings_that_cannot_be_true_are_never_learned_from(
+    gridpush, refuses, block, pushes, weighings, tmp_path
+):
+    good = weighings.read_text()
+    model = tmp_path / "learned.yaml"
+    arguments = ("identify", block, pushes, "--weighings", weighings, "--out", model)
+    for told, instead, column in (("10.0", "1.2e10", "force"), ("0.05", "3.5e-11", "force_std")):
+        weighings.write_text(good.replace(told, instead))
+        refuses(*arguments, says=[weighings, f"press 1, column {column}"])
+    assert not model.exists()
+    # Forces by which it balances where there is nothing of it: the model says so.
+    header, press, _, lift = good.splitlines()
+    weighings.write_text("\n".join([header, press.replace("10.0", "35.0"), lift]))
+    outcome = gridpush(*arguments, "--report", tmp_path / "report.html", "--json")
+    found = json.loads(outcome.out)
+    assert outcome.code == 3 and found["status"] == "explains_little"
+    assert "outside the outline" in found["message"] and found["doubt"] == found["message"]
+    report = (tmp_path / "report.html").read_text()
+    assert "should not be used" in report and "outside the outline" in report

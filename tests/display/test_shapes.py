@@ -90,7 +90,7 @@ def test_draws_nothing_of_a_center_that_is_not_finite(center):
     AddCenter(meshcat, "center", center, 1e-4 * np.eye(2), HEIGHT)
     assert not meshcat.HasPath("center")
     AddCenter(meshcat, "center", (0.0, 0.0), np.full((2, 2), np.nan), HEIGHT)
-    assert meshcat.HasPath("center/dot") and not meshcat.HasPath("center/ellipse")
+    assert meshcat.HasPath("center/dot") and not meshcat.HasPath("center/edge")
 
 
 @pytest.mark.parametrize("end", [(0.1, 0.2), (0.1, 0.2 + 1e-9), (np.nan, 0.2)])

@@ -52,6 +52,7 @@ def make_problem(
     lift: bool = True,
     noise: float = 1.0,
     force_std: float = 0.2,
+    size: float = 1.0,
 ) -> WeighingProblem:
     """Makes weighings of an object whose edge lies along y, the table at x < 0.
 
@@ -63,22 +64,23 @@ def make_problem(
         lift: whether it was lifted, too.
         noise: factor on all noise, which the estimate supposes to be 1.
         force_std: of all forces, N.
+        size: of the object; with 1, presses are up to 180 mm from the center of mass.
     """
     std = PoseNoise()
     weight = GRAVITY * truth.mass
     made = []
     poses = []
     for heading in headings:
-        # The expected center of mass is 30 to 80 mm inside the edge.
-        inside = rng.uniform(0.06, 0.1)
-        p = np.array([-inside, rng.uniform(-0.1, 0.1)]) - make_rotation(heading) @ CENTER
+        # The expected center of mass is 60 to 100 mm inside the edge, times the size.
+        inside = size * rng.uniform(0.06, 0.1)
+        p = np.array([-inside, size * rng.uniform(-0.1, 0.1)]) - make_rotation(heading) @ CENTER
         pose = np.array([*p, heading])
         seen = pose + noise * rng.standard_normal(3) * (std.position, std.position, std.angle)
         poses.append((pose, seen))
         b = -(p + make_rotation(heading) @ truth.center)[0]
         for _ in range(presses):
-            a = rng.uniform(0.03, 0.08)
-            y = rng.uniform(-0.02, 0.02)
+            a = size * rng.uniform(0.03, 0.08)
+            y = size * rng.uniform(-0.02, 0.02)
             # The edge is off: the tip is as much nearer to it as the center is farther from it.
             e = noise * std.edge * rng.standard_normal()
             force = weight * (b + e) / (a - e)
@@ -95,7 +97,7 @@ def make_problem(
     lifts = []
     if lift:
         pose, seen = poses[-1]
-        place = np.array([0.02, pose[1]])
+        place = np.array([size * 0.02, pose[1]])
         arm = pose[:2] + make_rotation(pose[2]) @ truth.center - place
         torque = weight * np.array([-arm[1], arm[0]])
         lifts.append(

@@ -22,7 +22,7 @@ def test_covariance_is_that_of_samples_where_the_spread_is_small() -> None:
     found = replace(found, posterior=small)
     center, covariance = calc_center_of_mass(found)
     np.testing.assert_allclose(center, found.params.center_of_mass(obj), atol=1e-15)
-    drawn = np.array([sample.center_of_mass(obj) for sample in found.samples(4000, seed=1)])
+    drawn = np.array([sample.center_of_mass(obj) for sample in found.draws(4000, seed=1)])
     np.testing.assert_allclose(np.cov(drawn.T), covariance, atol=0.1 * np.trace(covariance))
     np.testing.assert_allclose(drawn.mean(axis=0), center, atol=0.1 * np.sqrt(np.trace(covariance)))
 

@@ -9,6 +9,7 @@ from gridpush_drake.identification.hypotheses import SmoothField, TwoParts
 from gridpush_drake.identification.learning import METHODS, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.model_check import judge_fit
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.identification.problem import resolve_physics
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
@@ -261,3 +262,21 @@ def test_a_center_of_mass_at_a_corner_leaves_a_model_of_numbers() -> None:
     told = replace(obj.prior, center_of_mass=corner, center_of_mass_std=1e-4)
     found = identify(Model(obj), make_pokes(obj, make_uneven(obj), 3, 0), told)
     assert np.isfinite(found.params.mass).all() and (found.params.mass > 0).all()
+
+
+def test_what_predicts_worse_than_an_even_object_is_not_called_learned() -> None:
+    obj = make_block()
+    log = make_pokes(obj, CellParameters.uniform(obj), 5, 0, noise=(5e-4, 3.5e-3))
+    found = identify(Model(obj), log)
+    assert found.status != "learned" or judge_fit(found, log) is None
+    even = CellParameters.uniform(obj)
+    x = obj.p_BC[:, 0] / obj.p_BC[:, 0].max()
+    judged = {}
+    for slope in (0.03, 1.0):
+        tilted = replace(even, mass=even.mass * np.exp(slope * x))
+        assert calc_error(obj, tilted, log) > calc_error(obj, even, log)
+        status, message = judge_fit(replace(found, params=tilted), log)
+        judged[slope] = status
+        assert f"an even object by {1e3 * calc_error(obj, even, log):.1f} mm" in message
+    # Worse by less than the noise of a pose it is no better; by more it should not be used.
+    assert judged == {0.03: "prior_kept", 1.0: "explains_little"}

@@ -19,6 +19,9 @@ from gridpush_drake.report.page import list_numbers
 from tests.helpers.weighed_objects import Truth, make_problem
 from tests.identification.test_force_scale import MASS, learn, make_case
 
+SIZE = 0.3
+"""Size of the made-up weighings: their tips press on the object of these tests."""
+
 
 @pytest.fixture(scope="module")
 def learned():
@@ -36,7 +39,7 @@ def weighed(learned, truth):
     made = Truth(MASS, truth.center_of_mass(obj), float(truth.mass @ truth.friction) / MASS)
     headings = (0.0, np.pi, np.pi / 2)
     rng = np.random.default_rng(1)
-    log = make_problem(made, rng, headings, force_std=0.05).log
+    log = make_problem(made, rng, headings, force_std=0.05, size=SIZE).log
     return weigh_model(learned, log)
 
 
@@ -146,7 +149,7 @@ def test_the_report_tells_it_beside_the_truth(weighed, truth):
 
 
 def test_without_forces_the_friction_stays_as_supposed(learned, weighed):
-    log = make_problem(Truth(MASS, np.zeros(2), 0.4), np.random.default_rng(1)).log
+    log = make_problem(Truth(MASS, np.zeros(2), 0.4), np.random.default_rng(1), size=SIZE).log
     unmoved = weigh_model(replace(learned, force=None), log)
     params = unmoved.params
     supposed = learned.params.mass @ learned.params.friction / learned.params.total_mass
@@ -173,7 +176,7 @@ def test_a_method_that_cannot_hold_frictions_learns_from_the_pushes_once(learned
         asked.append(friction)
         return learned
 
-    press = EdgePress(np.zeros(3), np.array([0.1, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
+    press = EdgePress(np.zeros(3), np.array([0.08, 0.0]), 3.0, np.array([0.05, 0.0]), 0.0)
     weighings = WeighingLog((press,))
     pushed, found = learn_with_weighings(learn, PushLog(()), weighings, holds_friction=False)
     assert asked == [None] and pushed is learned and found.absolute.presses == 1

@@ -49,6 +49,12 @@ ABOVE = {"rpy": (180, 0, 0), "distance": 0.7}
 SLANTED = {"rpy": (210, 0, 0), "at": (0.0, -0.35), "distance": 0.6}
 """Where it is: straight above, or at a slant of 30 degrees."""
 
+WHITE = 150
+"""Least of a pixel's colors on paper, in the shade, too; the table's blue is darker."""
+
+MIN_PAPER = 20_000
+"""Least number of pixels of the paper in any of the pictures."""
+
 MAX_ERROR = 3e-4
 """Largest mean distance of an outline from the true one, m; a pixel shows 0.9 mm."""
 
@@ -96,6 +102,8 @@ def test_an_outline_is_metric_beside_and_on_a_sheet(pose, knows_camera):
     middle = Polygon(transform(pose, BLOCK)).centroid
     true_pixel = camera.project([middle.x, middle.y, 0.0])
     np.testing.assert_allclose(by_sheet.pixel, true_pixel, atol=1.0)
+    # and what is shown of it has the paper as it was photographed, not painted over
+    assert (by_sheet.found.picture.min(axis=-1) > WHITE).sum() > MIN_PAPER
 
 
 def test_a_letter_is_no_a4():

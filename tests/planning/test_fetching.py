@@ -17,9 +17,10 @@ from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, calc_overhangs
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.fetching import CLEAR, FetchLearning, FetchOptions, FetchPlanner
-from gridpush_drake.planning.scene.loop import SceneAction, SceneStep, run_scene_task
+from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning, SceneStep, run_scene_task
 from gridpush_drake.planning.scene.world import SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.scene_log import ObservedScenePush
 from tests.helpers.random_pushes import make_random_contents
 from tests.helpers.shapes import make_shape
 
@@ -85,6 +86,31 @@ def test_the_wanted_object_is_learned_only_from_pushes_in_which_nothing_else_mov
     learned = learning.learn(belief, [beside, alone], 0)
     assert set(learned.models) == {0}
     assert len(learned.models[0].poke_starts) == 1
+    # what is shown of it is what it was learned to be, and of the others what was held before
+    wanted, *others = learned.identifications
+    assert wanted is learned.learned_alone[0] and wanted.push_names == (alone.name,)
+    assert not any(found.push_names for found in others)
+
+
+def test_all_objects_together_are_learned_from_pushes_on_the_table_alone():
+    """The model of a scene knows no edge, over which the wanted object hangs at last."""
+    truth = make_truth()
+    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2)
+    shown = []
+
+    class Noting:
+        def learn(self, belief, pushes, seed, *, last=False):
+            shown.append(([seen.name for seen in pushes], last))
+
+    push = Push((0.25, 0.35), (0.0, -0.05), 1.5, 0.008)
+    poses = np.stack([truth.poses, truth.poses + [[0.5, 0.0, 0.0], [0.0] * 3, [0.0] * 3]])
+    on_table, over_edge = (
+        ObservedScenePush(name, push, start, np.array([1.5]), start[None])
+        for name, start in zip(("on", "over"), poses, strict=True)
+    )
+    learning = FetchLearning(0, TABLE, scene=Noting())
+    assert learning.learn(belief, [on_table, over_edge], 0, last=True) is None
+    assert shown == [(["on"], True)]
 
 
 @pytest.mark.slow
@@ -94,7 +120,7 @@ def test_the_wanted_object_is_fetched_and_nothing_falls():
     options = FetchOptions(pregrasp=PreGraspOptions(max_arm=0.1))
     planner = FetchPlanner(truth.objects, 0, TABLE, options, seed=1)
     belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2)
-    learning = FetchLearning(0, TABLE, friction_range=(0.3, 0.4))
+    learning = FetchLearning(0, TABLE, friction_range=(0.3, 0.4), scene=SceneLearning())
     run = run_scene_task(world, planner, belief, learning=learning, max_pushes=50, seed=1)
     assert run.done and run.last.action is SceneAction.GRASP, run.reason
     kinds = [step.decision.kind for step in run.steps]

@@ -1,6 +1,7 @@
 """A world of the user's own, as `docs/extending.md` writes one, in closed loops and in benches."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +14,20 @@ from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoEdgeWorld
 from gridpush_drake.bench.truth.mujoco_world import MujocoWorld
 from gridpush_drake.bench.worlds import WORLDS, find_world
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.feedback import FeedbackFinger, PushFollower, follow
+from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.scene import SceneWorld, hide
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.planning.world import PushWorld, SimulatedWorld, TrackedWorld
+from gridpush_drake.planning.weighing.press import PressOptions, PressTarget
+from gridpush_drake.planning.world import PushWorld, SimulatedWorld, TrackedWorld, WorldMotion
 
 PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
@@ -34,13 +39,24 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+def find_code(name):
+    """The page's block of code that defines a class."""
+    pattern = rf"```python\n((?:(?!```).)*class {name}\(?.*?)```"
+    (code,) = re.findall(pattern, PAGE.read_text(), re.DOTALL)
+    return code
+
+
+def make_class(name):
+    """The page's class of a name."""
+    names = {}
+    exec(find_code(name), names)
+    return names[name]
+
+
 @pytest.fixture
 def DiscWorld(tmp_path, monkeypatch):
     """The page's world, in a module that benches can import."""
-    (code,) = re.findall(
-        r"```python\n((?:(?!```).)*class DiscWorld.*?)```", PAGE.read_text(), re.DOTALL
-    )
-    (tmp_path / "disc_world.py").write_text(code)
+    (tmp_path / "disc_world.py").write_text(find_code("DiscWorld"))
     monkeypatch.syspath_prepend(str(tmp_path))
     return find_world("disc_world:DiscWorld")
 
@@ -151,3 +167,56 @@ def test_every_named_world_moves_an_object_alike(name):
     assert world.truth.motion is None
     world.execute(push)
     np.testing.assert_allclose(world.truth.pose, motion.poses[-1], atol=1e-6)
+
+
+def test_the_finger_s_force_is_seen_with_the_push(DiscWorld, puck):
+    class FeltDisc(DiscWorld):
+        def do_push(self, push, pose):
+            t = np.linspace(0.0, push.duration, 5)
+            return replace(super().do_push(push, pose), force_t=t, force=np.outer(t, [1.0, 2.0]))
+
+    world = FeltDisc(puck, CellParameters.uniform(puck), (0.0, 0.0, 0.3), TABLE)
+    seen = world.execute(Push((-0.1, 0.0), (0.05, 0.0), 2.0, FINGER))
+    np.testing.assert_array_equal(seen.force_t, np.linspace(0.0, 2.0, 5))
+    np.testing.assert_array_equal(seen.force[-1], [2.0, 4.0])
+    for wrong in ({"force_t": np.zeros(2)}, {"force_t": np.zeros(2), "force": np.zeros((3, 2))}):
+        with pytest.raises(PlanningError, match="motion: force"):
+            WorldMotion(times=np.zeros(2), poses=np.zeros((2, 3)), **wrong)
+
+
+def test_a_finger_is_steered_in_a_world_of_one_s_own(puck):
+    finger = FeedbackFinger(radius=FINGER, speed=0.1, walking_speed=0.2)
+    world = make_class("SteeredDisc")(RADIUS, FINGER, (0.0, 0.0, 0.0), (-0.1, 0.01), seed=1)
+    follower = PushFollower(puck, CellParameters.uniform(puck), np.array([0.15, 0.0, 0.0]), finger)
+    run = follow(follower, world, 20.0)
+    assert run.status == FollowStatus.REACHED
+    assert np.hypot(*(world.pose[:2] - (0.15, 0.0))) < 0.01
+    # Somebody's hand may put it elsewhere; what is no pose is refused.
+    world.shove((0.2, 0.1, 0.0))
+    np.testing.assert_array_equal(world.pose, [0.2, 0.1, 0.0])
+    with pytest.raises(PlanningError, match="pose"):
+        world.shove((np.nan, 0.0, 0.0))
+
+
+def test_a_press_is_made_in_a_world_of_one_s_own():
+    target = PressTarget((0.03, 0.0), (0.0, 0.0), 0.0, 0.03, 0.008)
+    options = PressOptions()
+    state = make_class("SpringPress")(weight=6.0, inside=0.05).press(target, options)
+    weighing = state.make_weighing(target, options, np.zeros(3))
+    assert weighing.force == pytest.approx(6.0 * 0.05 / 0.03, rel=0.01)
+
+
+def test_several_objects_are_pushed_in_a_world_of_one_s_own(puck):
+    start = np.array([[0.0, 0.0, 0.3], [0.3, 0.0, 0.0]])
+    scene = hide([puck, puck], start, np.random.default_rng(0))
+    world = make_class("DiscScene")(scene, position_std=0.001, angle_std=0.01, seed=1)
+    assert isinstance(world, SceneWorld)
+    before = world.observe()
+    seen = world.execute(Push((-0.1, 0.0), (0.05, 0.0), 2.0, FINGER))
+    moved = world.truth.poses - start
+    assert moved[0, 0] > 0.05 and not moved[1].any()
+    off = seen.poses_observed[-1] - world.truth.poses
+    assert off.any() and np.abs(off[:, :2]).max() < 0.005 and np.abs(off[:, 2]).max() < 0.05
+    np.testing.assert_array_equal(seen.poses, before)
+    np.testing.assert_array_equal(world.observe(), seen.poses_observed[-1])
+    assert world.pushes == 1 and world.time > 2.0

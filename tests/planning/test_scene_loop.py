@@ -38,12 +38,12 @@ class Scripted:
 
 @dataclass
 class Counting:
-    """Learns nothing, and counts how often it was asked."""
+    """Learns nothing, and notes of how many pushes it was asked, and whether none followed."""
 
     asked: list = field(default_factory=list)
 
-    def learn(self, belief, pushes, seed):
-        self.asked.append(len(pushes))
+    def learn(self, belief, pushes, seed, *, last=False):
+        self.asked.append((len(pushes), last))
         return SceneBelief(belief.scene)
 
 
@@ -82,7 +82,8 @@ def test_a_push_is_made_seen_and_learned_from():
     wrapped = after - [[0.0, 0.0, 0.0], [0.0, 0.0, 2 * np.pi]]
     now = watch(loop, now, wrapped, PushStatus(command_id=1, executed=1), 1.0)
     assert now.status.mode is SceneMode.DONE and now.status.pushes == 1
-    assert learner.asked == [1] and now.belief is not loop.belief
+    # it is asked after the push, and once more as the task is done
+    assert learner.asked == [(1, False), (1, True)] and now.belief is not loop.belief
     np.testing.assert_allclose(now.log[0].poses, POSES)
     np.testing.assert_allclose(now.log[0].poses_observed[0], after)
     # what is over stays so

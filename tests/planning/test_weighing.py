@@ -360,6 +360,20 @@ def test_a_planner_weighs_where_the_other_gives_up():
     tired = replace(model, belief=replace(belief, presses=8))
     assert weighing.decide(at_edge, tired).action == "fail"
 
+    # After many slides and no press it is slid no further to be weighed, and the reason says so;
+    # each press allows more of them. Where it can be pressed as it lies, it is.
+    options = weighing.weighing
+    never = replace(model, belief=replace(belief, presses=0))
+    stopped = weighing.decide(inside, never, slides=options.first_slides)
+    assert stopped.action == "fail"
+    assert stopped.reason.endswith(
+        "8 slides led to no press, so that it is slid no further to be weighed"
+    )
+    for slides, action in ((0, "slide"), (options.slides_per_press, "fail")):
+        slides += options.first_slides
+        assert weighing.decide(inside, model, slides=slides).action == action
+    assert weighing.decide(at_edge, model, slides=slides).action == "weigh"
+
 
 def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():
     """No press would tilt it wherever its center of mass may be; one with the center in the middle.

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,9 +7,14 @@ import yaml
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushError, PushLogError
+from gridpush_drake.identification.model import Model
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions
-from gridpush_drake.planning.pregrasp.exploration import PokeOptions
+from gridpush_drake.planning.pregrasp.exploration import make_pokes
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 
@@ -123,7 +129,18 @@ def test_the_radius_that_is_assumed_is_the_shipped_finger_s_in_learning_and_plan
     models = find_shipped_object("claw_hammer").parents[1]
     finger = models / "fingers" / "rod" / "finger.yaml"
     assert yaml.safe_load(finger.read_text())["tip_radius"] == DEFAULT_PUSHER_RADIUS
-    assert ContactOptions().radius == PokeOptions().radius == DEFAULT_PUSHER_RADIUS
+    obj = GridObject.from_yaml(find_shipped_object("claw_hammer"))
+    for told, radius in ((None, DEFAULT_PUSHER_RADIUS), (0.010, 0.010)):
+        known = replace(obj, prior=replace(obj.prior, pusher_radius=told, push_height=None))
+        even = CellParameters.uniform(known)
+        plan = optimize_contact(Model(known, even), np.zeros(3), [0.05, 0.0, 0.0])
+        poke = make_pokes(UncertainModel.of_parameters(Model(known, even)), np.zeros(3))[0]
+        assert plan.push.push.radius == poke.radius == radius
+    # Whoever knows better says so.
+    thin = optimize_contact(
+        Model(known, even), np.zeros(3), [0.05, 0.0, 0.0], options=ContactOptions(0.005)
+    )
+    assert thin.push.push.radius == 0.005
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 0, 1, 7])

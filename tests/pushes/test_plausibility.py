@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shapely import Point
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.errors import IdentificationError, PushLogError, PushLogWarning
 from gridpush_drake.geometry.se2 import compose
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import predict
+from gridpush_drake.identification.result import IdentificationStatus
+from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
@@ -20,9 +23,15 @@ from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.importers.mit import MitImporter
 from gridpush_drake.pushes.misplaced import explain_no_contact
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
-from gridpush_drake.pushes.plausibility import check_plausible, find_implausible
+from gridpush_drake.pushes.plausibility import (
+    check_plausible,
+    check_plausible_weighings,
+    find_implausible,
+    find_implausible_weighings,
+)
 from gridpush_drake.pushes.push_log import PushLog
-from tests.helpers.made_identifications import make_block
+from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
+from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.shared_data import shared_data
 from tests.helpers.simulated_pushes import make_pushes
 
@@ -417,3 +426,74 @@ def test_why_nothing_touches_is_told_without_contradiction():
         text = explain_no_contact(obj, PushLog((seen,), "log.csv"))
         assert "at 0 m" not in text
         assert re.search(says, text), text
+
+
+@pytest.fixture(scope="module")
+def block():
+    return make_block()
+
+
+REST = np.array([-0.04, 0.0, 0.0])
+"""The block lies with its last 20 mm over an edge along y, at x = 0."""
+
+LEAN = EdgePress(REST, np.array([0.01, 0.0]), 10.0, np.zeros(2), 0.0)
+LIFTED = Lift(REST, np.array([-0.01, 0.0]), 8.0, np.array([0.0, -0.24]))
+
+
+@pytest.mark.parametrize(
+    ("weighing", "says"),
+    [
+        (replace(LEAN, force=1.2e10), "press 1, column force: 1.2e+10 N is that of"),
+        (replace(LEAN, force_std=3.5e-11), "press 1, column force_std: is 3.5e-11 N"),
+        (replace(LEAN, place=np.array([10.0, 0.0])), "press 1, columns place_x, place_y: are 9.98"),
+        (replace(LEAN, pose=1e3 * REST), "expected a place on it"),
+        (
+            replace(LEAN, edge_angle=np.pi, edge_point=np.array([0.03, 0.0])),
+            "press 1, columns edge_x, edge_y, edge_angle: block lies wholly beyond",
+        ),
+        (replace(LIFTED, weight=8e3), "lift 1, column force: 8000 N is that of"),
+        (replace(LIFTED, weight_std=1e-9), "lift 1, column force_std"),
+        (replace(LIFTED, torque_std=1e-12), "lift 1, column torque_std: is 1e-12 N m"),
+        (replace(LIFTED, torque=np.array([0.0, 240.0])), "put the center of mass 30 m off"),
+    ],
+)
+def test_weighings_that_cannot_be_true_are_refused(block, weighing, says) -> None:
+    is_press = isinstance(weighing, EdgePress)
+    log = WeighingLog(
+        presses=(weighing,) if is_press else (), lifts=() if is_press else (weighing,)
+    )
+    with pytest.raises(PushLogError, match=re.escape(says)):
+        check_plausible_weighings(block, log)
+
+
+def test_weighings_that_may_be_true_pass_without_a_word(block) -> None:
+    good = WeighingLog((LEAN, LEAN), (LIFTED, replace(LIFTED, torque=None, torque_std=1e-12)))
+    assert find_implausible_weighings(block, good) == []
+    degrees = replace(LEAN, edge_angle=360.0 * np.pi)
+    with pytest.warns(PushLogWarning, match="edge_angle: in degrees"):
+        check_plausible_weighings(block, WeighingLog((degrees,)))
+
+
+def test_whatever_passes_has_an_estimate(block) -> None:
+    found = make_identification(block)
+    rng = np.random.default_rng(0)
+    used = 0
+    for _ in range(120):
+        std = 10.0 ** rng.uniform(-4, 3)
+        force = 10.0 ** rng.uniform(-6, 3)
+        arm = 10.0 ** rng.uniform(-9, -1.7)
+        press = replace(LEAN, force=force, force_std=std, place=np.array([arm, 0.0]))
+        lift = replace(LIFTED, weight=10.0 ** rng.uniform(-6, 2), weight_std=std)
+        log = WeighingLog((press, press), (lift,))
+        if find_implausible_weighings(block, log):
+            continue
+        used += 1
+        try:
+            weighed = weigh_model(found, log)
+        except IdentificationError as error:
+            assert "no mass and center of mass are found" in str(error)
+            continue
+        x, y = weighed.absolute.center_of_mass
+        inside = block.outline.convex_hull.covers(Point(x, y))
+        assert inside == (weighed.status != IdentificationStatus.EXPLAINS_LITTLE)
+    assert used > 30

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import shapely
+from matplotlib.colors import to_rgb
 from matplotlib.patches import Circle, Patch
 from PIL import Image
 from shapely import Polygon
@@ -42,6 +43,7 @@ from gridpush_drake.report.figures import (
     draw_object,
     draw_pushes,
     draw_scene_motion,
+    draw_unknown_maps,
 )
 from gridpush_drake.report.plan_figures import (
     CLOSE_UP,
@@ -51,6 +53,8 @@ from gridpush_drake.report.plan_figures import (
     draw_push_run,
     draw_slide,
 )
+from gridpush_drake.report.progress import Progress, draw_progress
+from gridpush_drake.report.scene_run import draw_scene_run
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.shapes import make_shape
 from tests.helpers.simulated_pushes import make_pushes
@@ -299,3 +303,69 @@ def test_an_svg_has_no_empty_bands():
     root = ElementTree.fromstring(to_svg(figure))
     width, height = (float(root.get(side).removesuffix("pt")) for side in ("width", "height"))
     assert height < 0.4 * width
+
+
+APART = 10
+"""Least distance between two titles side by side, pixels: about a letter's width."""
+
+
+def find_extents(figure, artists):
+    """Finds the boxes of some artists of a figure, in pixels."""
+    figure.canvas.draw()
+    renderer = figure.canvas.get_renderer()
+    return [artist.get_window_extent(renderer) for artist in artists]
+
+
+@pytest.mark.parametrize("name", ["snack_bag", "spray_bottle", "toolbox"])
+def test_titles_of_three_columns_keep_apart(name):
+    obj = GridObject.from_yaml(find_shipped_object(name))
+    found = make_identification(obj)
+    for figure in (draw_model(found, CellParameters.uniform(obj)), draw_unknown_maps(found)):
+        titled = [ax.title for ax in figure.axes if ax.get_title()]
+        extents = find_extents(figure, titled)
+        assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 for box in extents)
+        for i, box in enumerate(extents):
+            wide = box.padded(APART / 2)
+            assert not any(wide.overlaps(other.padded(APART / 2)) for other in extents[i + 1 :])
+
+
+def test_the_label_of_an_axis_is_no_longer_than_the_axis():
+    """The names of the pushes take room from the axis."""
+    names = tuple(f"push_{i}" for i in range(1, 15))
+    errors = np.linspace(0.02, 0.001, len(names))
+    steps = np.arange(4)
+    figure = draw_progress(
+        Progress(steps, 0.01 / (1 + steps), np.empty(0), names, errors, 2 * errors)
+    )
+    for ax in figure.axes:
+        axis, label = find_extents(figure, [ax.patch, ax.yaxis.label])
+        assert label.y0 >= axis.y0 and label.y1 <= axis.y1, ax.get_ylabel()
+
+
+def draw_three_objects(count=2):
+    """Three blocks that are pushed, all with the same room about them after every push."""
+    obj = make_block()
+    poses = np.zeros((count + 1, 3, 3))
+    poses[:, :, 1] = [0.0, 0.2, 0.4]
+    poses[:, :, 0] = 0.1 * np.arange(count + 1)[:, None]
+    pushes = [Push([0.1 * i, -0.03], [0.05, 0.0], 1.0, 0.004) for i in range(count)]
+    values = np.tile(np.linspace(0.02, 0.06, count + 1)[:, None], (1, 3))
+    return draw_scene_run([obj] * 3, ("a", "b", "c"), poses, pushes, values, ("room", 0.05))
+
+
+def test_lines_that_lie_on_each_other_are_all_seen():
+    figure = draw_three_objects()
+    chart = figure.axes[1]
+    (box,) = find_extents(figure, [chart.patch])
+    picture = np.asarray(figure.canvas.buffer_rgba())[::-1, :, :3] / 255
+    inside = picture[int(box.y0) : int(box.y1), int(box.x0) : int(box.x1)].reshape(-1, 3)
+    lines = [line for line in chart.lines if line.get_linestyle() == "-"]
+    assert len(lines) == 3
+    for line in lines:
+        near = np.abs(inside - to_rgb(line.get_color())).max(axis=1) < 0.02
+        assert near.sum() > 200, line.get_color()
+
+
+def test_the_pushes_of_several_objects_have_their_numbers():
+    texts = [text.get_text() for text in draw_three_objects(count=3).axes[0].texts]
+    assert [text for text in texts if text] == ["1", "2", "3"]

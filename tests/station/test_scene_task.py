@@ -10,15 +10,20 @@ import shapely
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake import MakePushStation, PushScenario, read_scenario
+from gridpush_drake.display.cell_colors import CellColors
+from gridpush_drake.display.server import StartMeshcatServer
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import wrap_angle
-from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision
+from gridpush_drake.identification.model_file import read_model
+from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision, SceneLearning
 from gridpush_drake.planning.scene.scene_loop import SceneMode, SceneStatus
 from gridpush_drake.planning.scene.separation import MARGIN
 from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
 from gridpush_drake.station.others import draw_other_truth
 from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.run_recorder import RunRecorder
+from gridpush_drake.station.run_recording import read_run
 from gridpush_drake.station.scenario import PostConfig
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario, write_scenario
 from gridpush_drake.station.scene import load_object, load_others, use_object
@@ -32,6 +37,7 @@ from gridpush_drake.station.scene_task import (
     name_objects,
 )
 from gridpush_drake.station.task import TaskStatus, TaskStep
+from gridpush_drake.station.task_kind import write_files
 from gridpush_drake.station.tasks import TASKS, TaskName
 from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.renderer import require_renderer
@@ -272,6 +278,72 @@ def test_a_run_is_summarized_and_reported(name, tmp_path):
     record.poses[1] = np.nan
     status, message = task.judge(record, SimpleNamespace(idle=0.0, unseen=0.0))
     assert status is TaskStatus.DROPPED and task.names[1] in message
+
+
+def learn_one_push(task, record):
+    """Makes the controller of a task that has begun hold what the push of a record tells, and stop."""
+    context = task.simulator.get_mutable_context()
+    state = task.controller.GetState(task.controller.GetMyContextFromRoot(context))
+    learning = SceneLearning(noise=(2e-3, 2e-3, 1e-2))
+    belief = learning.learn(state.belief, record.scene_log, 0, last=True)
+    done = replace(state, belief=belief, log=record.scene_log).turn_to(SceneMode.DONE, "Done.")
+    task.controller.GetMyMutableContextFromRoot(context).SetAbstractState(0, done)
+    return belief.identifications
+
+
+def test_what_was_learned_of_each_object_is_drawn_recorded_and_written(tmp_path):
+    """The colors in Meshcat are those of the models that the folder holds, and no object is gray."""
+    pytest.importorskip("rosbags")
+    kind = TASKS["separate"]
+    scenario = kind.make_scenario()
+    meshcat = StartMeshcatServer(0)
+    task = SeparateTask(scenario, meshcat)
+    task.begin(0)
+    meshcat.StartRecording(20.0)
+    task.simulator.Initialize()
+    visualizer = task.diagram.GetSubsystemByName("estimate_visualizer")
+
+    def load_masses():
+        context = visualizer.GetMyContextFromRoot(task.simulator.get_context())
+        return [each.mass for each in context.get_abstract_state(0).get_value().estimates]
+
+    # beforehand all are even
+    assert len(load_masses()) == len(task.objects)
+    assert all(np.ptp(mass) < 1e-9 for mass in load_masses())
+    assert all(other.part.visuals == () for other in task.station.others)
+    # then what a push told of each
+    record = make_record(task, "separate")
+    models = learn_one_push(task, record)
+    recorder = RunRecorder()
+    task.simulator.AdvanceTo(0.2)
+    recorder.note(task)
+    assert all(np.ptp(model.params.mass) > 0 for model in models)
+    for b, (mass, model) in enumerate(zip(load_masses(), models, strict=True)):
+        np.testing.assert_array_equal(mass, model.params.mass)
+        assert meshcat.HasPath(f"estimate/object/{b}/2/cells")
+    # the folder
+    task.note(record, 0.2)
+    names = [f"model_{name.replace(' ', '_')}.yaml" for name in task.names]
+    written = write_files(kind, tmp_path, scenario, record, meshcat, False)
+    assert set(names) <= {path.name for path in written}
+    assert set(names) <= set(kind.list_files(resolve(scenario, "separate")))
+    for name, model in zip(names, models, strict=True):
+        again = read_model(tmp_path / name)
+        np.testing.assert_allclose(again.params.mass, model.params.mass, rtol=1e-6)
+    page = (tmp_path / "report.html").read_text()
+    assert all(f"What was learned of the {name}" in page for name in task.names)
+    assert "truth" in page
+    # the file for Foxglove, in which every object has a frame
+    recorder.write(tmp_path / "run.mcap", record)
+    run = read_run(tmp_path / "run.mcap")
+    markers = run.require("/cells")[-1][1].markers
+    assert [marker.header.frame_id for marker in markers] == list(task.object_names)
+    for marker, model in zip(markers, models, strict=True):
+        wanted = CellColors().calc_colors(model.params.mass, model.params.friction)
+        shown = [(color.r, color.g, color.b) for color in marker.colors]
+        np.testing.assert_allclose(shown, wanted, atol=1e-6)
+    for name in task.object_names[1:]:
+        assert run.get(f"/{name}/object_pose") and run.get(f"/{name}/center_of_mass")
 
 
 @pytest.mark.parametrize(("tolerance", "angle"), [(0.02, 0.2), (0.005, 0.05), (0.3, 0.5)])

@@ -1,8 +1,10 @@
 """What `EstimateVisualizer` keeps and draws; the pictures are drawn by a real browser."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue, Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
@@ -17,7 +19,8 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
+from gridpush_drake.planning.robot_status import PushPhase, PushStatus
+from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer, ShownObject
 from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.chromium import find_pixels, freeze_recording, require_chromium, take_picture
 from tests.helpers.made_identifications import make_block
@@ -55,10 +58,12 @@ def meshcat():
 
 
 def make_diagram(
-    obj, meshcat: Meshcat, estimates, optional: bool = True, **options
+    obj, meshcat: Meshcat, estimates, optional: bool = True, body=None, **options
 ) -> tuple[Diagram, object]:
     builder = DiagramBuilder()
-    visualizer = builder.AddSystem(EstimateVisualizer(obj, meshcat, height=HEIGHT, **options))
+    visualizer = builder.AddSystem(
+        EstimateVisualizer([ShownObject(obj, HEIGHT, body)], meshcat, **options)
+    )
 
     def feed(port, times, values, hold=PiecewisePolynomial.ZeroOrderHold):
         source = builder.AddSystem(TrajectorySource(hold(times, np.array(values, dtype=float).T)))
@@ -99,17 +104,17 @@ def test_draws_each_estimate_and_each_push_once(obj, meshcat, estimates):
     diagram, visualizer = make_diagram(obj, meshcat, estimates)
     simulator = Simulator(diagram)
     simulator.AdvanceTo(LEARNED_AT - 0.1)
-    assert meshcat.HasPath("estimate/object/1/cells")
-    assert not meshcat.HasPath("estimate/object/2")
+    assert meshcat.HasPath("estimate/object/0/1/cells")
+    assert not meshcat.HasPath("estimate/object/0/2")
     assert not meshcat.HasPath("estimate/push")
     simulator.AdvanceTo(END - 0.1)
-    assert meshcat.HasPath("estimate/object/2/center/ellipse")
+    assert meshcat.HasPath("estimate/object/0/2/center/edge")
     assert meshcat.HasPath("estimate/push/1/arrow")
-    assert not meshcat.HasPath("estimate/object/3")
+    assert not meshcat.HasPath("estimate/object/0/3")
     assert not meshcat.HasPath("estimate/push/2")
     drawing = load_drawing(visualizer, simulator.get_context())
-    assert (drawing.estimate, drawing.push) == (2, 1)
-    np.testing.assert_array_equal(drawing.mass, estimates[1].mass)
+    assert (drawing.estimates[0].number, drawing.push) == (2, 1)
+    np.testing.assert_array_equal(drawing.estimates[0].mass, estimates[1].mass)
 
 
 def test_the_ghost_is_where_the_core_predicts_it_by_the_present_estimate(obj, meshcat, estimates):
@@ -120,9 +125,9 @@ def test_the_ghost_is_where_the_core_predicts_it_by_the_present_estimate(obj, me
     push = Push(COMMAND.start, [0.0, COMMAND.speed], COMMAND.distance / COMMAND.speed, RADIUS)
     expected = simulate(Model(obj, params), push, FIRST).final_pose
     drawing = load_drawing(visualizer, simulator.get_context())
-    np.testing.assert_allclose(drawing.predicted, expected, atol=1e-9)
-    assert np.linalg.norm(drawing.predicted - FIRST) > 0.01
-    assert meshcat.HasPath("estimate/push/1/ghost")
+    np.testing.assert_allclose(drawing.predicted[0], expected, atol=1e-9)
+    assert np.linalg.norm(drawing.predicted[0] - FIRST) > 0.01
+    assert meshcat.HasPath("estimate/push/1/ghost/0")
 
 
 def test_keeps_what_it_drew_in_its_context(obj, meshcat, estimates):
@@ -131,24 +136,24 @@ def test_keeps_what_it_drew_in_its_context(obj, meshcat, estimates):
     simulator.AdvanceTo(LEARNED_AT - 0.1)
     copy = simulator.get_context().Clone()
     simulator.AdvanceTo(END - 0.1)
-    assert load_drawing(visualizer, copy).estimate == 1
+    assert load_drawing(visualizer, copy).estimates[0].number == 1
     other = Simulator(diagram, copy)
     other.get_mutable_context().SetTime(0.0)
     other.AdvanceTo(END - 0.1)
     drawings = [load_drawing(visualizer, sim.get_context()) for sim in (simulator, other)]
     np.testing.assert_array_equal(drawings[0].predicted, drawings[1].predicted)
-    assert drawings[0].estimate == drawings[1].estimate == 2
+    assert [drawing.estimates[0].number for drawing in drawings] == [2, 2]
 
 
 def test_begins_anew_when_it_is_initialized(obj, meshcat, estimates):
     diagram, _ = make_diagram(obj, meshcat, estimates, path="again")
     simulator = Simulator(diagram)
     simulator.AdvanceTo(END - 0.1)
-    assert meshcat.HasPath("again/object/2")
+    assert meshcat.HasPath("again/object/0/2")
     simulator.get_mutable_context().SetTime(0.0)
     simulator.Initialize()
-    assert meshcat.HasPath("again/object/1")
-    assert not meshcat.HasPath("again/object/2")
+    assert meshcat.HasPath("again/object/0/1")
+    assert not meshcat.HasPath("again/object/0/2")
     assert not meshcat.HasPath("again/push")
 
 
@@ -156,8 +161,8 @@ def test_needs_neither_a_center_nor_a_command(obj, meshcat, estimates):
     diagram, _ = make_diagram(obj, meshcat, estimates, optional=False, path="bare")
     context = diagram.CreateDefaultContext()
     diagram.ForcedPublish(context)
-    assert meshcat.HasPath("bare/object/1/cells")
-    assert not meshcat.HasPath("bare/object/1/center")
+    assert meshcat.HasPath("bare/object/0/1/cells")
+    assert not meshcat.HasPath("bare/object/0/1/center")
 
 
 @pytest.mark.slow
@@ -189,8 +194,85 @@ def test_a_push_that_cannot_be_simulated_has_no_ghost(obj, meshcat, estimates, s
     visualizer.GetInputPort("push_command").FixValue(inner, command.to_vector())
     diagram.ForcedPublish(context)
     assert meshcat.HasPath("spoilt/push/1")
-    assert not meshcat.HasPath("spoilt/push/1/ghost")
+    assert not meshcat.HasPath("spoilt/push/1/ghost/0")
     assert meshcat.HasPath("spoilt/push/1/arrow") == (command.distance > 0)
+
+
+def test_a_push_that_has_ended_is_not_drawn_any_more(obj, meshcat, estimates):
+    """The executor is at work on it, then ready again: an old ghost tells nothing of what is next."""
+    diagram, visualizer = make_diagram(obj, meshcat, estimates, path="ended", pusher_radius=RADIUS)
+    simulator = Simulator(diagram)
+    inner = visualizer.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    port = visualizer.GetInputPort("push_status")
+
+    def load_after(time, status):
+        port.FixValue(inner, AbstractValue.Make(status))
+        simulator.AdvanceTo(time)
+        return load_drawing(visualizer, simulator.get_context())
+
+    assert load_after(LEARNED_AT + 0.2, PushStatus()).over is False
+    assert meshcat.HasPath("ended/push/1/ghost/0")
+    assert load_after(MOVED_AT, PushStatus(PushPhase.PUSHING, command_id=1)).over is False
+    assert not meshcat.HasPath("ended/push/2")
+    assert load_after(MOVED_AT + 0.2, PushStatus(command_id=1, executed=1)).over is True
+    assert meshcat.HasPath("ended/push/2")  # which hides the one before it
+    assert not meshcat.HasPath("ended/push/2/ghost") and not meshcat.HasPath("ended/push/2/arrow")
+
+
+def test_each_of_several_objects_has_its_own_estimate_and_its_own_ghost(obj, meshcat, estimates):
+    visualizer = EstimateVisualizer([ShownObject(obj, HEIGHT), ShownObject(obj, 0.02)], meshcat)
+    context = visualizer.CreateDefaultContext()
+    poses = np.array([FIRST, LAST])
+    even, learned = estimates
+
+    def show(second, number, predicted):
+        values = {
+            "object_pose": poses.ravel(),
+            "mass": np.concatenate([even.mass, second.mass]),
+            "friction": np.concatenate([even.friction, second.friction]),
+            "center_of_mass": np.concatenate([each.center_of_mass(obj) for each in (even, second)]),
+            "push_command": replace(COMMAND, command_id=number).to_vector(),
+            "predicted_poses": predicted.ravel(),
+        }
+        for name, value in values.items():
+            visualizer.GetInputPort(name).FixValue(context, value)
+        simulator.AdvanceTo(context.get_time() + 0.1)
+
+    simulator = Simulator(visualizer, context)
+    context = simulator.get_mutable_context()
+    show(even, 0, np.full((2, 3), np.nan))
+    assert meshcat.HasPath("estimate/object/0/1/cells")
+    assert meshcat.HasPath("estimate/object/1/1/center/dot")
+    # what is learned of the second leaves the first one's drawing as it was
+    show(learned, 1, poses + [[0.0, 0.0, 2 * np.pi], [0.05, 0.0, 0.0]])
+    assert meshcat.HasPath("estimate/object/1/2/cells")
+    assert not meshcat.HasPath("estimate/object/0/2")
+    drawing = visualizer.GetMyContextFromRoot(context).get_abstract_state(0).get_value()
+    np.testing.assert_array_equal(drawing.estimates[1].mass, learned.mass)
+    # only what is expected to move has a ghost, a full turn is no motion
+    assert meshcat.HasPath("estimate/push/1/ghost/1")
+    assert not meshcat.HasPath("estimate/push/1/ghost/0")
+
+
+def test_the_ellipse_leaves_the_cells_their_colors(obj, meshcat, estimates):
+    """An even object has one color, also where its center of mass may be anywhere in it."""
+    require_chromium()
+
+    def count_even(spread):
+        visualizer = EstimateVisualizer([ShownObject(obj, HEIGHT)], meshcat)
+        context = visualizer.CreateDefaultContext()
+        values = {"object_pose": FIRST, "mass": estimates[0].mass}
+        values |= {"friction": estimates[0].friction, "center_of_mass": [0.06, 0.03]}
+        values["center_of_mass_covariance"] = spread.ravel()
+        for name, value in values.items():
+            visualizer.GetInputPort(name).FixValue(context, value)
+        visualizer.ForcedPublish(context)
+        return find_colors(obj, estimates, take_picture(meshcat.web_url()))[0].sum()
+
+    bare = count_even(np.zeros((2, 2)))
+    covered = count_even(np.diag([0.05, 0.025]) ** 2)  # all of the object lies within two sigma
+    assert bare > MIN_SEEN
+    assert covered > 0.85 * bare
 
 
 def find_colors(obj, estimates, picture):

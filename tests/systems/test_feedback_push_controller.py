@@ -186,6 +186,29 @@ def test_rests_without_poses_and_without_a_goal():
     assert status.reason == "No goal is given."
 
 
+def test_a_finger_or_a_goal_that_is_no_place_for_one_period_is_a_status():
+    run = Run()
+    simulator = run.simulator
+    simulator.AdvanceTo(0.5)
+    root = simulator.get_mutable_context()
+    source = run.goal.GetMyMutableContextFromRoot(root)
+    run.goal.get_mutable_source_value(source).SetFromVector([1e300, 0.0, 0.0])
+    simulator.AdvanceTo(0.62)
+    status = run.read(run.controller, "status")
+    assert status.mode == FollowStatus.GOAL_TOO_FAR
+    assert not run.read(run.controller, "tip_velocity").any()
+    run.goal.get_mutable_source_value(source).SetFromVector(GOAL)
+    simulator.AdvanceTo(0.8)
+    assert run.read(run.controller, "status").mode == FollowStatus.PUSHING
+    port = run.controller.GetInputPort("pusher_state")
+    port.FixValue(run.controller.GetMyMutableContextFromRoot(root), np.full(6, np.nan))
+    simulator.AdvanceTo(1.0)
+    status = run.read(run.controller, "status")
+    assert status.mode == FollowStatus.NO_FINGER
+    assert status.reason.endswith(".")
+    assert not run.read(run.controller, "tip_velocity").any()
+
+
 def test_takes_the_learned_model_from_the_port():
     learned = make_identification(OBJ)
     run = Run(learned=learned)

@@ -63,6 +63,7 @@ class Run:
         )
         self.world = self.make_world((-0.3, 0.3))
         self.is_seen = True
+        self.is_finger_known = True
         self.refused = 0  # commands that the finger refuses
         self.commands = []
         self.steer = SteerStatus()
@@ -83,7 +84,8 @@ class Run:
 
     def show(self, pose):
         self.fix("object_pose", np.array(pose) if self.is_seen else np.full(3, np.nan))
-        self.fix("pusher_state", np.array([*self.world.tip, 0.02, 0.0, 0.0, 0.0]))
+        tip = self.world.tip if self.is_finger_known else (np.nan, np.nan)
+        self.fix("pusher_state", np.array([*tip, 0.02, 0.0, 0.0, 0.0]))
         self.fix("steer_status", AbstractValue.Make(self.steer))
 
     @property
@@ -163,6 +165,19 @@ def test_it_rests_while_no_pose_comes_and_goes_on_with_the_next():
     run.is_seen = True
     run.go(0.5)
     assert run.status.cause == FollowStatus.PUSHING
+    assert run.go(30.0).mode == FollowMode.REACHED
+
+
+def test_it_rests_while_the_finger_is_not_known_and_goes_on_afterwards():
+    run = Run()
+    run.poke()
+    run.go(1.0)
+    run.is_finger_known = False
+    run.go(0.3)
+    assert (run.status.mode, run.status.cause) == (FollowMode.FOLLOWING, FollowStatus.NO_FINGER)
+    assert "finger" in run.status.reason
+    assert not run.command.velocity.any()
+    run.is_finger_known = True
     assert run.go(30.0).mode == FollowMode.REACHED
 
 

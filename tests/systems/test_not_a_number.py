@@ -19,7 +19,7 @@ from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.systems.contact_point_controller import ContactPointController
-from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
+from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer, ShownObject
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
@@ -55,6 +55,7 @@ LONG = 18.0
 
 GOOD = {
     "object_pose": POSE,
+    "predicted_poses": POSE + 0.05,
     "goal_pose": np.array([0.15, 0.1, 1.0]),
     "pusher_state": np.array([0.08, 0.0, 0.01, -0.05, 0.0, 0.0]),
     "applied_wrench": np.array([0.1, 0.0, 0.01]),
@@ -153,14 +154,14 @@ def simulate(system, seed):
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_nothing_is_raised(name, seed):
     system = SYSTEMS[name]()
-    context = simulate(system, seed).get_context()
+    context = simulate(Model(system, seed)).get_context()
     if name == "lcp":
         assert np.isfinite(system.GetOutputPort("pose").Eval(context)).all()
 
 
 def test_the_picture_is_drawn_all_the_same():
     meshcat = Meshcat()
-    simulate(EstimateVisualizer(OBJ, meshcat, height=0.03, body=1, path="seen"), 0)
+    simulate(Model(EstimateVisualizer([ShownObject(OBJ, 0.03, body=1)], meshcat, path="seen"), 0))
     assert meshcat.HasPath("seen")
 
 

@@ -192,6 +192,7 @@ class Options(StudyOptions):
         ALL,
         "What to measure: all stands for sliding and exploring; materials are objects of rubber "
         "and steel; bounds of the friction are judged by what they allow at best.",
+        metavar="EXPERIMENT",
     )
     truths: tuple[str, ...] | None = option(
         None,

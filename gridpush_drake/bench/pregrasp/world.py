@@ -23,7 +23,6 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.loop_run import Learn, Learner, run_loop
 from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
@@ -45,7 +44,7 @@ from gridpush_drake.planning.world import (
     WorldMotion,
     WorldTruth,
 )
-from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
 
 LEARNER = Learner(memory=14)
 """Default method of learning, from the latest pushes: the cost of learning grows with their number,
@@ -188,7 +187,7 @@ class MujocoEdgeWorld(MujocoWorld):
         self.obj = know_height(obj, body.push_height)
         super().__init__(
             body,
-            ContactOptions().radius,
+            choose_pusher_radius(obj),
             (left, low, right, high),
             pose,
             position_std=position_std,
@@ -264,7 +263,7 @@ def _stand(
 
 def know_height(obj: GridObject, height: float) -> GridObject:
     """Returns the object, known to be pushed at a height, m, by the finger of the planners."""
-    radius = obj.prior.pusher_radius or ContactOptions().radius
+    radius = choose_pusher_radius(obj)
     return replace(obj, prior=replace(obj.prior, pusher_radius=radius, push_height=height or None))
 
 

@@ -43,7 +43,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import FALLEN_TILT, PushWorld, WorldMotion
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 WorldName = Literal["mujoco", "drake"]
 """Name of a world that the model is compared with."""
@@ -215,7 +215,7 @@ def run_overhang(job: OverhangJob) -> list[OverhangScore]:
     """
     rng = np.random.default_rng([job.seed, crc32(job.name.encode()), WORLDS.index(job.world)])
     obj, params = draw_masses(job.name, rng)
-    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    radius = choose_pusher_radius(obj)
     world, height = _make_world(job.world, obj, params, radius, rng)
     known = replace(params, push_height=height)
     scores: list[OverhangScore] = []
@@ -326,7 +326,7 @@ def run_tipping(job: TippingJob) -> TippingScore:
     """
     rng = np.random.default_rng([job.seed, crc32(job.name.encode()), len(WORLDS)])
     obj, params = draw_masses(job.name, rng)
-    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    radius = choose_pusher_radius(obj)
     body = make_body(HALF_HEIGHT, obj, params, rng).harden()
     world = MujocoWorld(body, radius, HALF_PLANE, settle=SETTLE)
     known = Model(obj, replace(params, push_height=BODY_HEIGHT / 2))

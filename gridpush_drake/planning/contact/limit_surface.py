@@ -43,6 +43,7 @@ from gridpush_drake.planning.contact.contact_kernels import (
     follow_roughly,
 )
 from gridpush_drake.planning.contact.trial import TrialRunner
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 TABLE_STEP = 0.003
 """Distance between nodes of the table of signed distances, m."""
@@ -202,7 +203,8 @@ def screen(runner: TrialRunner) -> Screening:
     s = np.repeat(s, ANGLES)
     piece = np.repeat(piece, ANGLES)
     normal = runner.reach.normal[piece]
-    start = runner.reach.point(s, piece) + (options.radius + options.clearance) * normal
+    radius = choose_pusher_radius(runner.model.obj, options.radius)
+    start = runner.reach.point(s, piece) + (radius + options.clearance) * normal
     direction = -rotate(angle, normal)
     # Those that begin where the finger may be.
     keep = runner.checker.allows_finger(transform(runner.pose, start))
@@ -214,7 +216,7 @@ def screen(runner: TrialRunner) -> Screening:
     if not len(s):
         return Screening(arc_length=s, piece=piece, angle=angle, rough_cost=np.empty(0))
     longest = runner.distance_range[1]
-    poses = predict_roughly(runner.model, start, direction, longest, options.radius)
+    poses = predict_roughly(runner.model, start, direction, longest, radius)
     costs = _calc_rough_costs(runner, poses)
 
     def count_allowed(some: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -44,6 +44,7 @@ from gridpush_drake.planning.contact.trial import (
     calc_goal_error,
 )
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 ContactMethod = Literal["gradient", "finite_difference", "exhaustive"]
 
@@ -152,7 +153,8 @@ def make_runner(
 ) -> TrialRunner:
     """Makes what simulates the pushes of a search; arguments as of `optimize_contact`."""
     obj = model.obj
-    reach = find_reachable_outline(obj, options.radius, options.clearance)
+    radius = choose_pusher_radius(obj, options.radius)
+    reach = find_reachable_outline(obj, radius, options.clearance)
     longest = float(np.linalg.norm(obj.cells_at(pose) - obj.cells_at(goal), axis=1).max())
     least, greatest = options.distance_range
     greatest = max(least, min(greatest, REACH_FACTOR * longest + options.clearance + least))
@@ -161,7 +163,7 @@ def make_runner(
         pose=pose,
         goal=goal,
         reach=reach,
-        checker=(constraints or PushConstraints()).start_at(obj, pose, options.radius),
+        checker=(constraints or PushConstraints()).start_at(obj, pose, radius),
         options=options,
         distance_range=(least, greatest),
     )

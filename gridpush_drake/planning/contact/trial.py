@@ -43,7 +43,7 @@ from gridpush_drake.planning.contact.contact_kernels import (
 )
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
 from gridpush_drake.planning.push_constraints import PushChecker
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,8 @@ class ContactOptions:
     """What pushes may be chosen from, and how they are searched for.
 
     Attributes:
-        radius: of the finger, a disc, m.
+        radius: of the finger, a disc, m; by default that of the object's file, or that of the
+            shipped finger (`choose_pusher_radius`).
         clearance: gap between finger and object at the beginning, m.
         speed: of the finger, m/s.
         distance_range: least and greatest distance, m.
@@ -136,7 +137,7 @@ class ContactOptions:
         PlanningError: a value is out of range.
     """
 
-    radius: float = DEFAULT_PUSHER_RADIUS
+    radius: float | None = None
     clearance: float = 0.002
     speed: float = 0.03
     distance_range: tuple[float, float] = (0.005, 0.3)
@@ -161,7 +162,8 @@ class ContactOptions:
             raise PlanningError(
                 f"angle_range is {(low, high)!r}; expected -pi/2 < least <= greatest < pi/2 (rad)"
             )
-        require_positive(PlanningError, unit="m", radius=self.radius)
+        if self.radius is not None:
+            require_positive(PlanningError, unit="m", radius=self.radius)
         require_positive(PlanningError, unit="m/s", speed=self.speed)
         for name in ("starts", "budget", "places", "angles"):
             if getattr(self, name) < 1:
@@ -237,7 +239,7 @@ class TrialRunner:
             arc_length,
             angle,
             distance,
-            radius=self.options.radius,
+            radius=choose_pusher_radius(self.model.obj, self.options.radius),
             speed=self.options.speed,
             pose=self.pose,
             clearance=self.options.clearance,

@@ -78,6 +78,10 @@ class Sight:
 class FingerWorld(ABC):
     """A world but for how its object moves: it adds sight, and keeps what happened.
 
+    A world derives from it and says in `do_put` how object and finger are put down, in `do_steer`
+    how the finger moves the object, and in `pose` where the object is. A constructor sets what
+    these need before it calls this class's. `docs/extending.md` does it.
+
     Attributes:
         time: now, s.
         tip: (2,) where the finger's center is, W, m.
@@ -105,7 +109,7 @@ class FingerWorld(ABC):
         self.poses: list[Array] = []
         self._rng = np.random.default_rng(seed)
         self._coming: deque[SeenPose] = deque()
-        self._begin(check_vector(PlanningError, "pose", pose, 3))
+        self.do_put(check_vector(PlanningError, "pose", pose, 3))
         self._look()
 
     @property
@@ -114,16 +118,20 @@ class FingerWorld(ABC):
         """(3,) where the object truly is, for judges, m and rad."""
 
     @abstractmethod
-    def _begin(self, pose: Array) -> None:
-        """Puts the object down at a pose (3,), and the finger at `tip`."""
+    def do_put(self, pose: Array) -> None:
+        """Puts the object down at rest at a pose (3,), m and rad, with the finger at `tip`."""
 
     @abstractmethod
-    def _advance(self, tip: Array, duration: float) -> None:
+    def do_steer(self, tip: Array, duration: float) -> None:
         """Moves the finger evenly from `tip` to a place (2,), m, within a time, s."""
 
-    @abstractmethod
     def shove(self, pose: ArrayLike) -> None:
-        """Puts the object down elsewhere, at a pose (3,), m and rad, as somebody's hand does."""
+        """Puts the object down elsewhere, at a pose (3,), m and rad, as somebody's hand does.
+
+        Raises:
+            PlanningError: the pose is not three finite numbers.
+        """
+        self.do_put(check_vector(PlanningError, "pose", pose, 3))
 
     def move(self, velocity: ArrayLike) -> list[SeenPose]:
         """Moves the finger at a velocity (2,), m/s, until the object is seen again.
@@ -133,7 +141,7 @@ class FingerWorld(ABC):
         """
         duration = self.sight.period
         tip = self.tip + duration * np.asarray(velocity, dtype=np.float64)
-        self._advance(tip, duration)
+        self.do_steer(tip, duration)
         self.tip = tip
         self.time += duration
         self.poses.append(self.pose)
@@ -198,18 +206,16 @@ class LcpFingerWorld(FingerWorld):
         """(3,) where the object truly is, for judges, m and rad."""
         return self._state[X : THETA + 1].copy()
 
-    def _begin(self, pose: Array) -> None:
+    def do_put(self, pose: Array) -> None:
+        """Puts the object down at rest at a pose (3,), m and rad, with the finger at `tip`."""
         self._state[TIP_X : TIP_Y + 1] = self.tip
-        self.shove(pose)
-
-    def _advance(self, tip: Array, duration: float) -> None:
-        follow_tip(self._model, self._state, tip[None])
-
-    def shove(self, pose: ArrayLike) -> None:
-        """Puts the object down elsewhere, at a pose (3,), m and rad."""
         self._state[X : THETA + 1] = pose
         self._state[VX : W + 1] = 0.0
         self._state[MEMORY:] = 0.0
+
+    def do_steer(self, tip: Array, duration: float) -> None:
+        """Moves the finger evenly from `tip` to a place (2,), m, quasi-statically."""
+        follow_tip(self._model, self._state, tip[None])
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ import numpy as np
 
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.planning.feedback.pose_track import FARTHEST
 
 
 class FollowStatus(StrEnum):
@@ -16,8 +17,11 @@ class FollowStatus(StrEnum):
     REACHED = "reached"
     NO_GOAL = "no_goal"
     NO_POSE = "no_pose"
+    NO_FINGER = "no_finger"
+    DISTURBED = "disturbed"
     UNLIKE_MODEL = "unlike_model"
     STUCK = "stuck"
+    GOAL_TOO_FAR = "goal_too_far"
     GOAL_OFF_TABLE = "goal_off_table"
     GOAL_BLOCKED = "goal_blocked"
     PATH_BLOCKED = "path_blocked"
@@ -29,11 +33,19 @@ FOLLOW_REASONS = {
     FollowStatus.REACHED: "The object is where it is wanted, within the tolerance.",
     FollowStatus.NO_GOAL: "No goal is given.",
     FollowStatus.NO_POSE: "No pose of the object came for too long.",
+    FollowStatus.NO_FINGER: "Where the finger is is not known.",
+    FollowStatus.DISTURBED: (
+        "The object is seen elsewhere again and again, and the finger did not move it there: "
+        "somebody else moves it, or its poses are wrong."
+    ),
     FollowStatus.UNLIKE_MODEL: (
         "The object moves unlike anything that its model can do: the model is of another object, "
-        "or somebody else moves it."
+        "its poses are wrong, or somebody else moves it."
     ),
     FollowStatus.STUCK: "The object does not get on, whatever the finger does.",
+    FollowStatus.GOAL_TOO_FAR: (
+        f"The goal is no place on a table: it is farther than {FARTHEST:g} m from the origin."
+    ),
     FollowStatus.GOAL_OFF_TABLE: (
         "At the goal pose the object hangs over the table's edge further than it may."
     ),
@@ -46,6 +58,12 @@ FOLLOW_REASONS = {
     FollowStatus.TOO_FAST: "The path is faster than the finger may push.",
 }
 """What each status means, in a sentence."""
+
+AT_GOAL = "The object is at its goal: the finger rests until the object was seen to lie there."
+"""Reason of "pushing" if the object is within the goal's tolerances."""
+
+NO_PUSH_FOUND = "No push was found that brings the object nearer: the finger rests until one is."
+"""Reason of "pushing" if the search found nothing better than to stand still."""
 
 HOPELESS = (FollowStatus.GOAL_OFF_TABLE, FollowStatus.GOAL_BLOCKED, FollowStatus.PATH_BLOCKED)
 """Statuses that no pose of the object changes."""
@@ -83,6 +101,13 @@ class FollowOptions:
         unlike: share of the object's motion that the model does not explain, from which on it
             counts as one of another object.
         unlike_after: time for which this must last, s, until the finger rests.
+        least_response: share of the motion which the finger should have caused that must be seen
+            (`PoseTrack.response`); with less the object counts as one of another object, too.
+        disturbances: number of disturbances on the way to one goal after which the finger rests
+            for good.
+        frequent_disturbances: number of disturbances within `disturbance_time` after which the
+            finger rests until they are over, at least 2.
+        disturbance_time: time within which these are counted, s.
         stuck_after: time without getting on after which the finger rests, s.
     """
 
@@ -105,12 +130,21 @@ class FollowOptions:
     no_pose_after: float = 0.5
     unlike: float = 0.7
     unlike_after: float = 2.0
+    least_response: float = 0.25
+    disturbances: int = 12
+    frequent_disturbances: int = 4
+    disturbance_time: float = 5.0
     stuck_after: float = 15.0
 
     def __post_init__(self) -> None:
-        for name in ("strokes", "changes", "horizon", "path_horizon", "attempts"):
+        counts = ("strokes", "changes", "horizon", "path_horizon", "attempts")
+        for name in (*counts, "disturbances"):
             if not getattr(self, name) >= 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected 1 or more")
+        if not self.frequent_disturbances >= 2:
+            raise PlanningError(
+                f"frequent_disturbances is {self.frequent_disturbances!r}; expected 2 or more"
+            )
         for name in ("refinements", "draws", "ensemble"):
             if not getattr(self, name) >= 0:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected 0 or more")
@@ -122,6 +156,7 @@ class FollowOptions:
             no_pose_after=self.no_pose_after,
             unlike=self.unlike,
             unlike_after=self.unlike_after,
+            disturbance_time=self.disturbance_time,
             stuck_after=self.stuck_after,
         )
 
@@ -133,7 +168,7 @@ class FollowDecision:
     Attributes:
         velocity: (2,) of the finger, W, m/s, until the next decision.
         status: what the controller does.
-        reason: the status in a sentence; empty where it pushes.
+        reason: the status in a sentence; empty while it pushes and the finger moves.
         pose: (3,) where the object is now, as the controller thinks, m and rad; NaN before it was
             seen.
         progress: how far the object came on its path, m; 0 on the way to a goal.

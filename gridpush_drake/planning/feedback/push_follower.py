@@ -8,8 +8,11 @@ At each decision, ten times a second, the controller
        once (`plan_refinement`),
     4. returns the velocity with which the plan begins.
 
-Poses may come at any rate, late and with gaps. A status says what the controller does. Everything
-random comes from the seed, and no decision depends on a clock.
+Poses may come at any rate, late and with gaps. A status says what the controller does. With poses
+that are wrong it comes to rest, and says why: where the object does not do what the finger should
+cause, where it is disturbed too often, or where it does not get on. Then it rests until it is given
+another goal (or another model, if the object moved unlike the one that it had). Everything random
+comes from the seed, and no decision depends on a clock.
 
 The theory is in `docs/theory/feedback.md`, sections 6 to 8. For PushT, where the finger is a disc
 on a spring and the block's three numbers are learned within the episode, see
@@ -34,12 +37,14 @@ from gridpush_drake.dynamics.kernels.finger_push import (
 )
 from gridpush_drake.dynamics.kernels.plan_search import Plan
 from gridpush_drake.dynamics.physics import Physics
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import MAX_NUMBER, PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.feedback.follow_options import (
+    AT_GOAL,
     FOLLOW_REASONS,
+    NO_PUSH_FOUND,
     FollowDecision,
     FollowOptions,
     FollowStatus,
@@ -47,7 +52,7 @@ from gridpush_drake.planning.feedback.follow_options import (
 from gridpush_drake.planning.feedback.model_ensemble import ModelEnsemble
 from gridpush_drake.planning.feedback.plan_refinement import refine_plan
 from gridpush_drake.planning.feedback.pose_path import ObjectWay, PosePath
-from gridpush_drake.planning.feedback.pose_track import PoseTrack, TrackOptions
+from gridpush_drake.planning.feedback.pose_track import PoseTrack, TrackOptions, is_plausible
 from gridpush_drake.planning.feedback.push_candidates import draw_candidates
 from gridpush_drake.planning.feedback.push_search import Wish, search_push
 from gridpush_drake.planning.feedback.pushed_object import (
@@ -142,7 +147,13 @@ class PushFollower:
         self._decided_at = -np.inf
         self._best = np.inf
         self._best_at = -np.inf
-        self._shoves = 0
+        # times of the latest disturbances; their number on the way to this goal, now and at the
+        # last decision
+        self._disturbed_at: tuple[float, ...] = ()
+        self._disturbances = 0
+        self._known_disturbances = 0
+        self._stopped: FollowStatus | None = None
+        self._begun_goal = np.full(3, np.nan)
         self._middle = obj.p_BC.mean(axis=0)
         self._ways = make_ways(obj.outline, finger.radius)
         # decisions that it takes to go half round the object
@@ -183,9 +194,15 @@ class PushFollower:
             self._physics,
         )
         self._unlike_since = np.inf
+        if self._stopped == FollowStatus.UNLIKE_MODEL:
+            self._stopped = None
+            self.track.forget_response()
 
     def set_goal(self, goal: ArrayLike | PosePath) -> None:
         """Goes on with another goal, or path; the goal may move on from decision to decision.
+
+        A goal that moves by less than PROGRESS is the same one: what was found of the way to it
+        holds.
 
         Args:
             goal: (3,) pose X_WB, m and rad; or a path.
@@ -201,17 +218,23 @@ class PushFollower:
             self.goal = goal.goal
             poses = goal.poses
             self._begin_plan()
+            self._begin_way()
         else:
-            self.goal = check_vector(PlanningError, "goal", goal, 3)
-            # a plan to another goal may do for this one, too: the search will see
-            if self._way is not None:
-                self._begin_plan()
+            before = self._way
+            self.goal = check_vector(PlanningError, "goal", _limit_numbers(goal), 3)
             self._way = None
-        self._begin_watch()
+            # a plan to another goal may do for this one, too: the search will see
+            if before is not None:
+                self._begin_plan()
+            if before is not None or not self._measure_to(self._begun_goal) < PROGRESS:
+                self._begin_way()
         self._near_since = np.inf
-        places = np.vstack([self.goal[None, :2], poses[:, :2]])
-        if self._room is None or not covers_places(self._room, places):
-            self._room = make_room(self.obj, self.constraints, self.finger, places)
+        places = np.vstack([self.goal[None], poses])
+        self._refused = None if is_plausible(places) else FollowStatus.GOAL_TOO_FAR
+        if self._refused is not None:
+            return
+        if self._room is None or not covers_places(self._room, places[:, :2]):
+            self._room = make_room(self.obj, self.constraints, self.finger, places[:, :2])
         self._refused = self._find_refusal()
 
     @property
@@ -229,16 +252,19 @@ class PushFollower:
 
         Args:
             time: when it was seen, s; at most the time of the last decision or `add_tip`.
-            pose: (3,) X_WB, m and rad; with NaN it is passed over.
+            pose: (3,) X_WB, m and rad; with NaN, or beyond FARTHEST, it is passed over.
         """
         seen = np.asarray(pose, dtype=np.float64)
-        if seen.shape != (3,) or not np.isfinite(seen).all():
+        if seen.shape != (3,) or not is_plausible(seen):
             return
         since = self.track.seen_at
-        shoves = self.track.shoves
+        disturbances = self.track.disturbances
         if not self.track.add_pose(self.model, time, seen):
             return
-        if self.track.shoves != shoves:
+        if self.track.disturbances != disturbances:
+            latest = self._disturbed_at[1 - self.options.frequent_disturbances :]
+            self._disturbed_at = (*latest, time)
+            self._disturbances += 1
             self._ensemble.forget()
         else:
             tips = self.track.find_tips(since, time)
@@ -250,8 +276,12 @@ class PushFollower:
             self._unlike_since = np.inf
 
     def add_tip(self, time: float, tip: ArrayLike) -> None:
-        """Takes in where the finger's center is, (2,) m, at a time, s; times increase."""
-        self.track.add_tip(time, check_vector(PlanningError, "tip", tip, 2, "m"))
+        """Takes in where the finger's center is, (2,) m, at a time, s; times increase.
+
+        With NaN, or beyond FARTHEST, it is passed over.
+        """
+        if is_plausible(tip):
+            self.track.add_tip(time, check_vector(PlanningError, "tip", tip, 2, "m"))
 
     def decide(
         self, time: float, tip: ArrayLike, *, lead: float = 0.0, velocity: ArrayLike = (0.0, 0.0)
@@ -260,14 +290,15 @@ class PushFollower:
 
         Args:
             time: now, s.
-            tip: (2,) where the finger's center is, W, m.
+            tip: (2,) where the finger's center is, W, m; with NaN, or beyond FARTHEST, the finger
+                rests.
             lead: time until the finger does what is decided, s. It is not 0 if deciding itself
                 takes a good part of a period.
             velocity: (2,) of the finger until then, W, m/s.
 
         Raises:
-            PlanningError: the finger's place or velocity is not two finite numbers, or the lead is
-                negative.
+            PlanningError: the finger's place is not two numbers, its velocity is not two finite
+                ones, or the lead is negative.
         """
         if not lead >= 0:
             raise PlanningError(f"lead is {lead!r}; expected a time >= 0 (s)")
@@ -275,25 +306,61 @@ class PushFollower:
         # the pace of a path that decisions keep, whenever they come
         passed = min(time - self._decided_at, MAX_PACES * self.options.period)
         self._decided_at = time
-        if self._refused is not None:
-            return self._rest(self._refused)
-        if time - self.track.seen_at > self.options.no_pose_after:
-            return self._rest(FollowStatus.NO_POSE)
-        if time - self._unlike_since > self.options.unlike_after:
-            return self._rest(FollowStatus.UNLIKE_MODEL)
+        status = self._find_doubt(time, tip)
+        if status is not None:
+            return self._rest(status)
         state = self.track.predict(self.model)
         pose = state[X : THETA + 1].copy()
         status = self._look_at_goal(time, pose, passed)
         if status is not None:
             return self._rest(status, pose)
         if np.isfinite(self._near_since):
-            return FollowDecision(np.zeros(2), FollowStatus.PUSHING, "", pose, self.progress)
+            return self._push(np.zeros(2), AT_GOAL, pose)
         if lead > 0.0:
             way = lead * check_vector(PlanningError, "velocity", velocity, 2, "m/s")
             follow_tip(self.model, state, (state[TIP_X : TIP_Y + 1] + way)[None])
         wish = self._make_wish(lead)
         chosen = self._search(state, wish)
-        return FollowDecision(chosen, FollowStatus.PUSHING, "", pose, self.progress)
+        return self._push(chosen, "" if chosen.any() else NO_PUSH_FOUND, pose)
+
+    def _find_doubt(self, time: float, tip: ArrayLike) -> FollowStatus | None:
+        """Why nothing can be decided now from what is known; None where it can.
+
+        Args:
+            time: now, s.
+            tip: (2,) where the finger's center is, W, m.
+        """
+        options = self.options
+        if self._refused is not None:
+            return self._refused
+        if self._stopped is not None:
+            return self._stopped
+        if not is_plausible(tip):
+            return FollowStatus.NO_FINGER
+        if time - self.track.came_at > options.no_pose_after:
+            return FollowStatus.NO_POSE
+        if time - self.track.seen_at > options.no_pose_after:
+            # poses come, but no two of them agree
+            return FollowStatus.DISTURBED
+        is_unlike = time - self._unlike_since > options.unlike_after
+        # Written so that a response that is not known yet is good enough.
+        if is_unlike or self.track.response < options.least_response:
+            return self._stop(FollowStatus.UNLIKE_MODEL)
+        if self._disturbances >= options.disturbances:
+            return self._stop(FollowStatus.DISTURBED)
+        lately = [at for at in self._disturbed_at if at > time - options.disturbance_time]
+        if len(lately) >= options.frequent_disturbances:
+            return FollowStatus.DISTURBED
+        return None
+
+    def _stop(self, status: FollowStatus) -> FollowStatus:
+        """Lets the finger rest for good, until there is another goal."""
+        self._stopped = status
+        return status
+
+    def _push(self, velocity: Array, reason: str, pose: Array) -> FollowDecision:
+        """Makes a decision to push, or to wait for a reason until a push can be made."""
+        return FollowDecision(velocity, FollowStatus.PUSHING, reason, pose, self.progress)
 
     def _find_refusal(self) -> FollowStatus | None:
         """Why the goal or the path cannot be followed, whatever is seen; None where it can."""
@@ -335,28 +402,35 @@ class PushFollower:
             gained = -self.progress
         else:
             gained = 0.0
-        aim = transform(self.goal, self._middle[None])[0]
-        distance = float(np.linalg.norm(center - aim))
-        turn = abs(float(wrap_angle(pose[2] - self.goal[2])))
         if not self._is_on_path:
-            gained += float(np.hypot(distance, self.obj.radius_of_gyration * turn))
-        # Whether it got on lately; a shove is not its fault.
-        shoved = self.track.shoves != self._shoves
-        self._shoves = self.track.shoves
-        if shoved or gained < self._best - PROGRESS or self._best_at == -np.inf:
+            gained += self._measure_to(pose)
+        # Whether it got on lately; a disturbance is not its fault.
+        is_disturbed = self._disturbances != self._known_disturbances
+        self._known_disturbances = self._disturbances
+        if is_disturbed or gained < self._best - PROGRESS or self._best_at == -np.inf:
             self._best = gained
             self._best_at = time
         options = self.options
         if not self._is_on_path:
+            aim = transform(self.goal, self._middle[None])[0]
+            distance = float(np.linalg.norm(center - aim))
+            turn = abs(float(wrap_angle(pose[2] - self.goal[2])))
             near = distance < options.position_tolerance and turn < options.angle_tolerance
             self._near_since = min(self._near_since, time) if near else np.inf
             # it counts once it was seen to lie there, with the finger at rest
             if self.track.seen_at > self._near_since + SETTLE:
-                self._begin_watch()  # a later shove begins a new way to the goal
+                self._begin_way()  # a later disturbance begins a new way to the goal
                 return FollowStatus.REACHED
         if time - self._best_at > options.stuck_after:
-            return FollowStatus.STUCK
+            return self._stop(FollowStatus.STUCK)
         return None
+
+    def _measure_to(self, pose: Array) -> float:
+        """Distance of a pose (3,) from the goal, m; the turn counts by the radius of gyration."""
+        centers = transform(np.array([pose, self.goal]), self._middle[None])[:, 0]
+        distance = float(np.linalg.norm(centers[0] - centers[1]))
+        turn = abs(float(wrap_angle(pose[2] - self.goal[2])))
+        return float(np.hypot(distance, self.obj.radius_of_gyration * turn))
 
     @property
     def _is_on_path(self) -> bool:
@@ -400,11 +474,14 @@ class PushFollower:
         """Decisions of a plan, on a path or to a goal."""
         return self.options.path_horizon if follows else self.options.horizon
 
-    def _begin_watch(self) -> None:
-        """Forgets how near the object came, and when."""
+    def _begin_way(self) -> None:
+        """Begins a way to the goal: forgets how near the object came, and what went wrong."""
+        self._begun_goal = self.goal
         self._best = np.inf
         self._best_at = -np.inf
-        self._shoves = self.track.shoves
+        self._disturbances = 0
+        self._known_disturbances = 0
+        self._stopped = None
 
     def _begin_plan(self) -> None:
         """Forgets the plan."""
@@ -481,3 +558,10 @@ class PushFollower:
         self._begin_plan()
         where = np.full(3, np.nan) if pose is None else pose
         return FollowDecision(np.zeros(2), status, FOLLOW_REASONS[status], where, self.progress)
+
+
+def _limit_numbers(goal: ArrayLike) -> ArrayLike:
+    """Limits the numbers of a goal to MAX_NUMBER: as too far away it is refused by a status."""
+    numbers = np.asarray(goal)
+    is_number = np.issubdtype(numbers.dtype, np.number)
+    return np.clip(numbers, -MAX_NUMBER, MAX_NUMBER) if is_number else goal

@@ -57,6 +57,7 @@ from gridpush_drake.planning.model_rollouts import (
     follow_pushes,
 )
 from gridpush_drake.planning.push_constraints import CIRCLE_ROOM, PushConstraints
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 DEFAULT_TOLERANCE = 0.02
 """Mean cell error at which a goal counts as reached, m: the paper's."""
@@ -235,7 +236,8 @@ class Robustness:
             edge_margin=self.constraints.edge_margin - self.options.leeway,
             pose_rule=None,
         )
-        checker = rules.start_at(self.obj, pose, self.contact.radius)
+        radius = choose_pusher_radius(self.obj, self.contact.radius)
+        checker = rules.start_at(self.obj, pose, radius)
         counts = np.minimum(
             checker.count_allowed_by_models(tip, poses), self._count_supported(poses)
         )

@@ -21,6 +21,7 @@ from gridpush_drake.planning.goal.next_push import (
     draw_model_samples,
 )
 from gridpush_drake.planning.goal.push_plan import PushPlanStatus, check_ends, find_stop_reason
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 ALIKE_DISTANCE = 0.01
 """A push that begins nearer than this to one that was refused, m, in a direction that differs by
@@ -73,13 +74,14 @@ def decide_push(
     """
     obj = model.obj
     error = float(calc_goal_error(obj, pose, goal))
-    status = check_ends(obj, pose, goal, rules.constraints, rules.contact.radius)
+    radius = choose_pusher_radius(obj, rules.contact.radius)
+    status = check_ends(obj, pose, goal, rules.constraints, radius)
     if status is not None:
         return PushDecision(status, error)
     # A lattice that was made for where the object lay before may not say how to go on from where
     # somebody put it.
     if cost_to_go is None or cost_to_go.direct or not np.isfinite(cost_to_go.calc_cost(pose)):
-        checker = rules.constraints.start_at(obj, pose, rules.contact.radius)
+        checker = rules.constraints.start_at(obj, pose, radius)
         cost_to_go = CostToGo(obj, pose, goal, checker)
     status = find_stop_reason(obj, pose, cost_to_go, made, rules)
     if status is not None:

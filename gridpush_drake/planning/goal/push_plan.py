@@ -32,6 +32,7 @@ from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import find_supported
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 from gridpush_drake.yaml_file import dump_yaml
 
 
@@ -154,9 +155,10 @@ def plan_pushes(
     aim = check_vector(PlanningError, "goal", goal, 3)
     pushes: list[PlannedPush] = []
     simulations = 0
-    status = check_ends(obj, start, aim, rules.constraints, rules.contact.radius)
+    radius = choose_pusher_radius(obj, rules.contact.radius)
+    status = check_ends(obj, start, aim, rules.constraints, radius)
     if status is None:
-        checker = rules.constraints.start_at(obj, start, rules.contact.radius)
+        checker = rules.constraints.start_at(obj, start, radius)
         cost_to_go = CostToGo(obj, start, aim, checker)
         q = start
         while True:

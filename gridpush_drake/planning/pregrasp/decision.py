@@ -65,8 +65,8 @@ class PokeForecast:
             edge; False if it is about the center of mass in the direction in which it is known
             least.
         std: standard deviation of that quantity before the poke, m.
-        expected_std: standard deviation expected after the poke, m, to first order about the
-            present estimate.
+        expected_std: standard deviation expected after the poke, m: about half of all pokes leave
+            less, see `poke_forecast`.
     """
 
     across_edge: bool

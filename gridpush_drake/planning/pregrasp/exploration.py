@@ -36,7 +36,7 @@ from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog, choose_pusher_radius
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ class PokeOptions:
     """What pokes may be chosen from.
 
     Attributes:
-        radius: of the finger, a disc, m.
+        radius: of the finger, a disc, m; by default that of the object's file, or that of the
+            shipped finger (`choose_pusher_radius`).
         speed: of the finger, m/s.
         distance: of a poke, the clearance included, m.
         clearance: gap between finger and object at the beginning, m.
@@ -57,7 +58,7 @@ class PokeOptions:
         PlanningError: a value is out of range.
     """
 
-    radius: float = DEFAULT_PUSHER_RADIUS
+    radius: float | None = None
     speed: float = 0.03
     distance: float = 0.04
     clearance: float = 0.002
@@ -66,9 +67,9 @@ class PokeOptions:
     min_separation: float = 0.04
 
     def __post_init__(self) -> None:
-        require_positive(
-            PlanningError, "poke: ", radius=self.radius, speed=self.speed, distance=self.distance
-        )
+        if self.radius is not None:
+            require_positive(PlanningError, "poke: ", radius=self.radius)
+        require_positive(PlanningError, "poke: ", speed=self.speed, distance=self.distance)
         if self.places < 1 or not self.angles:
             raise PlanningError("poke: expected at least one place and one angle")
 
@@ -114,8 +115,9 @@ def make_pokes(
     options = options or PokeOptions()
     obj = model.obj
     q = np.asarray(pose, dtype=np.float64)
-    reach = find_reachable_outline(obj, options.radius, options.clearance)
-    checker = (constraints or PushConstraints()).start_at(obj, q, options.radius)
+    radius = choose_pusher_radius(obj, options.radius)
+    reach = find_reachable_outline(obj, radius, options.clearance)
+    checker = (constraints or PushConstraints()).start_at(obj, q, radius)
     pokes = []
     for s in reach.spread(reach.length / options.places)[0]:
         for angle in options.angles:
@@ -124,7 +126,7 @@ def make_pokes(
                 float(s),
                 angle,
                 options.distance,
-                radius=options.radius,
+                radius=radius,
                 speed=options.speed,
                 pose=q,
                 clearance=options.clearance,

@@ -1,10 +1,12 @@
 """The poke that is expected to tell most of the center of mass, of those that are safe.
 
-Which pokes there are, and what each of them is expected to tell, is calculated in `exploration`.
-Here they are held to the table, to what else lies there, and to what the arm can reach.
+Which pokes there are, and how they compare, is calculated in `exploration`, and what the chosen one
+is expected to leave in `poke_forecast`. Here pokes are held to the table, to what else lies there,
+and to what the arm can reach.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +22,7 @@ from gridpush_drake.planning.pregrasp.exploration import (
     make_pokes,
 )
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits
+from gridpush_drake.planning.pregrasp.poke_forecast import Functional, forecast_std
 from gridpush_drake.planning.pregrasp.slides import OBSTACLE_MARGIN, make_stability_rule
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
@@ -71,14 +74,16 @@ def suggest_poke(
     pokes = make_pokes(model, pose, options.poke, constraints)
     if not pokes:
         return None
-    F = make_center_functional(model)
+    make_functional: Functional = make_center_functional
     if direction is not None:
-        F = make_farthest_functional(model, direction)
-    choice = choose_poke(model, pose, pokes, F)
+        make_functional = partial(make_farthest_functional, direction=direction)
+    choice = choose_poke(model, pose, pokes, make_functional(model))
     # The arm is asked last, for that takes longest: the best poke first, until it can make one.
     for index in np.argsort(choice.expected_stds, kind="stable").tolist():
         expected = float(choice.expected_stds[index])
         if np.isfinite(expected) and constraints.allows_push(pokes[index]):
+            imagined = forecast_std(model, pokes[index], pose, make_functional)
+            expected = expected if imagined is None else imagined
             return replace(choice, push=pokes[index], index=index, expected_std=expected)
     return None
 

@@ -19,14 +19,19 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 from shapely import Polygon
 from threadpoolctl import threadpool_limits
 
+from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, transform
+from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.decision import (
     PokeForecast,
     PreGraspDecision,
@@ -68,6 +73,17 @@ so that with the whole margin a plan would often be given up halfway."""
 REACHABLE_SIGMAS = 4.0
 """Further pokes may add at most this many standard deviations, of how far the center can be across
 the edge, to a margin. What would need more is given up."""
+
+RETREAT_DEPTH = 0.02
+"""How much farther inside the edge than pokes keep it an object is brought back to, m, so that it
+can be poked there."""
+
+RETREAT_MODELS = 20
+"""Least number of models by which the object stays where it lies. With fewer of them, what was
+learned says too little of how it would move, and it is not pushed."""
+
+RETREAT_STEPS = 50
+"""Greatest number of steps in which a place on the table is found for an object."""
 
 
 class PreGraspPlanner:
@@ -152,6 +168,65 @@ class PreGraspPlanner:
         margin = calc_stability_margin(masses, pose, self.surface, options.inset)
         return margin >= calc_whole_margin(masses, options.margin) - ROUND_OFF_MARGIN
 
+    def retreat(self, pose: ArrayLike, model: UncertainModel) -> PreGraspDecision | None:
+        """Decides on a push that brings an object from over the edge back onto the table.
+
+        That the object lies still is known, whatever else is in doubt: models by which it would
+        fall where it lies do not count, and by none of the others may it fall on the way. No
+        stability margin is asked for, as the worst masses are among those that do not count.
+
+        Args:
+            pose: (3,) where it lies, X_WB, m and rad.
+            model: what may be true of it.
+
+        Returns:
+            The push; None where none is safe by all these models.
+        """
+        q = np.asarray(pose, dtype=np.float64)
+        home = self._find_home(q)
+        inset = self.options.slide.inset
+        goal = PreGraspGoal(
+            pose=home,
+            part=(*self.parts, *self.flat_parts)[0],
+            overhang=0.0,
+            margin=calc_stability_margin(model.masses, home, self.surface, inset),
+            travel=float(calc_goal_error(self.obj, q, home)),
+            weakest=np.array([1.0, 0.0]),
+        )
+        corners = self.surface.corners
+        stays = [
+            params
+            for params in (model.params, *model.samples)
+            if calc_loads(Model(self.obj, params, model.physics), q, corners) is not None
+        ]
+        if len(stays) < RETREAT_MODELS:
+            return None
+        staying = replace(model, params=stays[0])
+        planner = self._ask_margin(-np.inf)
+        return planner._slide(q, staying, [goal], "lying wholly on the table", stays[1:])
+
+    def _ask_margin(self, margin: float) -> "PreGraspPlanner":
+        """Makes a planner whose slides keep another stability margin, m."""
+        other = copy(self)
+        slide = replace(self.options.slide, margin=margin)
+        other.options = replace(self.options, slide=slide)
+        return other
+
+    def _find_home(self, pose: Array) -> Array:
+        """Finds where an object at a pose (3,) would lie wholly on the table, without a turn."""
+        room = self.surface.polygon.buffer(-(self.options.poke_margin + RETREAT_DEPTH))
+        home = pose.copy()
+        corners = np.array(self.obj.outline.convex_hull.exterior.coords)[:-1]
+        for _ in range(RETREAT_STEPS):
+            # The corner that is farthest off is brought to the nearest place; others may follow.
+            points = shapely.points(transform(home, corners))
+            far = points[int(np.argmax(shapely.distance(points, room)))]
+            if room.is_empty or room.covers(far):
+                break
+            begin, end = shapely.get_coordinates(shapely.shortest_line(far, room))
+            home[:2] += end - begin
+        return home
+
     def go_gently(self, length: float) -> "PreGraspPlanner":
         """Makes a planner whose slides are no longer than a length, m."""
         gentle = copy(self)
@@ -221,7 +296,12 @@ class PreGraspPlanner:
         return sliding
 
     def _slide(
-        self, pose: Array, model: UncertainModel, goals: Sequence[PreGraspGoal], aim: str
+        self,
+        pose: Array,
+        model: UncertainModel,
+        goals: Sequence[PreGraspGoal],
+        aim: str,
+        draws: Sequence[CellParameters] | None = None,
     ) -> PreGraspDecision | None:
         """Decides on a push towards one of some goals; None if none is safe all the way.
 
@@ -230,11 +310,12 @@ class PreGraspPlanner:
             model: what is known of the object.
             goals: the goals, the best one first.
             aim: what the goals are, in words.
+            draws: models that it must be safe by, beside the estimate; None for the model's own.
         """
         slide = plan_slide(
             masses=model.masses,
             params=model.params,
-            draws=model.samples,
+            draws=model.samples if draws is None else draws,
             pose=pose,
             goals=goals,
             surface=self.surface,
@@ -245,10 +326,9 @@ class PreGraspPlanner:
         )
         if slide is None:
             return None
-        reason = (
-            f"{slide.planned.cost * MM:.0f} mm from {aim} after this push; stability margin "
-            f"{slide.margin * MM:.0f} mm or more on the way"
-        )
+        reason = f"{slide.planned.cost * MM:.0f} mm from {aim} after this push"
+        if np.isfinite(self.options.slide.margin):
+            reason += f"; stability margin {slide.margin * MM:.0f} mm or more on the way"
         return PreGraspDecision(
             "slide",
             reason,

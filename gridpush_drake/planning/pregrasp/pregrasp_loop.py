@@ -22,8 +22,9 @@ If an object that surprised hangs over the edge, what matters is that it does no
 slight surprise, the first one there, the push is learned from, all that was learned is taken as
 less sure, and the stability margin is judged anew. If it still holds, the loop goes on with short
 slides until a push ends as it was predicted. If it does not, or what was learned does not explain
-the push either, or the object surprised clearly, or for the second time, nothing more is done:
-neither slid nor grasped.
+the push either, or the object surprised clearly, or for the second time, it is neither slid on nor
+grasped there. Short pushes bring it back onto the table, and there the planner begins anew. Where
+no push does so safely, by all models by which the object stays where it lies, it is given up.
 
 It weighs only where its planner does (`weighing_planner`). An object that withstood a press is
 heavier than was supposed, and is pressed where less force would do.
@@ -32,7 +33,7 @@ heavier than was supposed, and is pressed where less force would do.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import nan
+from math import inf, nan
 from typing import Any
 
 from gridpush_drake.dynamics.push import Push
@@ -89,6 +90,10 @@ learned from. Then the loop gives up."""
 
 CAREFUL_LENGTH = 0.03
 """Length of the longest slide after a surprise over the edge, m."""
+
+MAX_RETREATS = 12
+"""Number of pushes, over the whole run, that bring an object back onto the table after surprises
+over the edge. Then the loop gives up."""
 
 
 class PreGraspMode(StrEnum):
@@ -195,6 +200,8 @@ class PreGraspState(LoopState):
         edge_surprises: number of surprises so far with which the object came to hang over the edge.
         waits: number of times that the object was looked at anew since the last push, because a
             push that surprised was not learned from yet.
+        retreating: whether the object is being brought back onto the table.
+        retreats: number of pushes that were to bring it back.
     """
 
     status: PreGraspStatus = field(default_factory=PreGraspStatus)
@@ -210,6 +217,8 @@ class PreGraspState(LoopState):
     failed_presses: int = 0
     edge_surprises: int = 0
     waits: int = 0
+    retreating: bool = False
+    retreats: int = 0
 
     @property
     def shown_press(self) -> PressTarget | None:
@@ -347,45 +356,30 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         planner = self.planner
         return not find_supported(planner.obj, pose, planner.surface).all()
 
-    def _stop_surprised(self, now: PreGraspState, in_doubt: bool) -> PreGraspState | None:
-        """The state in which the loop gives up, because pushes surprised; None to go on.
-
-        Args:
-            now: the state.
-            in_doubt: whether the last push surprised, and the object hangs over the edge.
-        """
-        if in_doubt and now.surprises.is_changed:
-            return _give_up_at_edge(now, "so far off that it may be another object")
-        if in_doubt and now.edge_surprises > MAX_EDGE_SURPRISES:
-            return _give_up_at_edge(now, "not for the first time")
-        if now.fallbacks > MAX_FALLBACKS:
-            reason = "The object goes on moving unlike what was learned of it."
-            return now.turn_to(FAILED, reason, goal=None)
-        return None
-
     def decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """The state with the next push or grasp asked for, or at the end."""
         pose = now.filter.calc_mean()
-        in_doubt = now.surprises.last is not None and self._hangs_over(pose)
-        stopped = self._stop_surprised(now, in_doubt)
-        if stopped is not None:
-            return stopped
+        if now.fallbacks > MAX_FALLBACKS:
+            reason = "The object goes on moving unlike what was learned of it."
+            return now.turn_to(FAILED, reason, goal=None)
+        hangs_over = self._hangs_over(pose)
+        if not hangs_over and now.retreating:
+            now = replace(now, retreating=False)
+        in_doubt = hangs_over and now.surprises.last is not None
         planner = self._choose_planner(now)
         try:
-            if in_doubt and not _is_learned(seen):
-                if now.waits >= MAX_WAITS:
-                    return _give_up_at_edge(now, "and nothing could be learned from it")
+            if in_doubt and not _is_learned(seen) and now.waits < MAX_WAITS:
                 return replace(now, filter=now.filter.forget(), waits=now.waits + 1)
             uncertain = self._infer(seen.identification, seen.log)
-            if in_doubt:
-                # What was learned before was just refuted. What is learned now must explain the
-                # push, and is doubted; what that leaves possible decides whether the object is
-                # still safe.
-                if uncertain is None or not _is_explained(seen):
-                    return _give_up_at_edge(now, "and what is learned now does not explain it")
-                uncertain = uncertain.doubt(_calc_doubt(now))
-                if not planner.is_safe(pose, uncertain.masses):
-                    return _give_up_at_edge(now, "and by what may be true it is no longer safe")
+            if in_doubt or now.retreating:
+                # What was learned before was just refuted. What is learned now is doubted; what
+                # that leaves possible decides whether the object is still safe.
+                uncertain = (uncertain or UncertainModel.of_prior(planner.obj)).doubt(
+                    _calc_doubt(now)
+                )
+                why = self._find_danger(now, seen, pose, uncertain)
+                if why is not None:
+                    return self._retreat(now, pose, uncertain, seen, why)
                 planner = planner.go_gently(CAREFUL_LENGTH)
             decision = planner.decide(
                 pose,
@@ -395,6 +389,72 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             )
         except GridPushError as error:
             return now.turn_to(FAILED, f"Nothing could be planned: {error}.", goal=None)
+        return self._follow_decision(now, pose, uncertain, decision, seen)
+
+    def _find_danger(
+        self, now: PreGraspState, seen: Observation, pose: Array, doubted: UncertainModel
+    ) -> str | None:
+        """Says why an object that surprised over the edge should not stay there; None if it may.
+
+        Args:
+            now: the state.
+            seen: what is seen, and was learned from the push that surprised.
+            pose: (3,) where the object lies.
+            doubted: what may be true of it.
+        """
+        if now.retreating:
+            return "and is not back on the table yet"
+        if now.surprises.is_changed:
+            return "so far off that it may be another object"
+        if now.edge_surprises > MAX_EDGE_SURPRISES:
+            return "not for the first time"
+        if not _is_learned(seen):
+            return "and nothing could be learned from it"
+        if not _is_explained(seen):
+            return "and what is learned now does not explain it"
+        if not self.planner.is_safe(pose, doubted.masses):
+            return "and by what may be true it is no longer safe"
+        return None
+
+    def _retreat(
+        self,
+        now: PreGraspState,
+        pose: Array,
+        doubted: UncertainModel,
+        seen: Observation,
+        why: str,
+    ) -> PreGraspState:
+        """The state in which the object is brought back onto the table, to be poked anew there.
+
+        It is given up where no push does so safely, or too many were made already.
+        """
+        if not now.retreating and not now.surprises.is_changed:
+            now = replace(
+                now,
+                fallbacks=now.fallbacks + 1,
+                pokes_before=now.status.pokes,
+                slides_before=now.status.slides,
+            )
+        if now.fallbacks > MAX_FALLBACKS or now.retreats >= MAX_RETREATS:
+            return _give_up_at_edge(now, why)
+        decision = self.planner.go_gently(CAREFUL_LENGTH).retreat(pose, doubted)
+        if decision is None or decision.push is None:
+            return _give_up_at_edge(now, f"{why}; no push brings it back safely")
+        push = decision.push
+        reason = f"it hangs over and surprised, {why}; {decision.reason}"
+        decision = replace(decision, reason=reason)
+        now = replace(now, retreating=True, retreats=now.retreats + 1, edge_surprises=0)
+        return self._push(now, pose, doubted, decision, push, seen)
+
+    def _follow_decision(
+        self,
+        now: PreGraspState,
+        pose: Array,
+        uncertain: UncertainModel | None,
+        decision: PreGraspDecision,
+        seen: Observation,
+    ) -> PreGraspState:
+        """The state in which a planner's decision is carried out."""
         reason = _make_sentence(decision.reason)
         if decision.action == "fail":
             return now.turn_to(FAILED, reason, goal=decision.goal, margin=decision.margin)
@@ -436,11 +496,15 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         """The state with a push asked for, and watched."""
         planner = self.planner
         known = uncertain or UncertainModel.of_prior(planner.obj)
+        slide = planner.options.slide
+        if now.retreating:
+            # It was planned by the models by which the object stays, not by the worst masses.
+            slide = replace(slide, margin=-inf)
         monitor = PushMonitor.of_push(
             masses=known.masses,
             surface=planner.surface,
             pose=pose,
-            options=planner.options.slide,
+            options=slide,
             error=self.options.rest_distance,
             obstacles=planner.obstacles,
         )
@@ -451,7 +515,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             reason += last.describe_outcome(decision.forecast)
         if now.surprises.is_changed:
             reason = f"The last pushes surprised, and the object is learned anew: {reason}"
-        elif now.surprises.last is not None and self._hangs_over(pose):
+        elif now.surprises.last is not None and self._hangs_over(pose) and not now.retreating:
             reason = f"The last push surprised, but the object is safe still: {reason}"
         expected_pose = None
         if decision.expected_pose is not None:
@@ -528,8 +592,8 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
 def _calc_doubt(now: PreGraspState) -> float:
     """By how much less sure what was learned is, after a push that surprised over the edge."""
     last = now.surprises.last
-    assert last is not None
-    return DOUBT * max(last.distance / last.limit, 1.0)
+    # On the way back, a push may have ended as it was predicted to.
+    return DOUBT if last is None else DOUBT * max(last.distance / last.limit, 1.0)
 
 
 def _is_learned(seen: Observation) -> bool:
@@ -550,10 +614,10 @@ def _is_explained(seen: Observation) -> bool:
 
 def _give_up_at_edge(now: PreGraspState, why: str) -> PreGraspState:
     """The state in which the loop gives up an object that surprised and hangs over the edge."""
-    assert now.surprises.last is not None
+    told = "" if now.surprises.last is None else f"{now.surprises.last.describe()} "
     reason = (
         f"The object hangs over the table's edge, and surprised, {why}. "
-        f"{now.surprises.last.describe()} It is neither slid on nor grasped."
+        f"{told}It is neither slid on nor grasped."
     )
     return now.turn_to(FAILED, reason, goal=None)
 

@@ -49,6 +49,7 @@ from gridpush_drake.planning.push_constraints import (
     PushConstraints,
 )
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 OBSTACLE_MARGIN = 0.025
 """Least distance of object and finger from other things on the table that pushes are planned with,
@@ -229,7 +230,9 @@ def plan_slide(
         pose=q,
         surface=surface,
         kept_margin=kept - ROUND_OFF_MARGIN,
-        checker=constraints.start_at(masses.obj, q, options.contact.radius),
+        checker=constraints.start_at(
+            masses.obj, q, choose_pusher_radius(masses.obj, options.contact.radius)
+        ),
         options=options,
     )
     return _choose_best(proposals[: options.proposals], weighing, constraints)

@@ -32,7 +32,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.absolute import LOG_MASS, AbsoluteEstimate
-from gridpush_drake.identification.evidence import PushEvidence
+from gridpush_drake.identification.evidence import PushEvidence, select_learned
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.friction_gradient import calc_gradient_std, draw_gradients
 from gridpush_drake.identification.hypotheses import SmoothField
@@ -234,6 +234,9 @@ class UncertainModel:
         noise: of what pushes show, before `noise_scale`.
         belief: what is held of mass and center of mass; None where the parameters are taken for
             granted.
+        found: what was learned, with which learning from a further push begins; None where the
+            parameters are taken for granted.
+        log: the pushes learned from; empty where they are not at hand.
         physics: by which motions are predicted. Slides and pokes are planned slow enough to end at
             rest, so that it is always quasi-static, whatever pushes were learned from.
     """
@@ -250,6 +253,8 @@ class UncertainModel:
     evidence: PushEvidence | None = None
     noise: NoiseModel = field(default_factory=NoiseModel)
     belief: AbsoluteEstimate | None = None
+    found: Identification | None = None
+    log: PushLog = field(default_factory=lambda: PushLog(()))
     physics: Physics = QUASI_STATIC
 
     @classmethod
@@ -288,6 +293,8 @@ class UncertainModel:
             evidence=evidence,
             noise=found.noise,
             belief=found.absolute or believe_before(found),
+            found=found,
+            log=PushLog(()) if log is None else select_learned(found, log),
             physics=found.physics.with_regime("quasi_static"),
         )
 

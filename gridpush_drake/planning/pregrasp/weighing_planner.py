@@ -9,6 +9,7 @@ a part hangs over the edge that can be pressed safely, by all that is known, and
     weigh      until mass and center are roughly known; of all presses that are safe, the one that
                tells soonest, with the slides to it
     slide      to a goal, as that planner does, or weigh on where the goal has little margin
+    stop       weighing where many slides led to few presses; the reason says so
     grasp      as that planner does
 
 How presses are planned is in `planning.weighing`; the theory is in `docs/theory/planning.md`,
@@ -27,7 +28,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
 from gridpush_drake.identification.absolute import LOG_MASS, AbsoluteEstimate
-from gridpush_drake.notebook import MM
+from gridpush_drake.notebook import MM, count
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
@@ -110,6 +111,9 @@ class WeighingOptions:
         trusted_margin: stability margin of a goal, m, to which the object is slid without being
             weighed further.
         max_presses: greatest number of presses that tilted the object.
+        first_slides: number of slides after which an object that was not pressed yet is slid no
+            further to be weighed.
+        slides_per_press: number of slides that each press adds to these.
         edge_room: how far inside the ends of its edge an object crosses that edge where it is
             weighed, m; and how far it keeps from all other edges.
         top: height of the object's top, m; None for what its file says.
@@ -119,6 +123,8 @@ class WeighingOptions:
     min_gain: float = 0.2
     trusted_margin: float = 0.006
     max_presses: int = 8
+    first_slides: int = 8
+    slides_per_press: int = 4
     edge_room: float = 0.005
     top: float | None = None
 
@@ -145,15 +151,18 @@ class WeighingPlanner(PreGraspPlanner):
             return super().decide(pose, model, pokes, slides)
         q = np.asarray(pose, dtype=np.float64)
         known = calc_open(model.belief.covariance, self.weighing.sequence) <= ROUGHLY
+        may_slide = slides < self._calc_slide_limit(model.belief.presses)
         if not known:
-            weighing = self._decide_to_weigh(q, model, model.belief)
+            weighing = self._decide_to_weigh(q, model, model.belief, may_slide)
             if weighing is not None:
                 return weighing
         decision = super().decide(pose, model, pokes, slides)
+        if not may_slide:
+            decision = _say_why_weighed_no_further(decision, model.belief.presses, slides)
         safe = decision.action == "slide" and decision.margin >= self.weighing.trusted_margin
         if not known or safe or decision.action == "grasp":
             return decision
-        weighing = self._decide_to_weigh(q, model, model.belief)
+        weighing = self._decide_to_weigh(q, model, model.belief, may_slide)
         if weighing is None:
             return decision
         why = decision.reason
@@ -171,8 +180,16 @@ class WeighingPlanner(PreGraspPlanner):
             return False
         return calc_open(model.belief.covariance, self.weighing.sequence) > ENOUGH
 
+    def _calc_slide_limit(self, presses: int) -> int:
+        """Calculates after how many slides an object is slid no further to be weighed.
+
+        Args:
+            presses: number of presses that tilted it so far.
+        """
+        return self.weighing.first_slides + self.weighing.slides_per_press * presses
+
     def _decide_to_weigh(
-        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate
+        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, may_slide: bool = True
     ) -> PreGraspDecision | None:
         """Decides on a press, or on a push to where one can be made; None where neither helps.
 
@@ -180,6 +197,7 @@ class WeighingPlanner(PreGraspPlanner):
             pose: (3,) where the object lies, X_WB, m and rad.
             model: what is known of it.
             belief: what is held of its mass and center of mass.
+            may_slide: whether it may be pushed to where a press can be made.
         """
         # A heavy object may lie still wherever its center of mass is farthest from the edge. If
         # there is no other press, one is made that tilts it with the center where it is expected;
@@ -189,8 +207,8 @@ class WeighingPlanner(PreGraspPlanner):
             here = planner._find_press(pose, model, belief, surely)
             # Slides end only nearly where they should, and the press should be possible all the
             # same.
-            for room in (SLIDE_ERROR, 0.0):
-                rests = planner._list_rests(pose, model, belief, surely, room)
+            for room in (SLIDE_ERROR, 0.0) if may_slide else (0.0,):
+                rests = planner._list_rests(pose, model, belief, surely, room) if may_slide else []
                 decision = planner._choose_press(pose, model, belief, here, rests)
                 if decision is not None:
                     return decision
@@ -394,6 +412,15 @@ class WeighingPlanner(PreGraspPlanner):
             travel=float(calc_goal_error(self.obj, pose, planned.pose)),
             weakest=np.array([1.0, 0.0]),
         )
+
+
+def _say_why_weighed_no_further(
+    decision: PreGraspDecision, presses: int, slides: int
+) -> PreGraspDecision:
+    """The decision with a reason that says why the object is slid no further to be weighed."""
+    made = count(presses, "press") if presses else "no press"
+    why = f"{count(slides, 'slide')} led to {made}, so that it is slid no further to be weighed"
+    return replace(decision, reason=f"{decision.reason}; {why}")
 
 
 def _count_slides(pose: Array, goal: Array) -> int:

@@ -36,6 +36,8 @@ from .separation import SeparationOptions as SeparationOptions
 from .separation import calc_clearances as calc_clearances
 from .separation import plan_separating_push as plan_separating_push
 from .separation import separate as separate
+from .world import SceneMotion as SceneMotion
 from .world import SceneTruth as SceneTruth
 from .world import SceneWorld as SceneWorld
 from .world import SimulatedSceneWorld as SimulatedSceneWorld
+from .world import TrackedSceneWorld as TrackedSceneWorld

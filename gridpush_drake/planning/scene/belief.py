@@ -13,13 +13,17 @@ After `identify_scene` they are draws from its posterior. The theory is in
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from gridpush_drake.dynamics.scene.bodies import DEFAULT_PAIR_FRICTION, Scene, SceneBody
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.scene_learning import SceneIdentification
+from gridpush_drake.identification.scene_models import make_object_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.goal.next_push import RobustnessOptions, draw_model_samples
@@ -48,17 +52,31 @@ class SceneBelief:
         identification: that they come from; None where nothing was learned.
         models: what is known of single objects by their numbers, learned from pushes in which
             nothing else moved; their stability at the table's edge is judged by them.
+        learned_alone: the identifications that these models were made of.
     """
 
     scene: Scene
     draws: tuple[Scene, ...] = ()
     identification: SceneIdentification | None = None
     models: Mapping[int, UncertainModel] = field(default_factory=dict)
+    learned_alone: Mapping[int, Identification] = field(default_factory=dict)
 
     @property
     def objects(self) -> tuple[GridObject, ...]:
         """The objects."""
         return self.scene.objects
+
+    @cached_property
+    def identifications(self) -> tuple[Identification, ...]:
+        """(N,) what was learned of each object: alone if it was, else together with the others.
+
+        Of an object of which nothing was learned it is the prior, without `push_names`.
+        """
+        if self.identification is None:
+            together = tuple(describe_prior(obj) for obj in self.objects)
+        else:
+            together = make_object_models(self.identification)
+        return tuple(self.learned_alone.get(b, found) for b, found in enumerate(together))
 
     @classmethod
     def of_truth(cls, scene: Scene) -> "SceneBelief":

@@ -24,6 +24,7 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision, PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, find_pregrasp_goals
@@ -282,7 +283,12 @@ class FetchPlanner:
             found = search.find_push(poses, cost, range(len(poses)), rng)
         if found is None:
             return SceneDecision(
-                SceneAction.FAIL, describe_no_room(self.objects, bodies, self.options.search.radius)
+                SceneAction.FAIL,
+                describe_no_room(
+                    self.objects,
+                    bodies,
+                    find_pusher_radius(self.objects, self.options.search.radius),
+                ),
             )
         return SceneDecision(
             SceneAction.PUSH,
@@ -368,19 +374,34 @@ class FetchLearning:
         belief: SceneBelief,
         pushes: Sequence[ObservedScenePush],
         seed: int,
+        *,
+        last: bool = False,
     ) -> SceneBelief | None:
-        """Learns anew, where the last push tells something; see `SceneLearner`."""
-        found = None if self.scene is None else self.scene.learn(belief, pushes, seed)
+        """Learns anew, where the last push tells something; see `SceneLearner`.
+
+        The wanted object is learned after each push that tells of it, so that nothing of it is left
+        to learn at last.
+        """
         obj = self.obj or belief.objects[self.wanted]
-        if not pushes or not self._tells(pushes[-1], obj):
+        found = None
+        if self.scene is not None:
+            # the model of a scene knows no edge, over which the wanted object is slid at last
+            lying = [each for each in pushes if self._lies(each, obj)]
+            found = self.scene.learn(belief, lying, seed, last=last)
+        if last or not pushes or not self._tells(pushes[-1], obj):
             return found
         clean = [self._single_out(seen) for seen in pushes if self._tells(seen, obj)]
         log = PushLog(tuple(clean))
+        alone = identify(Model(obj), log, seed=seed)
         learned = UncertainModel.of_identification(
-            identify(Model(obj), log, seed=seed), friction_range=self.friction_range, log=log
+            alone, friction_range=self.friction_range, log=log
         )
         models: Mapping[int, UncertainModel] = {**belief.models, self.wanted: learned}
-        return replace(found or belief, models=models)
+        return replace(
+            found or belief,
+            models=models,
+            learned_alone={**belief.learned_alone, self.wanted: alone},
+        )
 
     def _tells(self, seen: ObservedScenePush, obj: GridObject) -> bool:
         """Says whether only the wanted object moved in a push, and lay wholly on the table."""
@@ -390,6 +411,10 @@ class FetchLearning:
         others = np.delete(moved + turned, self.wanted)
         if others.max(initial=0.0) > self.still or moved[self.wanted] < self.min_move:
             return False
+        return self._lies(seen, obj)
+
+    def _lies(self, seen: ObservedScenePush, obj: GridObject) -> bool:
+        """Says whether the wanted object lay wholly on the table throughout a push."""
         return stayed_supported(obj, self._single_out(seen), self.surface)
 
     def _single_out(self, seen: ObservedScenePush) -> ObservedPush:

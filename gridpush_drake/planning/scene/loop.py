@@ -96,7 +96,12 @@ class SceneLearner(Protocol):
     """Learns the objects of a scene from pushes."""
 
     def learn(
-        self, belief: SceneBelief, pushes: Sequence[ObservedScenePush], seed: int
+        self,
+        belief: SceneBelief,
+        pushes: Sequence[ObservedScenePush],
+        seed: int,
+        *,
+        last: bool = False,
     ) -> SceneBelief | None:
         """Learns anew, if that is worth it now.
 
@@ -104,6 +109,8 @@ class SceneLearner(Protocol):
             belief: what is believed of the objects.
             pushes: all pushes so far, the last one new.
             seed: seed of what is drawn of the models.
+            last: whether no push follows, so that whatever was not learned yet is learned now; then
+                the last push need not be new.
 
         Returns:
             What is believed then; None where nothing was learned.
@@ -134,11 +141,19 @@ class SceneLearning:
         require_positive(PlanningError, min_move=self.min_move)
 
     def learn(
-        self, belief: SceneBelief, pushes: Sequence[ObservedScenePush], seed: int
+        self,
+        belief: SceneBelief,
+        pushes: Sequence[ObservedScenePush],
+        seed: int,
+        *,
+        last: bool = False,
     ) -> SceneBelief | None:
         """Learns from all pushes in which something moved; see `SceneLearner`."""
         telling = [seen for seen in pushes if _moves(seen) >= self.min_move]
-        if len(pushes) not in self.after or not telling:
+        if not telling or not (last or len(pushes) in self.after):
+            return None
+        known = belief.identification
+        if known is not None and known.push_names == tuple(seen.name for seen in telling):
             return None
         names = tuple(f"object_{i}" for i in range(len(belief.objects)))
         with threadpool_limits(limits=1, user_api="blas"):
@@ -150,7 +165,7 @@ class SceneLearning:
                 start=belief.identification,
             )
         learned = SceneBelief.of_identification(found, draws=len(belief.draws), seed=seed)
-        return replace(learned, models=belief.models)
+        return replace(learned, models=belief.models, learned_alone=belief.learned_alone)
 
 
 def _moves(seen: ObservedScenePush) -> float:

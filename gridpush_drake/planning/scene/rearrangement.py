@@ -40,6 +40,7 @@ from gridpush_drake.geometry.se2 import (
     transform_shape,
     wrap_angle,
 )
+from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.scene.belief import SceneBelief
@@ -233,9 +234,8 @@ class RearrangePlanner:
                 poses, lambda some: self.calc_cost(some, targets), range(len(poses)), rng
             )
         if found is None:
-            return SceneDecision(
-                SceneAction.FAIL, describe_no_room(self.objects, bodies, search.options.radius)
-            )
+            radius = find_pusher_radius(self.objects, search.options.radius)
+            return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, bodies, radius))
         left = len(poses) - int(reached.sum())
         name = describe_object(self.objects, found.body)
         going = "aside" if targets.aside[found.body] else "towards its goal"

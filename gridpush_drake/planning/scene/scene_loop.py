@@ -232,9 +232,18 @@ class SceneLoop:
         found = self.learning.learn(now.belief, now.log, self.seed)
         return now if found is None else replace(now, belief=found)
 
+    def _learn_last(self, now: SceneLoopState) -> SceneLoopState:
+        """The state with everything learned that the pushes tell, now that none follows."""
+        if self.learning is None:
+            return now
+        found = self.learning.learn(now.belief, now.log, self.seed, last=True)
+        return now if found is None else replace(now, belief=found)
+
     def _decide(self, now: SceneLoopState, poses: Array) -> SceneLoopState:
         """The state with the next push or grasp asked for, or at the end."""
         decision = self.planner.decide(poses, now.belief, now.steps)
+        if decision.push is None or now.status.pushes >= self.max_pushes:
+            now = self._learn_last(now)
         words = decision.reason.replace("_", " ")
         reason = f"{words[0].upper()}{words[1:]}."
         if decision.action is SceneAction.DONE:

@@ -24,6 +24,7 @@ import numpy as np
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.rollouts import Rollout, SceneRollouts, roll_models
 from gridpush_drake.planning.scene.rules import ANYWHERE, SLACK, RoomLimits, SceneRoom, SceneRules
@@ -62,7 +63,8 @@ class SceneSearchOptions:
         compared: number of pushes that are simulated with all further models.
         lengths: least and greatest length of a push, its clearance left out, m.
         slant: greatest angle of a push from the outline's inward normal, rad.
-        radius: of the pusher, m.
+        radius: of the pusher, m; by default that of the objects' files, or that of the shipped
+            finger (`find_pusher_radius`).
         speed: of the pusher, m/s.
         clearance: distance between pusher and object where a push begins, m.
         approach_time: approximate time that the finger takes from one push to the next, s.
@@ -80,7 +82,7 @@ class SceneSearchOptions:
     compared: int = 5
     lengths: tuple[float, float] = (0.003, 0.2)
     slant: float = 0.8
-    radius: float = 0.008
+    radius: float | None = None
     speed: float = 0.05
     clearance: float = 0.003
     approach_time: float = 2.0
@@ -91,11 +93,12 @@ class SceneSearchOptions:
             PlanningError,
             candidates=self.candidates,
             slant=self.slant,
-            radius=self.radius,
             speed=self.speed,
             workers=self.workers,
             least_length=self.lengths[0],
         )
+        if self.radius is not None:
+            require_positive(PlanningError, radius=self.radius)
         if not self.lengths[0] <= self.lengths[1] < np.inf:
             raise PlanningError(
                 f"lengths are {self.lengths!r}; expected the least and the greatest, m"
@@ -244,6 +247,7 @@ class SceneSearch:
     ) -> list[tuple[int, float, float, Push]]:
         """Makes pushes of (object, place, angle), and keeps those that can begin where they do."""
         options = self.options
+        radius = find_pusher_radius(self.belief.objects, options.radius)
         made = []
         for body, place, angle in drawn:
             push = Push.on_outline(
@@ -251,7 +255,7 @@ class SceneSearch:
                 place,
                 angle,
                 reach + options.clearance,
-                radius=options.radius,
+                radius=radius,
                 speed=options.speed,
                 pose=poses[body],
                 clearance=options.clearance,
@@ -260,7 +264,7 @@ class SceneSearch:
         if not made:
             return []
         starts = np.array([each[3].start for each in made])
-        fits = self.room.fits_finger(poses, starts, options.radius)
+        fits = self.room.fits_finger(poses, starts, radius)
         return [each for each, fit in zip(made, fits.tolist(), strict=True) if fit]
 
     def _cut(

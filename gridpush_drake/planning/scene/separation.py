@@ -22,6 +22,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.bodies import Scene, describe_object
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
+from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.scene.belief import SceneBelief
@@ -60,7 +61,8 @@ class SeparationOptions:
         candidates: number of pushes that are simulated for each object that lacks room.
         lengths: least and greatest length of a push, m.
         slant: greatest angle of a push from the outline's inward normal, rad.
-        radius: of the pusher, m.
+        radius: of the pusher, m; by default that of the objects' files, or that of the shipped
+            finger (`find_pusher_radius`).
         speed: of the pusher, m/s.
         max_pushes: number of pushes after which it is given up.
         clearance: distance between pusher and object where a push begins, m.
@@ -73,7 +75,7 @@ class SeparationOptions:
     candidates: int = 24
     lengths: tuple[float, float] = (0.01, 0.15)
     slant: float = 0.6
-    radius: float = 0.008
+    radius: float | None = None
     speed: float = 0.05
     max_pushes: int = 30
     clearance: float = 0.002
@@ -84,11 +86,12 @@ class SeparationOptions:
             margin=self.margin,
             candidates=self.candidates,
             slant=self.slant,
-            radius=self.radius,
             speed=self.speed,
             max_pushes=self.max_pushes,
             least_length=self.lengths[0],
         )
+        if self.radius is not None:
+            require_positive(PlanningError, radius=self.radius)
         if not self.lengths[0] <= self.lengths[1] < np.inf:
             raise PlanningError(
                 f"lengths are {self.lengths!r}; expected the least and the greatest, m"
@@ -171,9 +174,8 @@ class SeparatePlanner:
             return SceneDecision(SceneAction.DONE, f"every object has {room} around it")
         found = self._find_push(poses, belief, lacking, (self._seed, len(steps)))
         if found is None:
-            return SceneDecision(
-                SceneAction.FAIL, describe_no_room(self.objects, lacking, self._search.radius)
-            )
+            radius = find_pusher_radius(self.objects, self._search.radius)
+            return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, lacking, radius))
         name = describe_object(self.objects, found.body)
         return SceneDecision(
             SceneAction.PUSH,

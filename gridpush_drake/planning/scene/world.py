@@ -1,19 +1,23 @@
-"""`SimulatedSceneWorld`: several objects of hidden masses on a table, moved by `simulate_scene`.
+"""Worlds with several objects on a table, as loops, benches and games use them.
 
-It is to scenes what `planning.world.SimulatedWorld` is to one object: whoever plans or learns sees
-poses with noise, and only judges read `truth`. It also keeps the time that a finger would take,
-which is lifted between pushes and travels over the objects.
+`SimulatedSceneWorld` is to scenes what `planning.world.SimulatedWorld` is to one object: whoever
+plans or learns sees poses with noise, and only judges read `truth`. To write another one, derive
+from `TrackedSceneWorld`, which adds the noise and the bookkeeping, and say how a push moves the
+objects. It also keeps the time that a finger would take, which is lifted between pushes and travels
+over the objects.
 
-An object falls where its center of mass leaves the convex hull of what lies on the table. If it is
-pushed alone, with a part over the edge, its loads shift as they do there
-(`planning.pregrasp.edge_motion.simulate_near_edge`); where objects push each other, the support
-presses as if there were no edge. A fallen object is not seen any more, and touches nothing.
+In `SimulatedSceneWorld` an object falls where its center of mass leaves the convex hull of what
+lies on the table. If it is pushed alone, with a part over the edge, its loads shift as they do
+there (`planning.pregrasp.edge_motion.simulate_near_edge`); where objects push each other, the
+support presses as if there were no edge. A fallen object is not seen any more, and touches nothing.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
@@ -82,18 +86,35 @@ class SceneWorld(Protocol):
         ...
 
 
-class SimulatedSceneWorld:
-    """Objects with hidden masses and frictions on a table, moved by `simulate_scene`.
+@dataclass(frozen=True, eq=False)
+class SceneMotion:
+    """How a push truly moved the objects of a scene.
+
+    Attributes:
+        times: (K,) s from the push's beginning, the first 0, the last the push's duration.
+        poses: (K, N, 3) q_WB = (x, y, theta) at these times, m and rad, theta continuous; a fallen
+            object stays where it fell.
+        fallen: (N,) whether each object has fallen by the last of these times.
+    """
+
+    times: Array
+    poses: Array
+    fallen: NDArray[np.bool_]
+
+
+class TrackedSceneWorld(ABC):
+    """A `SceneWorld` but for how its objects move: it adds noise, and keeps what was seen last.
+
+    A world derives from it and says in `do_push` how a push moves the objects. A constructor sets
+    what that needs before or after it calls this class's.
 
     Attributes:
         pushes: number of pushes that were made.
-        surface: the table; None for one without end.
     """
 
     def __init__(
         self,
         scene: Scene,
-        surface: SupportSurface | None = None,
         *,
         position_std: float = 0.0,
         angle_std: float = 0.0,
@@ -102,11 +123,10 @@ class SimulatedSceneWorld:
         travel_speed: float = TRAVEL_SPEED,
         lift_time: float = LIFT_TIME,
     ) -> None:
-        """Puts the objects down where a scene has them.
+        """Looks at the objects where a scene has them.
 
         Args:
             scene: the objects with their true masses and frictions.
-            surface: the table; None for one without end.
             position_std: standard deviation of seen positions, per axis, m.
             angle_std: standard deviation of seen angles, rad.
             seed: seed of the noise, or the generator that draws it.
@@ -124,12 +144,7 @@ class SimulatedSceneWorld:
             )
         require_positive(PlanningError, travel_speed=travel_speed, lift_time=lift_time)
         self.pushes = 0
-        self.surface = surface
         self._scene = scene
-        self._supports = [
-            None if surface is None else CenterOfMassSupport(obj, params, surface)
-            for obj, params in zip(scene.objects, scene.params, strict=True)
-        ]
         self._fallen = np.zeros(len(scene), dtype=bool)
         self._std = np.array([position_std, position_std, angle_std])
         self._rng = np.random.default_rng(seed)
@@ -139,6 +154,19 @@ class SimulatedSceneWorld:
         self._time = 0.0
         self._tip: Array | None = None
         self._seen = self._add_noise(scene.poses)
+
+    @abstractmethod
+    def do_push(self, push: Push, scene: Scene, fallen: NDArray[np.bool_]) -> SceneMotion:
+        """Pushes the objects, and lets them come to rest.
+
+        Args:
+            push: the path of a disc in the world frame, m and s.
+            scene: the objects, where they lie.
+            fallen: (N,) whether each of them has fallen before; it then touches nothing.
+
+        Returns:
+            The true motion; its last poses are where the objects lie afterwards.
+        """
 
     @property
     def time(self) -> float:
@@ -161,61 +189,25 @@ class SimulatedSceneWorld:
         where it fell.
         """
         begin = self._seen
-        # What has fallen stays where it fell; the rest is simulated.
-        times = make_path_times(push, REGIME)
-        poses = np.repeat(self._scene.poses[None], len(times), axis=0)
-        lying = np.flatnonzero(~self._fallen)
-        if len(lying):
-            bodies = [
-                SceneBody(self._scene.objects[b], self._scene.params[b], self._scene.poses[b])
-                for b in lying
-            ]
-            friction = self._scene.pair_friction[np.ix_(lying, lying)]
-            part = Scene(bodies, friction, may_overlap=True)
-            poses[:, lying] = simulate_scene(part, push, times=times).poses
-        self._shift_loads(push, poses)
-        self._note_falls(poses)
-        self._scene = self._scene.with_poses(poses[-1], may_overlap=True)
+        motion = self.do_push(push, self._scene, self._fallen.copy())
+        self._fallen = self._fallen | motion.fallen
+        self._scene = self._scene.with_poses(motion.poses[-1], may_overlap=True)
         self._spend(push)
         self.pushes += 1
 
         # Poses are seen evenly spaced in time, the last at the end.
-        steps = len(times) - 1
+        steps = len(motion.times) - 1
         even = np.linspace(0, steps, min(self._observations, steps) + 1)
         rows = np.unique(np.rint(even).astype(int))[1:]
-        seen = self._add_noise(poses[rows])
+        seen = self._add_noise(motion.poses[rows])
         self._seen = seen[-1].copy()
         return ObservedScenePush(
             name=f"push_{self.pushes}",
             push=push,
             poses=begin,
-            t_observed=times[rows],
+            t_observed=motion.times[rows],
             poses_observed=seen,
         )
-
-    def _shift_loads(self, push: Push, poses: Array) -> None:
-        """Simulates a motion (T+1, N, 3) anew where one object alone moved over the edge."""
-        moving = np.flatnonzero((poses[-1] != poses[0]).any(axis=1))
-        if self.surface is None or len(moving) != 1:
-            return
-        b = int(moving[0])
-        obj = self._scene.objects[b]
-        if self.surface.contains_cells(obj, poses[0, b]) and self.surface.contains_cells(
-            obj, poses[-1, b]
-        ):
-            return
-        params = self._scene.params[b]
-        motion = simulate_near_edge(Model(obj, params), push, poses[0, b], self.surface)
-        # after a fall it stays where it fell
-        poses[: len(motion.poses), b] = motion.poses
-        poses[len(motion.poses) :, b] = motion.poses[-1]
-        self._fallen[b] |= motion.fell
-
-    def _note_falls(self, poses: Array) -> None:
-        """Notes which objects fall in a motion (T+1, N, 3)."""
-        for b, support in enumerate(self._supports):
-            if support is not None and not self._fallen[b]:
-                self._fallen[b] = support.falls(poses[:, b])
 
     def _spend(self, push: Push) -> None:
         """Adds the time of a push, and of the finger's way to where it begins."""
@@ -226,3 +218,93 @@ class SimulatedSceneWorld:
     def _add_noise(self, poses: Array) -> Array:
         """Draws poses (..., 3) as they are seen, m and rad."""
         return np.asarray(poses + self._std * self._rng.standard_normal(np.shape(poses)))
+
+
+class SimulatedSceneWorld(TrackedSceneWorld):
+    """Objects with hidden masses and frictions on a table, moved by `simulate_scene`.
+
+    Attributes:
+        surface: the table; None for one without end.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        surface: SupportSurface | None = None,
+        *,
+        position_std: float = 0.0,
+        angle_std: float = 0.0,
+        seed: int | np.random.Generator = 0,
+        observations: int = OBSERVATIONS,
+        travel_speed: float = TRAVEL_SPEED,
+        lift_time: float = LIFT_TIME,
+    ) -> None:
+        """Puts the objects down where a scene has them.
+
+        Args:
+            scene: the objects with their true masses and frictions.
+            surface: the table; None for one without end.
+            position_std: see `TrackedSceneWorld`, as all that follows.
+            angle_std: standard deviation of seen angles, rad.
+            seed: seed of the noise, or the generator that draws it.
+            observations: number of poses that are seen during a push, at most.
+            travel_speed: speed of the finger between pushes, m/s.
+            lift_time: time that lifting the finger takes, and again lowering it, s.
+
+        Raises:
+            PlanningError: a number is out of range.
+        """
+        self.surface = surface
+        self._supports = [
+            None if surface is None else CenterOfMassSupport(obj, params, surface)
+            for obj, params in zip(scene.objects, scene.params, strict=True)
+        ]
+        super().__init__(
+            scene,
+            position_std=position_std,
+            angle_std=angle_std,
+            seed=seed,
+            observations=observations,
+            travel_speed=travel_speed,
+            lift_time=lift_time,
+        )
+
+    def do_push(self, push: Push, scene: Scene, fallen: NDArray[np.bool_]) -> SceneMotion:
+        """Simulates a push of the objects that have not fallen."""
+        # What has fallen stays where it fell; the rest is simulated.
+        times = make_path_times(push, REGIME)
+        poses = np.repeat(scene.poses[None], len(times), axis=0)
+        lying = np.flatnonzero(~fallen)
+        if len(lying):
+            bodies = [SceneBody(scene.objects[b], scene.params[b], scene.poses[b]) for b in lying]
+            friction = scene.pair_friction[np.ix_(lying, lying)]
+            part = Scene(bodies, friction, may_overlap=True)
+            poses[:, lying] = simulate_scene(part, push, times=times).poses
+        falls = fallen | self._shift_loads(push, scene, poses)
+        for b, support in enumerate(self._supports):
+            if support is not None and not falls[b]:
+                falls[b] = support.falls(poses[:, b])
+        return SceneMotion(times=times, poses=poses, fallen=falls)
+
+    def _shift_loads(self, push: Push, scene: Scene, poses: Array) -> NDArray[np.bool_]:
+        """Simulates a motion (T+1, N, 3) anew where one object alone moved over the edge.
+
+        Returns:
+            (N,) which objects fell in it.
+        """
+        fell = np.zeros(len(scene), dtype=bool)
+        moving = np.flatnonzero((poses[-1] != poses[0]).any(axis=1))
+        if self.surface is None or len(moving) != 1:
+            return fell
+        b = int(moving[0])
+        obj = scene.objects[b]
+        if self.surface.contains_cells(obj, poses[0, b]) and self.surface.contains_cells(
+            obj, poses[-1, b]
+        ):
+            return fell
+        motion = simulate_near_edge(Model(obj, scene.params[b]), push, poses[0, b], self.surface)
+        # After a fall it stays where it fell.
+        poses[: len(motion.poses), b] = motion.poses
+        poses[len(motion.poses) :, b] = motion.poses[-1]
+        fell[b] = motion.fell
+        return fell

@@ -21,7 +21,7 @@ from gridpush_drake.geometry.se2 import QUATERNION_TOLERANCE, Array, calc_yaw
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers.two_clocks import MAX_GAP, add_force, warn_of_delay
 from gridpush_drake.pushes.pose_delay import choose_delay
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
 
@@ -187,7 +187,7 @@ class BagImporter:
                 )
         late = (self.object_delay or 0.0) - self.tip_delay
         samples, rest = make_stream(path, thing, tip, self.rate, self.table_height, late)
-        radius = self.obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+        radius = choose_pusher_radius(self.obj)
         segmenter = SegmenterOptions(engaged_below=self.engaged_below)
         # The tip's stamps are late, too: the stream's delay is that of the object against the tip.
         told = None if self.object_delay is None else rest

@@ -27,7 +27,7 @@ from gridpush_drake.errors import MAX_NUMBER, PushLogError
 from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
 
@@ -134,7 +134,7 @@ class QualisysImporter:
         yaw = np.arctan2(pushed.R[:, 1, 0], pushed.R[:, 0, 0])
         poses = np.column_stack([pushed.p[:, :2], yaw])
 
-        radius = self.obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+        radius = choose_pusher_radius(self.obj)
         samples = make_samples(t, tip, calc_velocities(t, tip), poses)
         recording = record_pushes(
             samples, self.obj, radius, SegmenterOptions(), RecordOptions(), str(path)

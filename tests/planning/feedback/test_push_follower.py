@@ -24,6 +24,8 @@ from gridpush_drake.planning.feedback import (
     Sight,
     follow,
 )
+from gridpush_drake.planning.feedback.follow_log import SeenPose
+from gridpush_drake.planning.feedback.follow_options import AT_GOAL
 from gridpush_drake.planning.feedback.pose_path import ObjectWay
 from gridpush_drake.planning.feedback.pushed_object import make_model, make_room
 from gridpush_drake.planning.push_constraints import PushConstraints
@@ -206,7 +208,8 @@ def test_rests_while_no_pose_comes_and_goes_on_with_the_next():
     assert follower.decide(0.9, world.tip).status == FollowStatus.NO_POSE
 
 
-def test_rests_where_the_object_moves_unlike_the_model():
+@pytest.mark.parametrize("motion", [[0.01, 0.0, 0.05], [0.004, 0.0, 0.02]])
+def test_rests_while_somebody_carries_the_object_away(motion):
     world = make_world()
     follower = make_follower(GOAL)
     status = FollowStatus.PUSHING
@@ -214,12 +217,134 @@ def test_rests_where_the_object_moves_unlike_the_model():
         time = 0.1 * k
         follower.add_tip(time, world.tip)
         # somebody carries it away, which no finger does
-        follower.add_pose(time, world.pose + [0.01 * k, 0.0, 0.05 * k])
+        follower.add_pose(time, world.pose + k * np.array(motion))
         status = follower.decide(time, world.tip).status
         if status != FollowStatus.PUSHING:
             break
-    assert status == FollowStatus.UNLIKE_MODEL
+    assert status == FollowStatus.DISTURBED
     assert follower.decide(time + 0.1, world.tip).velocity.tolist() == [0.0, 0.0]
+
+
+class MisseenWorld(LcpFingerWorld):
+    """A world whose object is seen where it is not.
+
+    A lie takes the true pose, the first one that was seen, the number of the pose and a generator.
+    """
+
+    def __init__(self, lie, seed):
+        self._lie = lie
+        self._first = None
+        self._count = 0
+        self._lies = np.random.default_rng((seed, 1))
+        super().__init__(OBJ, TRUTH, np.zeros(3), BESIDE, FINGER.radius, BLIND, seed)
+
+    def _look(self):
+        known = len(self._coming)
+        super()._look()
+        if len(self._coming) > known:
+            seen = self._coming.pop()
+            self._first = seen.pose if self._first is None else self._first
+            self._count += 1
+            pose = self._lie(seen.pose, self._first, self._count, self._lies)
+            self._coming.append(SeenPose(seen.time, np.asarray(pose)))
+
+
+def freeze(pose, first, count, rng):
+    return first
+
+
+def shift(pose, first, count, rng):
+    return pose + [0.1, 0.0, 0.0]
+
+
+def hold(pose, first, count, rng):
+    return first + rng.normal(size=3) * [5e-4, 5e-4, 3e-3]
+
+
+def jump(pose, first, count, rng):
+    return pose + rng.uniform(-1, 1, 3) * [0.1, 0.1, 1.0]
+
+
+def mistake(pose, first, count, rng):
+    return pose if count % 2 else [0.3, -0.2, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("lie", "goal", "statuses"),
+    [
+        (freeze, GOAL, {FollowStatus.UNLIKE_MODEL}),
+        (shift, GOAL, {FollowStatus.DISTURBED, FollowStatus.UNLIKE_MODEL}),
+        (shift, make_arc(), {FollowStatus.DISTURBED, FollowStatus.UNLIKE_MODEL}),
+        (hold, GOAL, {FollowStatus.UNLIKE_MODEL}),
+        (jump, GOAL, {FollowStatus.DISTURBED, FollowStatus.STUCK}),
+        (mistake, GOAL, {FollowStatus.REACHED}),
+    ],
+)
+def test_comes_to_rest_for_good_though_poses_stay_wrong(lie, goal, statuses):
+    """Nobody ends the run: the controller is asked for 30 s, as in a Diagram."""
+    world = MisseenWorld(lie, seed=0)
+    follower = make_follower(goal)
+    follower.add_tip(0.0, world.tip)
+    way = 0.0
+    for k in range(300):
+        decision = follower.decide(world.time, world.tip)
+        way += 0.1 * float(np.hypot(*decision.velocity))
+        if k >= 200:
+            assert decision.status in statuses
+            assert decision.reason
+            assert not decision.velocity.any()
+        for _ in range(5):
+            for seen in world.move(decision.velocity):
+                follower.add_pose(seen.time, seen.pose)
+            follower.add_tip(world.time, world.tip)
+    assert way < 1.0
+
+
+def test_reaches_the_goal_though_the_object_is_disturbed_three_times():
+    world = make_world(tip=(0.15, 0.05))
+    follower = make_follower(GOAL)
+    follower.add_tip(0.0, world.tip)
+    rng = np.random.default_rng(0)
+    for k in range(300):
+        if k in (10, 25, 40):
+            world.shove(world.pose + rng.uniform(-1, 1, 3) * [0.03, 0.03, 0.35])
+        decision = follower.decide(world.time, world.tip)
+        if decision.status == FollowStatus.REACHED and k > 40:
+            break
+        for _ in range(5):
+            for seen in world.move(decision.velocity):
+                follower.add_pose(seen.time, seen.pose)
+            follower.add_tip(world.time, world.tip)
+    assert decision.status == FollowStatus.REACHED
+    assert max(measure(world.pose, GOAL)) < 2.0
+
+
+def test_rests_while_the_finger_is_not_known_and_while_the_goal_is_no_place():
+    world = make_world()
+    follower = make_follower(GOAL)
+    follower.add_tip(0.0, world.tip)
+    follower.add_pose(0.0, world.pose)
+    for tip in ((np.nan, 0.0), (1e300, 0.0)):
+        follower.add_tip(0.05, tip)
+        decision = follower.decide(0.1, tip)
+        assert (decision.status, *decision.velocity) == (FollowStatus.NO_FINGER, 0.0, 0.0)
+        assert "finger" in decision.reason
+    follower.add_pose(0.1, (1e300, 0.0, 0.0))
+    follower.set_goal((1e300, 0.0, 0.0))
+    decision = follower.decide(0.2, world.tip)
+    assert (decision.status, *decision.velocity) == (FollowStatus.GOAL_TOO_FAR, 0.0, 0.0)
+    follower.set_goal(GOAL)
+    assert follower.decide(0.3, world.tip).status == FollowStatus.PUSHING
+
+
+def test_says_why_the_finger_rests_at_the_goal():
+    world = make_world(pose=GOAL)
+    follower = make_follower(GOAL)
+    follower.add_tip(0.0, world.tip)
+    follower.add_pose(0.0, GOAL)
+    decision = follower.decide(0.1, world.tip)
+    assert (decision.status, decision.reason) == (FollowStatus.PUSHING, AT_GOAL)
+    assert not decision.velocity.any()
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from gridpush_drake.planning.goal.next_push import (
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
-from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from tests.helpers.shapes import make_shape
 
 TABLE = SupportSurface.round((0.0, 0.0), 0.4)
@@ -167,7 +167,7 @@ def test_draws_choose_the_push_that_leaves_least_on_their_average(bar, even):
     gains = []
     for heading in np.linspace(-1.5, 1.5, 8):
         goal = np.array([0.08, 0.1, heading])
-        checker = rules.constraints.start_at(bar, np.zeros(3), rules.contact.radius)
+        checker = rules.constraints.start_at(bar, np.zeros(3), DEFAULT_PUSHER_RADIUS)
         cost_to_go = CostToGo(bar, np.zeros(3), goal, checker)
         costs = []
         for learned in (False, True):

@@ -21,9 +21,12 @@ from gridpush_drake.planning.pregrasp.exploration import (
     make_farthest_functional,
     make_pokes,
 )
+from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std, suggest_poke
+from gridpush_drake.planning.pregrasp.poke_forecast import forecast_std
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.shapes import claw_hammer
@@ -154,6 +157,42 @@ def test_refuses_to_choose_from_nothing_or_from_what_does_not_touch(model):
         choose_poke(model, HERE, [Push((1.0, 1.0), (0.03, 0.0), 1.0, 0.008)], F)
     with pytest.raises(PlanningError, match="distance"):
         PokeOptions(distance=0.0)
+
+
+def test_about_half_of_all_pokes_leave_more_than_was_forecast():
+    """To first order about the even object, a first poke leaves 3 to 10 times what it promises."""
+    obj = GridObject.from_outline(claw_hammer(), max_cells=20, name="hammer")
+    prior = UncertainModel.of_prior(obj)
+    poke = suggest_poke(prior, HERE, SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0)))
+    forecasts = []
+    ratios = []
+    for seed in range(6):
+        # one side of a random cut is heavy
+        rng = np.random.default_rng(seed)
+        angle = rng.uniform(-np.pi, np.pi)
+        side = (obj.p_BC - obj.p_BC.mean(axis=0)) @ [np.cos(angle), np.sin(angle)]
+        mass = np.where(side > rng.uniform(-0.05, 0.05), rng.uniform(3.0, 10.0), 1.0)
+        truth = CellParameters(mass / mass.sum(), np.full(obj.n, obj.prior.friction), 0.5)
+        world = SimulatedWorld(
+            obj, truth, HERE, position_std=5e-4, angle_std=3e-3, seed=seed, observations=4
+        )
+        log = PushLog((replace(world.execute(poke.push), name="poke"),))
+        model = UncertainModel.of_identification(
+            identify(Model(obj), log, regime="quasi_static"), log=log
+        )
+        ratios.append(calc_center_std(model) / poke.expected_std)
+        if seed < 2:
+            forecasts.append(forecast_std(model, poke.push, HERE, make_center_functional))
+    assert 0.5 < np.median(ratios) < 2.0
+    # the same poke made again leaves less, as the pushes so far count
+    assert max(forecasts) < poke.expected_std
+
+
+def test_there_is_no_forecast_without_the_pushes_that_were_learned_from(model, pokes):
+    log = PushLog((ObservedPush("poke", pokes[0], HERE, np.array([1.0]), HERE[None] + 0.01),))
+    found = identify(Model(model.obj), log, regime="quasi_static")
+    without = UncertainModel.of_identification(found)
+    assert forecast_std(without, pokes[3], HERE, make_center_functional) is None
 
 
 def poke_until_known(obj, truth, active, rng, std=0.005, most=16):

@@ -1,0 +1,134 @@
+"""What a poke is expected to leave unknown: its outcomes are imagined, and learned from.
+
+To first order about one estimate (`exploration.calc_remaining`) pokes are well compared, but what
+they leave is far too hopeful: learning weighs many hypotheses of the loads, and finds out how noisy
+the pushes are. So for the poke that was chosen
+
+    1. models are drawn that may be the true one: from the posterior, or, before any push, one from
+       each hypothesis of the loads that needs no pushes;
+    2. each of them is poked, and its poses are spoiled by the noise that the pushes have;
+    3. each outcome is learned from as a real one would be, together with the pushes so far.
+
+The forecast is the median of the standard deviations that are then left. It is no bound: about half
+of all pokes leave more.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import GridPushError, PushLogWarning
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.load_prior import Setting
+from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.model import Model
+from gridpush_drake.identification.posterior import CONTACT_FRICTION, calc_share
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.exploration import calc_worst_std
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.world import OBSERVATIONS
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+FORECAST_DRAWS = 5
+"""Number of models whose pokes are imagined once pushes were learned from."""
+
+IMAGINED = "imagined_poke"
+"""Name of an imagined poke in the log that is learned from."""
+
+Functional = Callable[[UncertainModel], Array]
+"""Function that calculates F (m, n+1), the derivatives by z of what matters, for a model."""
+
+
+def forecast_std(
+    model: UncertainModel, push: Push, pose: ArrayLike, make_functional: Functional
+) -> float | None:
+    """Forecasts the standard deviation of what matters after a poke.
+
+    Args:
+        model: of the object, with its posterior.
+        push: the poke.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        make_functional: calculates the derivatives by z of what matters.
+
+    Returns:
+        The standard deviation in the direction that is then known least; None where nothing could
+        be imagined, as the pushes learned from are not at hand.
+    """
+    if model.found is None or len(model.log) < len(model.found.push_names):
+        return None
+    rng = np.random.default_rng(model.seed)
+    left = []
+    for params in _draw_models(model, rng):
+        seen = _imagine(model, params, push, np.asarray(pose, dtype=np.float64), rng)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", PushLogWarning)
+                found = identify(
+                    Model(model.obj),
+                    PushLog((*model.log, seen)),
+                    regime="quasi_static",
+                    start=model.found,
+                )
+        except GridPushError:
+            continue  # nothing is learned from such an outcome
+        if IMAGINED not in found.push_names:
+            continue
+        after = UncertainModel.of_identification(found, friction_range=model.friction_range)
+        F = make_functional(after)
+        left.append(calc_worst_std(F @ found.posterior.covariance @ F.T))
+    return float(np.median(left)) if left else None
+
+
+def _draw_models(model: UncertainModel, rng: np.random.Generator) -> list[CellParameters]:
+    """Draws models that may be the true one."""
+    posterior = model.require_posterior()
+    if len(model.log):
+        return posterior.draw_parameters(model.params, FORECAST_DRAWS, model.seed, model.evidence)
+    variance = posterior.prior_covariance[CONTACT_FRICTION, CONTACT_FRICTION]
+    setting = Setting(model.obj, posterior.mean, float(np.sqrt(variance)))
+    draws = []
+    for hypothesis in MapEnsemble().hypotheses:
+        if hypothesis.needs_pushes:
+            continue
+        for prior in hypothesis.propose(setting):
+            z = prior.mean + prior.factor @ rng.standard_normal(len(prior.mean))
+            draws.append(_make_parameters(model, z))
+    return draws
+
+
+def _make_parameters(model: UncertainModel, z: Array) -> CellParameters:
+    """Makes masses of the estimate's friction that bear the loads of z (n+1,)."""
+    params = model.params
+    mass = float(params.mass @ params.friction) * calc_share(z) / params.friction
+    return replace(params, mass=mass, contact_friction=float(np.exp(z[CONTACT_FRICTION])))
+
+
+def _imagine(
+    model: UncertainModel,
+    params: CellParameters,
+    push: Push,
+    pose: Array,
+    rng: np.random.Generator,
+) -> ObservedPush:
+    """Imagines what would be seen of a push, if a model were the true one.
+
+    The contact friction varies from push to push, and poses are noisy, as pushes have shown it.
+    """
+    noise = model.noise
+    factor = np.exp(noise.log_contact_friction * rng.standard_normal())
+    varied = replace(params, contact_friction=float(factor * params.contact_friction))
+    motion = simulate(Model(model.obj, varied, model.physics), push, pose)
+    # as often as the pushes so far were seen
+    count = len(model.log[-1].t_observed) if len(model.log) else OBSERVATIONS
+    times = push.duration * np.arange(1, count + 1) / count
+    poses = np.column_stack([np.interp(times, motion.times, motion.poses[:, i]) for i in range(3)])
+    unit = np.array([1.0, 1.0, model.obj.radius_of_gyration])
+    std = model.noise_scale.pose * noise.pose
+    poses += std / unit * rng.standard_normal(poses.shape)
+    return ObservedPush(IMAGINED, push, pose, times, poses)
