@@ -24,7 +24,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
-from gridpush_drake.multibody.grid_object import DEFAULT_HEIGHT, AddGridObject
+from gridpush_drake.multibody.grid_object import DEFAULT_HEIGHT, AddGridObject, Feet
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph
 from gridpush_drake.multibody.table_rim import RIM_SPACING, AddRimSpheres
@@ -140,6 +140,8 @@ class WeighingWorld:
         options: PressOptions | None = None,
         noise: WeighingNoise | None = None,
         seed: int = 0,
+        support: Feet | None = None,
+        rim_gap: float = 0.0,
     ) -> None:
         """Builds the Diagram.
 
@@ -150,6 +152,8 @@ class WeighingWorld:
             options: how presses are made.
             noise: of what is measured.
             seed: seed of all noise.
+            support: on what the object stands; by default each cell bears its own weight.
+            rim_gap: height of its underside above the table and its edge, m.
         """
         self.obj = obj
         self.params = params
@@ -175,7 +179,15 @@ class WeighingWorld:
         AddRimSpheres(plant, np.column_stack([np.zeros(count), rim]))
         self._finger = AddFinger(plant)
         self._handle = AddGridObject(
-            plant, scene_graph, obj, params, "free", table=[table], height=height
+            plant,
+            scene_graph,
+            obj,
+            params,
+            "free",
+            table=[table],
+            height=height,
+            support=support,
+            rim_gap=rim_gap,
         )
         plant.set_gravity_enabled(self._finger, False)
         plant.Finalize()

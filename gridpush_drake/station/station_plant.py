@@ -173,6 +173,7 @@ def AddWorld(
         table=table,
         height=scenario.object_height,
         support=resolved.support,
+        rim_gap=scenario.truth.rim_gap,
         visual=show_object,
     )
     others = AddOthers(plant, scene_graph, scenario, resolved.others, table, object_in_plant)
