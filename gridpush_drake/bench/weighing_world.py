@@ -5,7 +5,7 @@ finger is held by springs along x, y and z, as an arm under impedance control is
 measured with noise and an offset.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from zlib import crc32
 
 import numpy as np
@@ -272,16 +272,8 @@ class WeighingWorld:
         """
         self._presses += 1
         before = self.read_pose()
-        off = self.noise.edge * float(self._rng.standard_normal())
-        edge_x, edge_y = (np.array(target.edge_point) + off * target.normal).tolist()
-        believed = PressTarget(
-            place=target.place,
-            edge_point=(edge_x, edge_y),
-            edge_angle=target.edge_angle,
-            top=target.top,
-            tip_radius=target.tip_radius,
-            sure_force=target.sure_force,
-        )
+        believed = draw_believed_target(target, self.noise, self._rng)
+        edge_x, edge_y = believed.edge_point
         offset = self.noise.offset * self._rng.standard_normal(3)
         self._feeler.SetOffset(self._context, offset)
         command = PressCommand(
@@ -318,6 +310,15 @@ class WeighingWorld:
     def let_pass(self, time: float) -> None:
         """Lets time pass, s."""
         self._simulator.AdvanceTo(self._context.get_time() + time)
+
+
+def draw_believed_target(
+    target: PressTarget, noise: WeighingNoise, rng: np.random.Generator
+) -> PressTarget:
+    """Draws where the robot believes the edge of a target to be, along its normal."""
+    off = noise.edge * float(rng.standard_normal())
+    x, y = (np.array(target.edge_point) + off * target.normal).tolist()
+    return replace(target, edge_point=(x, y))
 
 
 def AddFinger(plant: MultibodyPlant) -> ModelInstanceIndex:

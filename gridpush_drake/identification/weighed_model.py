@@ -19,7 +19,6 @@ from gridpush_drake.identification.absolute import (
     AbsolutePrior,
     PoseNoise,
     WeighingProblem,
-    estimate_absolute,
 )
 from gridpush_drake.identification.absolute_masses import (
     calc_relative_friction_std,
@@ -33,6 +32,7 @@ from gridpush_drake.identification.result import (
     calc_center_of_friction,
     calc_center_of_mass,
 )
+from gridpush_drake.identification.tilt_tests import estimate_absolute
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.weighings import WeighingLog
@@ -63,7 +63,9 @@ def weigh_model(
         seed: of the draws by which the spread of the inertia is computed.
 
     Returns:
-        The model with absolute masses and frictions, and their estimate in `absolute`.
+        The model with absolute masses and frictions, and their estimate in `absolute`. Where the
+        observations contradict each other, masses and frictions stay as they were, and only the
+        estimate, which says so, is added.
 
     Raises:
         IdentificationError: there is no weighing.
@@ -81,6 +83,8 @@ def weigh_model(
         gravity=found.physics.gravity,
     )
     estimate = _add_gyration(found, estimate_absolute(problem), seed)
+    if estimate.contradictory:
+        return _add_estimate(found, estimate)
     # As much as weighings leave open of the center of mass, they leave open of the gradient of the
     # friction.
     left = float(np.trace(estimate.center_covariance) / np.trace(covariance))
@@ -177,12 +181,17 @@ def apply_absolute(found: Identification, estimate: AbsoluteEstimate) -> Identif
         friction=params.friction * friction,
         contact_friction=found.std.contact_friction,
     )
+    return _add_estimate(replace(found, params=params, std=std), estimate)
+
+
+def _add_estimate(found: Identification, estimate: AbsoluteEstimate) -> Identification:
+    """Adds an estimate and its statements to a model whose masses and frictions stay."""
     return replace(
         found,
-        params=params,
-        std=std,
         absolute=estimate,
-        identifiability=calc_identifiability(obj, params, found.posterior, found.force, estimate),
+        identifiability=calc_identifiability(
+            found.obj, found.params, found.posterior, found.force, estimate
+        ),
     )
 
 

@@ -182,33 +182,31 @@ def calc_support(
     return Feet(stiffness, gap)
 
 
-def calc_rigid_loads(obj: GridObject, params: CellParameters, feet: Feet) -> Array:
+def calc_rigid_loads(places: Array, gap: Array, center: Array) -> Array:
     """Calculates what rigid feet bear where a body lies at rest.
 
     Of all loads in equilibrium with the weight, they are those that hold it lowest:
 
-        min_N  sum N_i gap_i    s.t.  N >= 0,  sum N_i = m,  sum N_i p_i = m p_com
+        min_N  sum N_i gap_i    s.t.  N >= 0,  sum N_i = 1,  sum N_i p_i = p_com
 
     Args:
-        obj: the object.
-        params: its cells' masses.
-        feet: with how much higher each of them ends than the longest one.
+        places: (F, 2) p_i, where the feet are, m.
+        gap: (F,) how much higher each of them ends than the longest one, m.
+        center: (2,) p_com, m.
 
     Returns:
-        (n,) N, kg.
+        (F,) N, as fractions of the weight.
 
     Raises:
         ObjectError: the center of mass is not above the feet.
     """
-    mass = params.total_mass
-    # In units of the mass and of the object's size, so that tolerances are relative ones.
-    size = obj.radius_of_gyration
-    balance = np.vstack([np.ones(obj.n), obj.p_BC.T / size])
-    wanted = np.array([1.0, *params.center_of_mass(obj) / size])
-    found = linprog(feet.gap / size, A_eq=balance, b_eq=wanted)
+    # In units of the body's size, so that tolerances are relative ones.
+    size = float(np.abs(places - center).max())
+    balance = np.vstack([np.ones(len(places)), (places - center).T / size])
+    found = linprog(gap / size, A_eq=balance, b_eq=[1.0, 0.0, 0.0])
     if found.x is None:
-        raise ObjectError(f"{obj.name}: its center of mass is not above its feet")
-    return np.asarray(mass * found.x)
+        raise ObjectError("feet: the center of mass is not above them")
+    return np.asarray(found.x)
 
 
 def draw_feet(

@@ -232,7 +232,8 @@ class UncertainModel:
         evidence: the pushes learned from, which judge the draws; None where they are not at hand.
         noise: of what pushes show, before `noise_scale`.
         belief: what is held of mass and center of mass; None where the parameters are taken for
-            granted.
+            granted. Weighings that contradict each other are not in it.
+        presses: number of presses at the table's edge so far, whether they agree or not.
         physics: by which motions are predicted. Slides and pokes are planned slow enough to end at
             rest, so that it is always quasi-static, whatever pushes were learned from.
     """
@@ -249,6 +250,7 @@ class UncertainModel:
     evidence: PushEvidence | None = None
     noise: NoiseModel = field(default_factory=NoiseModel)
     belief: AbsoluteEstimate | None = None
+    presses: int = 0
     physics: Physics = QUASI_STATIC
 
     @classmethod
@@ -286,7 +288,8 @@ class UncertainModel:
             force=found.force,
             evidence=evidence,
             noise=found.noise,
-            belief=found.absolute or believe_before(found),
+            belief=found.weighed or believe_before(found),
+            presses=0 if found.absolute is None else found.absolute.presses,
             physics=found.physics.with_regime("quasi_static"),
         )
 
