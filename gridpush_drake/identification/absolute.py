@@ -167,7 +167,8 @@ class TiltTest:
     """How a press at the edge was judged by what all other presses and the pushes say.
 
     Attributes:
-        arm: how far beyond the edge the tip pressed, m.
+        place: (x, y) where the tip pressed, body frame, m.
+        arm: how far beyond the edge that was, m.
         force: that was measured, N.
         expected: force at which the object tilts about the edge by all that the others say, N.
         residual: measured less expected force, in standard deviations of their difference.
@@ -177,6 +178,7 @@ class TiltTest:
             where no rocking is known.
     """
 
+    place: tuple[float, float]
     arm: float
     force: float
     expected: float

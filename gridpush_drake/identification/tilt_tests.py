@@ -23,7 +23,7 @@ from math import log, pi, sqrt
 import numpy as np
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.geometry.se2 import transform, transform_back
 from gridpush_drake.identification.absolute import (
     ABSOLUTE,
     CENTER,
@@ -222,7 +222,9 @@ def judge_press(
     others = tried.get(without) or fit_absolute(problem.suppose(without), near=best)
     r, row = others.problem.calc_press(others.u, index, TiltingLine.EDGE)
     spread = float(np.sqrt(1 + row @ others.covariance @ row))
+    x, y = transform_back(press.pose, press.place[None])[0].tolist()
     return TiltTest(
+        place=(x, y),
         arm=press.arm,
         force=press.force,
         expected=press.force + r * press.force_std,

@@ -9,6 +9,7 @@ from gridpush_drake.bench.weighing import (
     TASK,
     EdgeJob,
     Options,
+    PressCourse,
     WeighingJob,
     WeighingScore,
     draw_truth,
@@ -150,11 +151,7 @@ def test_scores_are_kept_as_json():
             WeighingJob(obj.name, 3),
             known,
             truth,
-            presses=1,
-            withstood=0,
-            time=4.0,
-            tilt=np.float64(0.01),
-            moved=0.0,
+            PressCourse(presses=1, time=4.0, max_tilt=np.float64(0.01)),
         )
         kept = TypeAdapter(WeighingScore).dump_json(scored)
         back = TypeAdapter(WeighingScore).validate_json(kept)
