@@ -357,8 +357,8 @@ def run_job(job: WeighingJob) -> WeighingScore:
     """Pushes and weighs one object."""
     made = make_weighed(job)
     world = made.scale
-    found = push_and_learn(made.obj, made.pushed, job.seed)
-    model = UncertainModel.of_identification(found, friction_range=FRICTION_RANGE)
+    found, pushes = push_and_learn(made.obj, made.pushed, job.seed)
+    model = UncertainModel.of_identification(found, friction_range=FRICTION_RANGE, log=pushes)
     centers = model.masses.center_of_mass_polygon
 
     log = WeighingLog()
@@ -477,14 +477,16 @@ def draw_truth(obj: GridObject, seed: int) -> CellParameters:
     return replace(drawn, mass=drawn.mass * (mass / drawn.total_mass))
 
 
-def push_and_learn(obj: GridObject, truth: CellParameters, seed: int) -> Identification:
+def push_and_learn(
+    obj: GridObject, truth: CellParameters, seed: int
+) -> tuple[Identification, PushLog]:
     """Pushes an object until forces tell its friction well enough, and learns from all pushes."""
     pushes = make_pushes(obj, truth, seed, PUSHES[-1])
     for count in PUSHES:
         found = identify(obj, pushes[:count], seed=seed)
         if found.force is not None and found.force.relative_std <= ENOUGH_FORCE:
             break
-    return found
+    return found, pushes[:count]
 
 
 def make_pushes(obj: GridObject, truth: CellParameters, seed: int, count: int) -> PushLog:

@@ -69,6 +69,13 @@ CENTER_HEIGHT = 0.5
 """Height of a center of mass as a fraction of the object's, as it is supposed: it says how far a
 tilt moves the center outwards."""
 
+RATE_GAIN = 0.3
+"""Fraction of a new sample in the smoothed speed of the tip."""
+
+BRAKING = 4.0
+"""Factor on the speed of a tip that still goes down while it lets an object come back, with which
+it is commanded upwards besides."""
+
 RISE_PARTS = 3
 """Number of parts of a plateau of the force; the first and the last one are compared."""
 
@@ -137,6 +144,7 @@ class PressOptions:
             is what the tip's descent over its distance from the edge says; an object that rocks
             about a line farther inside tilts by less.
         spare_tilt: further tilt in which a plateau of the force that began before may end, rad.
+        look_ahead: time by which the tilt is foreseen, s.
         stiff_share: share of a plateau's force by which the force must rise for the object to be
             stiff again.
         stiff_force: least such rise, N.
@@ -171,6 +179,7 @@ class PressOptions:
     dwell_time: float = 0.5
     max_tilt: float = radians(4.0)
     spare_tilt: float = radians(1.0)
+    look_ahead: float = 0.1
     stiff_share: float = 0.04
     stiff_force: float = 0.3
     follow_time: float = 0.15
@@ -279,6 +288,8 @@ class PressState(Unchanging):
         start_height: height of the tip as it began to touch, m.
         stiff_height: height of the tip as the object was last found stiff, m.
         lowest: least height of the tip so far, m.
+        sink_rate: how fast the tip goes down, smoothed over some samples, m/s.
+        last_height: height of the tip in the last sample, m; None before.
         hold: (3,) place about which the tip is held, m: where it touched and, at the tilt, lower.
         forces: straight-down forces F of the samples since the object gave way, N.
         places: (x, y, z) of the tip at these, m.
@@ -299,6 +310,8 @@ class PressState(Unchanging):
     start_height: float = 0.0
     stiff_height: float = 0.0
     lowest: float = inf
+    sink_rate: float = 0.0
+    last_height: float | None = None
     hold: Array = field(default_factory=lambda: np.zeros(3))
     forces: tuple[float, ...] = ()
     places: tuple[tuple[float, float, float], ...] = ()
@@ -366,6 +379,7 @@ def advance_press(
         if now.phase == PressPhase.RETREATING:
             return replace(now, last=sample.time)
         return _retreat(now, sample, PressOutcome.NO_FORCE)
+    now = _note_rate(now, sample)
     after = PHASES[now.phase](target, options, now, sample)
     if now.phase in SLIDABLE and _is_drawn_away(target, options, after, sample):
         after = _retreat(after, sample, PressOutcome.SLID)
@@ -506,7 +520,7 @@ def _dwell(
         tilt=max(now.tilt, tilt),
         lowest=min(now.lowest, float(sample.tip[2])),
     )
-    too_far = tilt > options.max_tilt + options.spare_tilt
+    too_far = _foresee_tilt(target, options, now, sample) > options.max_tilt + options.spare_tilt
     if not too_far and sample.time - now.since < options.dwell_time:
         return after
     if not too_far and _has_risen(options, np.array(after.forces)):
@@ -547,7 +561,8 @@ def _follow(
     stiff = len(after.forces) >= count and force - plateau.force > rise
     if stiff and len(now.plateaus) < options.max_plateaus:
         return _press_on(after, sample)
-    if tilt <= options.max_tilt and not stiff:
+    # A heavy object on a soft arm swings on.
+    if _foresee_tilt(target, options, now, sample) <= options.max_tilt and not stiff:
         return after
     # While the object began to tilt, other feet than the edge may still have borne a little. The
     # force is that of the end, if there are samples enough.
@@ -598,6 +613,24 @@ def _calc_tilt(target: PressTarget, now: PressState, sample: PressSample) -> flo
     return (now.start_height - float(sample.tip[2])) / target.calc_arm(sample.tip)
 
 
+def _foresee_tilt(
+    target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
+) -> float:
+    """Calculates the tilt, rad, that is reached a little later if the tip goes on as fast."""
+    tilt = _calc_tilt(target, now, sample)
+    return tilt + options.look_ahead * max(now.sink_rate, 0.0) / target.calc_arm(sample.tip)
+
+
+def _note_rate(now: PressState, sample: PressSample) -> PressState:
+    """Notes how fast the tip goes down."""
+    height = float(sample.tip[2])
+    rate = now.sink_rate
+    if now.last_height is not None and sample.time > now.last:
+        latest = (now.last_height - height) / (sample.time - now.last)
+        rate += RATE_GAIN * (latest - rate)
+    return replace(now, sink_rate=rate, last_height=height)
+
+
 def _is_drawn_away(
     target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
 ) -> bool:
@@ -617,6 +650,7 @@ def _go_up(
     speed = options.approach_speed
     if now.outcome == PressOutcome.TILTED and sample.tip[2] < now.start_height:
         speed = min(speed, options.lowering_rate * target.calc_arm(sample.tip))
+        speed += BRAKING * max(now.sink_rate, 0.0)
     after = _move(now, sample, goal, speed)
     if sample.tip[2] > goal[2] - HOVER_TOLERANCE:
         return replace(after, phase=PressPhase.DONE, velocity=np.zeros(3))
