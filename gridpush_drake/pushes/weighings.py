@@ -73,8 +73,8 @@ STDS = ("force_std", "torque_std")
 """Columns of standard deviations; where they are empty, the defaults hold."""
 
 ROCKING = ("center_shift", "free_way", "rock_force")
-"""Columns of a press: how far its tilt had moved the center of mass, how far the tip went on freely,
-and a smaller force at which the object gave way before; may be empty."""
+"""Columns of a press: how far its tilt had moved the center of mass, how far the tip went on
+freely, and a smaller force at which the object gave way before; may be empty."""
 
 REQUIRED = (KIND, *POSE, *PLACE, FORCE, *EDGE)
 """Columns that every file has."""

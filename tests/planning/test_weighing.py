@@ -45,7 +45,7 @@ from gridpush_drake.planning.weighing.sequence import (
     with_sure_force,
 )
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
+from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
 from tests.helpers.shapes import rectangle
 
 EDGE = Edge(point=(0.5, 0.1), angle=0.7)
@@ -615,3 +615,37 @@ def test_a_press_at_one_edge_is_the_same_at_any_other():
         assert moved.target.edge_angle == there.angle
         arms = [each.target.calc_arm(np.array(each.target.place)) for each in (moved, other)]
         assert arms[0] == pytest.approx(arms[1], abs=0.006)
+
+
+def test_weighings_that_contradict_each_other_are_not_planned_with():
+    """Their center of mass is far off: it moves neither the model nor any region or margin."""
+    found = describe_prior(BAR)
+    press = EdgePress(np.array([-0.05, 0, 0]), np.array([0.05, 0.0]), 8.0, np.zeros(2), 0.0, 0.05)
+    turned = replace(press, pose=np.array([-0.05, 0.0, np.pi]), force=0.4)
+    lifts = (
+        Lift(np.zeros(3), np.zeros(2), weight=4.0, torque=np.zeros(2)),
+        Lift(np.ones(3), np.ones(2), weight=12.0, torque=np.zeros(2)),
+    )
+    weighed = weigh_model(found, WeighingLog((press, turned), lifts))
+    assert weighed.absolute.contradictory and weighed.weighed is None
+    np.testing.assert_array_equal(weighed.params.mass, found.params.mass)
+    model = UncertainModel.of_identification(weighed)
+    before = UncertainModel.of_identification(found)
+    assert model.weighed is None and model.presses == 2
+    np.testing.assert_array_equal(
+        model.masses.center_of_mass_polygon, before.masses.center_of_mass_polygon
+    )
+    surface = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+    margins = [calc_stability_margin(one.masses, np.zeros(3), surface) for one in (model, before)]
+    assert margins[0] == margins[1]
+    # What is next to be pressed is as before the first press; so the presses are repeated.
+    again = plan_next_press(weighed, CENTERS, EDGE, TOP)
+    first = plan_next_press(found, CENTERS, EDGE, TOP)
+    np.testing.assert_array_equal(again.pose, first.pose)
+    assert "contradict each other" in weighed.identifiability.statements[0]
+    # But not for ever.
+    planner = WeighingPlanner(BAR, surface, PreGraspOptions())
+    enough = replace(model, presses=planner.weighing.max_presses)
+    pokes = planner.options.min_pokes
+    assert planner._may_weigh(model, pokes, 0)
+    assert not planner._may_weigh(enough, pokes, 0)

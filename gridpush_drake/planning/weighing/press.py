@@ -148,8 +148,8 @@ class PressOptions:
         stiff_share: share of a plateau's force by which the force must rise for the object to be
             stiff again.
         stiff_force: least such rise, N.
-        max_plateaus: greatest number of forces at which the object may give way; it then is let come
-            back.
+        max_plateaus: greatest number of forces at which the object may give way; then it is let
+            come back.
         follow_time: how long the force is averaged to see whether it rises, s.
         lowering_rate: rate at which an object is let come back, rad/s.
         slide_room: how much farther sideways the tip may be drawn than a tilt draws it, m. Beyond
