@@ -44,8 +44,8 @@ SUPPORT_PRIOR = 0.3
 if the tip was pressed on as far as is safe; before it is looked how far it then went."""
 
 UNKNOWN_WAY_PRIOR = 0.05
-"""Probability beforehand that the object tilted about a support line, for presses of which it is not
-known how far the tip went on."""
+"""Probability beforehand that the object tilted about a support line, for presses of which it is
+not known how far the tip went on."""
 
 ROCKED_FACTOR = 0.3
 """Factor on that probability where the object was already seen to rock, and to be stiff again."""
