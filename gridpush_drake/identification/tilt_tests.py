@@ -62,7 +62,7 @@ GAPS = (2e-5, 1e-3)
 RARE_GAP = 0.01
 """Probability of a gap beyond these."""
 
-MIN_WEIGHT = 0.01
+MIN_WEIGHT = 0.03
 """Weight, relative to the most probable tilting lines, below which others are not averaged."""
 
 WELL = 0.2

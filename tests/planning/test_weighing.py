@@ -52,6 +52,8 @@ EDGE = Edge(point=(0.5, 0.1), angle=0.7)
 TOP = 0.03
 BAR = GridObject.from_outline(rectangle(0.3, 0.06), max_cells=60, name="bar")
 CENTERS = np.array([[0.03, 0.01], [-0.03, 0.01], [-0.03, -0.01], [0.03, -0.01]])
+FREE_WAY = 0.02
+"""How far the tip goes on freely, m, so that nobody takes the edge for supports."""
 TARGET = PressTarget((0.05, 0.0), (0.0, 0.0), 0.0, TOP, 0.008)
 
 
@@ -151,7 +153,8 @@ def calc_tilting_force(state: PressState, force: float) -> float:
 def test_a_press_goes_on_as_far_as_is_safe_and_knows_the_force(force, noise):
     state = press_on(force, noise=noise)
     assert (state.phase, state.outcome) == (PressPhase.DONE, PressOutcome.TILTED)
-    assert radians(4.0) < state.tilt < radians(4.3)
+    # At 5° a second, 4° are foreseen at 3.5°.
+    assert radians(3.3) < state.tilt < radians(4.0)
     weighing = state.make_weighing(TARGET, PressOptions(), np.array([-0.05, 0, 0]))
     expected = calc_tilting_force(state, force)
     assert abs(weighing.force - expected) < (3 * weighing.force_std if noise else 2e-3 * force)
@@ -159,7 +162,7 @@ def test_a_press_goes_on_as_far_as_is_safe_and_knows_the_force(force, noise):
     np.testing.assert_allclose(weighing.place, TARGET.place)
     # It went on freely, and did not rock.
     assert weighing.rock_force is None
-    assert 0.05 * np.tan(radians(3.0)) < weighing.free_way < 0.05 * np.tan(radians(4.3))
+    assert 0.05 * np.tan(radians(2.5)) < weighing.free_way < 0.05 * np.tan(radians(4.0))
     assert weighing.center_shift == pytest.approx(0.5 * TOP * np.tan(state.plateaus[-1].tilt))
 
 
@@ -338,7 +341,13 @@ def test_what_is_expected_to_be_left_open_is_what_the_estimate_leaves():
     arm = planned.target.calc_arm(place)
     force = 9.81 * belief.total_mass * -EDGE.calc_beyond(c_W) / arm
     press = EdgePress(
-        planned.pose, place, force, np.array(EDGE.point), EDGE.angle, options.rules.force_std
+        planned.pose,
+        place,
+        force,
+        np.array(EDGE.point),
+        EDGE.angle,
+        options.rules.force_std,
+        free_way=FREE_WAY,
     )
     after = weigh_model(found, WeighingLog((press,))).absolute
     left = calc_left_open(belief, planned, options.rules, options)
@@ -364,6 +373,7 @@ def test_the_sure_force_is_less_than_any_that_is_likely_and_grows_with_what_is_k
         np.array(EDGE.point),
         EDGE.angle,
         force_std=0.05,
+        free_way=FREE_WAY,
     )
     known = weigh_model(found, WeighingLog((weighing,)))
     rules = PressRules()
@@ -420,7 +430,7 @@ def test_a_planner_weighs_where_the_other_gives_up():
     assert heavier.decide(at_edge, model).action != "weigh"
     assert weighing.decide(at_edge, model).action == "weigh"
     # After enough presses, it gives up as the other one does.
-    tired = replace(model, belief=replace(belief, presses=8))
+    tired = replace(model, presses=8)
     assert weighing.decide(at_edge, tired).action == "fail"
 
 
