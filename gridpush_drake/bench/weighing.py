@@ -341,7 +341,7 @@ def make_weighed(job: WeighingJob) -> Weighed:
     rim_gap = float(np.exp(rng.uniform(*np.log(RIM_GAPS))))
     body = make_body(job.bottom, obj, truth, rng, 0.0, rim_gap)
     shares = calc_rigid_loads(body.feet, body.gap, truth.center_of_mass(obj))
-    loads = np.bincount(body.cell, shares, obj.n) + UNLOADED / obj.n
+    loads = np.bincount(body.cell, shares, obj.n).astype(np.float64) + UNLOADED / obj.n
     loads *= truth.total_mass / loads.sum()
     mean = float(loads @ truth.friction) / truth.total_mass
     return Weighed(

@@ -173,7 +173,7 @@ def list_tilt_tests(absolute: AbsoluteEstimate | None) -> list[tuple[str, ...]]:
     """Lists the presses at the table's edge: place, force, what was expected, and its judgment."""
     if absolute is None:
         return []
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for i, one in enumerate(absolute.tests):
         x, y = (MM * value for value in one.place)
         judged = LINE_WORDS[one.line]
