@@ -223,7 +223,7 @@ def draw_tilt_tests(obj: GridObject, tests: Sequence[TiltTest]) -> Figure:
     right.set_xlim(0.5, len(tests) + 0.5)
     highest = max(max(one.force, one.expected) for one in tests)
     right.set_ylim(0, TILT_TEST_ROOM * highest)
-    tidy(right, "press", "force, N, and residual in standard deviations")
+    tidy(right, "press", "force, N; above it: residual")
     right.legend(fontsize=FONT, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1)
     return figure
 
