@@ -34,6 +34,7 @@ from gridpush_drake.planning.weighing.press import (
     PressTarget,
     advance_press,
     break_off,
+    has_slid,
 )
 from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
 from gridpush_drake.systems.messages import (
@@ -61,6 +62,10 @@ MAX_MOVE = 0.01
 MAX_TURN = 0.1
 """If the object is seen turned by more than this from how it lay, rad, the press is broken off."""
 
+NOTE_TIME = 0.3
+"""Time for which the tip rests after a press before the executor is idle, s: more than it takes
+whoever learns to see the weighing."""
+
 ARM_PRESS = PressOptions(approach_speed=0.02, max_force=24.0)
 """How an arm presses: as `PressOptions`, but slower just above the object, so that the joints'
 accelerations stay small."""
@@ -70,6 +75,7 @@ WHAT_CAME = {
     PressOutcome.NO_CONTACT: "the tip met nothing where the object's top should be",
     PressOutcome.NO_FORCE: "force or place of the tip was not finite",
     PressOutcome.MOVED: "the object was seen to move away",
+    PressOutcome.SLID: "the tip slid on the object, or the object under it",
     PressOutcome.BROKEN_OFF: "it was taken back",
 }
 """What came of a press that gave no weighing, in half a sentence."""
@@ -86,6 +92,8 @@ class PressExecutorState(Unchanging):
         yaw: yaw of the tool, which stays as it is, rad.
         press: how the press stands; None before the tip is above the object.
         status: the status on the port.
+        weighing: what the last press says of the weight, if the object is where it was; None before
+            the press has ended, and of a press that says nothing.
         weighings: what came of the presses so far.
     """
 
@@ -95,6 +103,7 @@ class PressExecutorState(Unchanging):
     yaw: float = 0.0
     press: PressState | None = None
     status: PressStatus = field(default_factory=PressStatus)
+    weighing: EdgePress | None = None
     weighings: WeighingLog = field(default_factory=WeighingLog)
 
 
@@ -310,18 +319,47 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
     def _travel(self, context: Context, now: PressExecutorState) -> PressExecutorState:
         """Goes on through the air, to the object or back."""
         time = context.get_time()
+        if not now.segments:
+            return self._finish(context, now)
         done, *left = now.segments
         if time - now.segment_start < done.duration:
             return now
         if left:
             return replace(now, segments=tuple(left), segment_start=time)
         if now.status.step == PressStep.RETURNING:
-            status = replace(now.status, step=PressStep.IDLE)
-            return replace(now, segments=(), press=None, status=status)
+            return self._finish(context, now)
         # The tip is above the place: what it is commanded goes on from there.
         press = PressState(command=np.array(done.end), since=time, last=time)
         status = replace(now.status, step=PressStep.PRESSING)
         return replace(now, segments=(), press=press, status=status)
+
+    def _finish(self, context: Context, now: PressExecutorState) -> PressExecutorState:
+        """Writes down what a press said of the weight, if the object is seen where it was.
+
+        The arm no longer covers it. An object that was shifted or turned slid under the tip, and
+        the force was not that of its weight. The executor is idle only `NOTE_TIME` later, so that
+        whoever waits for it knows the weighing.
+        """
+        time = context.get_time()
+        # The tip is where the other executors want it.
+        noted = replace(now, segments=(), segment_start=time, press=None, weighing=None)
+        if now.weighing is None:
+            if now.segments:
+                return noted
+            if time - now.segment_start < NOTE_TIME:
+                return now
+            return replace(now, status=replace(now.status, step=PressStep.IDLE))
+        pose = np.array(self._object_pose.Eval(context))
+        if has_slid(now.command.object_pose, pose):
+            status = replace(
+                now.status, outcome=PressOutcome.SLID, reason=describe_slide(now.command, pose)
+            )
+            return replace(noted, status=status)
+        return replace(
+            noted,
+            status=replace(now.status, weighed=True),
+            weighings=replace(now.weighings, presses=(*now.weighings.presses, now.weighing)),
+        )
 
     def _press(self, context: Context, now: PressExecutorState) -> PressExecutorState:
         """Carries the press on by what is measured now."""
@@ -366,12 +404,9 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
         target: PressTarget,
         rest: Array,
     ) -> PressExecutorState:
-        """Writes down what came of a press, and begins the way back to where the tip rests (3,)."""
+        """Notes what came of a press, and begins the way back to where the tip rests (3,)."""
         assert press.command is not None and press.outcome is not None
         weighing = press.make_weighing(target, self.options, now.command.object_pose)
-        weighings = now.weighings
-        if weighing is not None:
-            weighings = replace(weighings, presses=(*weighings.presses, weighing))
         return replace(
             now,
             segments=self._make_way(press.command, rest, PressStep.RETURNING),
@@ -382,18 +417,28 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
                 step=PressStep.RETURNING,
                 outcome=press.outcome,
                 reason=describe_press(press, weighing),
-                weighed=weighing is not None,
             ),
-            weighings=weighings,
+            weighing=weighing,
         )
 
 
 def describe_press(press: PressState, weighing: EdgePress | None) -> str:
     """Says in half a sentence what came of a press."""
     if weighing is not None:
+        rocked = ""
+        if weighing.rock_force is not None:
+            rocked = f"it rocks at {weighing.rock_force:.1f} N, and "
         return (
-            f"it tilts at {weighing.force:.1f} N, {MM * weighing.arm:.0f} mm beyond the edge, "
-            f"and came back from {np.degrees(press.tilt):.1f}°"
+            f"{rocked}it tilts at {weighing.force:.1f} N, {MM * weighing.arm:.0f} mm beyond the "
+            f"edge, and came back from {np.degrees(press.tilt):.1f}°"
         )
     assert press.outcome is not None
     return WHAT_CAME.get(press.outcome, "it tilted, but hardly any force was felt")
+
+
+def describe_slide(command: PressCommand, pose: Array) -> str:
+    """Says in half a sentence how far an object slid that is seen at a pose (3,) after a press."""
+    off = pose - command.object_pose
+    distance = MM * float(np.linalg.norm(off[:2]))
+    turn = np.degrees(abs(wrap_angle(off[2])))
+    return f"the object slid: it is seen {distance:.1f} mm off, turned by {turn:.1f}°"

@@ -118,7 +118,7 @@ def export(
         )
     else:
         drawn = loaded.model.samples(samples, seed)
-    absolute = None if loaded.model is None else loaded.model.absolute
+    absolute = None if loaded.model is None else loaded.model.weighed
     note = "" if absolute is None else describe_weighed(absolute)
     if samples is not None and note:
         note = f"A draw of what is known: {note}"

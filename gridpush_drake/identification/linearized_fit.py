@@ -32,6 +32,13 @@ MAX_EFFECTIVE_SHARE = 0.8
 """Largest share of the residuals that the parameters may be taken to explain. The noise is
 estimated from the rest, so that some must be left."""
 
+FIRST_RIDGE = 1e-14
+"""Least ridge of a matrix that has lost a small eigenvalue to round-off, as a fraction of its
+largest diagonal entry: about the round-off of a sum of a hundred terms."""
+
+RIDGE_FACTOR = 10.0
+"""Factor by which a ridge grows that was not enough."""
+
 LAST_POSE = slice(-3, None)
 """Rows of a push's residuals that belong to its last observed pose."""
 
@@ -93,6 +100,8 @@ class LinearizedFit:
         by_residuals: whether the form by residuals is the smaller one.
         gram: J J^T or J^T J, in the smaller form.
         factor: Cholesky's factor of I plus that, as `scipy.linalg.cho_factor` gives it.
+        ridge: what had to be added to the diagonal for there to be a factor; 0 as a rule, see
+            `factorize`.
     """
 
     def __init__(
@@ -139,7 +148,7 @@ class LinearizedFit:
         self.J = np.concatenate(jacobians)
         self.by_residuals = len(self.r) < len(u)
         self.gram = self.J @ self.J.T if self.by_residuals else self.J.T @ self.J
-        self.factor = self._factorize(1.0)
+        self.factor, self.ridge = self._factorize(1.0)
 
     def move(self, u: Array, linear: Linearization) -> "LinearizedFit":
         """Linearizes about another point, with the same scale of the noise."""
@@ -172,7 +181,7 @@ class LinearizedFit:
         # d = -(c I + J^T J)^-1 g, with g the gradient of the loss, in the smaller of both forms.
         g = self.u + self.J.T @ self.r
         c = 1.0 + damping
-        factor = self.factor if damping == 0 else self._factorize(c)
+        factor = self.factor if damping == 0 else self._factorize(c)[0]
         if self.by_residuals:
             shown = self.J.T @ cho_solve(factor, self.J @ g)
             d = (shown - g) / c
@@ -350,9 +359,41 @@ class LinearizedFit:
             found.append(float(e @ e) / expected)
         return np.array(found)
 
-    def _factorize(self, c: float) -> tuple[Array, bool]:
-        """Factorizes c I + J^T J, or c I + J J^T where that is smaller."""
-        return cho_factor(c * np.eye(len(self.gram)) + self.gram, lower=True)
+    def _factorize(self, c: float) -> tuple[tuple[Array, bool], float]:
+        """Factorizes c I + J^T J, or c I + J J^T where that is smaller; see `factorize`."""
+        return factorize(c * np.eye(len(self.gram)) + self.gram)
+
+
+def factorize(matrix: Array) -> tuple[tuple[Array, bool], float]:
+    """Factorizes I plus a Gram matrix after Cholesky, whatever round-off did to it.
+
+    The matrix is positive definite, but where a push's end all but jumps, derivatives are so large
+    that round-off makes it indefinite: with entries of 1e16, an eigenvalue of 1 is lost. Then a
+    ridge is added to the diagonal, `FIRST_RIDGE` of its largest entry, and ten times as much until
+    there is a factor. That keeps the large eigenvalues, and takes the small ones for a little
+    larger: what the pushes leave open counts as a little better known.
+
+    Args:
+        matrix: (N, N), symmetric.
+
+    Returns:
+        The lower factor, as `scipy.linalg.cho_factor` gives it, and the ridge; 0 where none was
+        needed.
+
+    Raises:
+        LinAlgError: an entry is not finite, or no ridge up to the largest entry is enough.
+    """
+    if not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError("matrix with entries that are not finite")
+    largest = float(np.diag(matrix).max(initial=1.0))
+    ridge = 0.0
+    while True:
+        try:
+            return cho_factor(matrix + ridge * np.eye(len(matrix)), lower=True), ridge
+        except np.linalg.LinAlgError:
+            if ridge >= largest:
+                raise
+            ridge = max(RIDGE_FACTOR * ridge, FIRST_RIDGE * largest)
 
 
 def calc_shortening(dz: Array) -> float:

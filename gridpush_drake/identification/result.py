@@ -120,7 +120,7 @@ class Identification:
         hypotheses: evidence and weight of each hypothesis of how the object bears on the table;
             empty for other methods than the default.
         absolute: mass, center of mass and mean friction of an object that was weighed; None of one
-            that was not.
+            that was not. It may be contradictory, which only `weighed` is not.
     """
 
     obj: GridObject
@@ -191,6 +191,12 @@ class Identification:
         return self.physics.regime
 
     @property
+    def weighed(self) -> AbsoluteEstimate | None:
+        """What weighings say, to plan and to predict with; None if they contradict each other."""
+        absolute = self.absolute
+        return None if absolute is None or absolute.contradictory else absolute
+
+    @property
     def noise_scale(self) -> NoiseScale:
         """Scale of the noise, in the method's own: how large the pushes said that it is."""
         pose = self.noise_std / self.noise.pose
@@ -217,11 +223,10 @@ class Identification:
             raise IdentificationError(
                 f"samples: k is {k}, seed {seed}; expected whole numbers, 0 or more"
             )
-        if self.absolute is None:
+        weighed = self.weighed
+        if weighed is None:
             return self.posterior.draw_parameters(self.params, k, seed)
-        return draw_absolute_parameters(
-            self.obj, self.params, self.posterior, self.absolute, k, seed
-        )
+        return draw_absolute_parameters(self.obj, self.params, self.posterior, weighed, k, seed)
 
     @property
     def relative_friction(self) -> Array:
@@ -247,8 +252,8 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     Returns:
         p_BBcm (2,), m, body frame, and its covariance (2, 2), m².
     """
-    if found.absolute is not None:
-        return found.absolute.center_of_mass, found.absolute.center_covariance
+    if found.weighed is not None:
+        return found.weighed.center_of_mass, found.weighed.center_covariance
     prior = found.obj.prior
     if prior.center_of_mass is not None:
         return np.array(prior.center_of_mass), prior.center_of_mass_std**2 * np.eye(2)

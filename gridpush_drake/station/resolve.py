@@ -25,7 +25,7 @@ from shapely.geometry.base import BaseGeometry
 from gridpush_drake.errors import PlanningError, ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.contact_material import FindTableOutline
-from gridpush_drake.multibody.grid_object import AddGridObject, GridObjectInPlant
+from gridpush_drake.multibody.grid_object import AddGridObject, Feet, GridObjectInPlant
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -63,8 +63,7 @@ class ResolvedScenario:
         obj: the object that is pushed; its `prior` has the radius and height of the robot's finger.
         others: the other objects on the table, in the scenario's order.
         truth: true masses and frictions of the object's cells, drawn from the scenario's seed.
-        support: (n,) stiffness of the table's support below each of the n cells, kg; None if each
-            cell bears its own weight.
+        support: on what the object stands; None if each cell bears its own weight.
         table_top: the part of the table where things may lie, a polygon in W, m.
         X_WR: pose of the robot's base R in the world.
         home: position p_WP of the finger's tip at the beginning, m.
@@ -80,7 +79,7 @@ class ResolvedScenario:
     obj: GridObject
     others: tuple[GridObject, ...]
     truth: CellParameters
-    support: NDArray[np.float64] | None
+    support: Feet | None
     table_top: BaseGeometry
     X_WR: RigidTransform
     home: tuple[float, float, float]

@@ -20,6 +20,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from gridpush_drake.errors import ObjectError, ScenarioError
 from gridpush_drake.files import is_file
+from gridpush_drake.multibody.grid_object import Feet
 from gridpush_drake.multibody.ground_truth import calc_support, sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -237,7 +238,7 @@ def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters
 
 def MakeSupport(
     obj: GridObject, truth: CellParameters, scenario: PushScenario, seed: int
-) -> NDArray[np.float64] | None:
+) -> Feet | None:
     """Draws on what the object stands, as its scenario's `truth.support` says.
 
     Args:
@@ -247,14 +248,20 @@ def MakeSupport(
         seed: seed of the draw.
 
     Returns:
-        (n,) stiffness of a foot below each of the n cells, kg, see `calc_support`; None if each
-        cell bears its own weight.
+        A foot below each cell, see `calc_support`; None if each cell bears its own weight.
 
     Raises:
         ScenarioError: no three feet are found on which the object does not tip when it is pushed.
     """
     try:
-        return calc_support(obj, truth, scenario.truth.support, seed, scenario.finger.push_height)
+        return calc_support(
+            obj,
+            truth,
+            scenario.truth.support,
+            seed,
+            scenario.finger.push_height,
+            scenario.truth.rim_gap,
+        )
     except ObjectError as error:
         raise ScenarioError(f"truth.support: {error}") from error
 

@@ -174,6 +174,7 @@ def AddWorld(
         table=table,
         height=scenario.object_height,
         support=resolved.support,
+        rim_gap=scenario.truth.rim_gap,
         visual=show_object,
     )
     # In a task with several objects the estimates of all are drawn, in the place of their outlines.

@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from gridpush_drake.identification.center_of_mass import FRICTION_STD, CenterOfMass
+from gridpush_drake.identification.linearized_fit import factorize
 from gridpush_drake.identification.load_prior import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_fit import MapFit, fit_map
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
@@ -237,3 +238,36 @@ def test_a_step_to_where_the_equations_cannot_be_solved_is_shortened() -> None:
     found = fit_map(steep, z0, A, NoiseModel())
     assert steep.asked > 2
     np.testing.assert_allclose(found.z, expected.z, atol=0.05)
+
+
+def test_a_push_whose_end_all_but_jumps_does_not_end_a_fit() -> None:
+    """Its derivatives are so large that round-off takes the smallest eigenvalues, which are 1."""
+    rng = np.random.default_rng(2)
+    J = np.vstack([1e10 * rng.standard_normal((6, 12)), rng.standard_normal((6, 12))])
+    H = np.eye(12) + J.T @ J
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(H)
+    (L, _), ridge = factorize(H)
+    L = np.tril(L)
+    assert 0 < ridge < 1e-10 * H.max()
+    np.testing.assert_allclose(L @ L.T, H, atol=2 * ridge)
+    # A matrix that has a factor gets just that.
+    small = np.eye(3) + 0.2
+    (L, _), ridge = factorize(small)
+    assert ridge == 0.0
+    np.testing.assert_array_equal(np.tril(L), np.linalg.cholesky(small))
+    with pytest.raises(np.linalg.LinAlgError):
+        factorize(np.full((2, 2), np.nan))
+
+
+def test_a_fit_begins_from_a_point_with_derivatives_as_good_as_infinite() -> None:
+    problem, _, z0, A = make_problem(4)
+    jumps = copy(problem)
+    jumps.linearize = lambda z: _make_steep(problem.linearize(z))
+    fit = fit_map(jumps, z0, A, NoiseModel())
+    assert np.isfinite(fit.linearized.calc_covariance()).all()
+
+
+def _make_steep(linear: Linearization) -> Linearization:
+    """The first push's end as good as jumps with any change of the loads."""
+    return replace(linear, by_z=[1e12 * linear.by_z[0], *linear.by_z[1:]])

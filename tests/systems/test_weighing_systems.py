@@ -201,6 +201,30 @@ def test_an_object_that_is_seen_to_move_away_is_let_go():
     np.testing.assert_allclose(presser.read("tip_pose").translation(), [0.0, 0.1, 0.12], atol=1e-9)
 
 
+@pytest.mark.parametrize(("turn", "outcome"), [(0.01, "tilted"), (0.04, "slid")])
+def test_a_press_after_which_the_object_is_seen_elsewhere_weighs_nothing(turn, outcome):
+    """It slid under the tip, and the force was not that of its weight."""
+    presser = Presser()
+    presser.ask(1)
+    assert presser.follow(5.0).step == "pressing"
+    # The object carries up to 5 N, as seen by a tip on a spring, and then gives way.
+    end = presser.context.get_time() + 30.0
+    touching = TARGET.hover[2]
+    while presser.context.get_time() < end and not presser.read("status").ready:
+        presser.simulator.AdvanceTo(presser.context.get_time() + 0.005)
+        x, y, z = presser.read("tip_pose").translation()
+        felt = min(max(2000.0 * (touching - z), 0.0), 5.0)
+        presser.fix("pusher_state", np.array([x, y, z + felt / 2000.0, 0.0, 0.0, 0.0]))
+        presser.fix("force", np.array([0.0, 0.0, felt]))
+        if presser.read("status").step == "returning":
+            presser.fix("object_pose", np.add(POSE, (0.0, 0.0, turn)))
+    status = presser.read("status")
+    assert (status.step, status.outcome) == ("idle", outcome)
+    assert status.weighed == (outcome == "tilted") == len(presser.read("weighing_log"))
+    if outcome == "slid":
+        assert status.reason == "the object slid: it is seen 0.0 mm off, turned by 2.3°"
+
+
 def test_a_lifted_object_is_weighed_by_what_is_felt_beyond_the_empty_gripper():
     scale = LiftScale(LiftOptions(settle=0.2, time=0.5))
     simulator = Simulator(scale)

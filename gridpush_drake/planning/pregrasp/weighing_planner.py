@@ -176,7 +176,7 @@ class WeighingPlanner(PreGraspPlanner):
         # The first pokes tell how friction is spread. After that a press tells more than a poke.
         if pokes < self.options.min_pokes or slides >= self.options.max_slides:
             return False
-        if model.belief.presses >= self.weighing.max_presses:
+        if model.presses >= self.weighing.max_presses:
             return False
         return calc_open(model.belief.covariance, self.weighing.sequence) > ENOUGH
 

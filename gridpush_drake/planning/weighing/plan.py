@@ -63,7 +63,7 @@ class PressRules:
         force_std: standard deviation of the force at the tilt, N.
     """
 
-    max_tilt: float = radians(1.0)
+    max_tilt: float = radians(5.0)
     pose_error: float = 0.004
     min_arm: float = 0.02
     tip_radius: float = 0.008

@@ -120,8 +120,8 @@ def plan_next_press(
         return None
     rules = options.rules
     region = centers
-    belief = found.absolute or believe_before(found)
-    if found.absolute is not None:
+    belief = found.weighed or believe_before(found)
+    if found.weighed is not None:
         region = cut_to_ellipse(
             centers, belief.center_of_mass, belief.center_covariance, options.sigmas
         )
@@ -217,7 +217,7 @@ def calc_open(S: Array, options: SequenceOptions) -> float:
 
 def is_known(found: Identification, options: SequenceOptions) -> bool:
     """Whether mass and center of mass are known well enough."""
-    absolute = found.absolute
+    absolute = found.weighed
     if absolute is None:
         return False
     mass_std = float(np.sqrt(absolute.covariance[LOG_MASS, LOG_MASS]))
