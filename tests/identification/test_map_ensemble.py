@@ -30,6 +30,7 @@ from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.result import calc_center_of_friction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
@@ -69,6 +70,21 @@ def test_pushes_left_out_tell_which_of_several_wrong_hypotheses_predicts_best() 
         found = identify(body.obj, body.training)
         errors.append(calc_mean_cell_error(body.obj, found.params, body.held_out, found.physics))
     assert np.mean(errors) < 0.7e-3
+
+
+def test_the_region_holds_what_evidence_says_where_predictions_say_otherwise(monkeypatch) -> None:
+    found = learn(8.0)
+    center, _ = calc_center_of_friction(found)
+
+    # An almost even object, far off, is made out to predict best by far.
+    def favor_even(fits, evidences, noise):
+        return np.where(np.arange(len(fits)) == 0, 300.0, 0.0)
+
+    monkeypatch.setattr(fit_average, "_calc_predictives", favor_even)
+    moved, covariance = calc_center_of_friction(learn(8.0))
+    off = center - moved
+    assert np.linalg.norm(off) > 0.01
+    assert off @ np.linalg.solve(covariance, off) < 5.991
 
 
 def test_average_lies_among_its_fits_and_its_spread_covers_theirs() -> None:

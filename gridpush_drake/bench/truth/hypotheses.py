@@ -222,11 +222,13 @@ def run_job(job: Job) -> list[HypothesisScore]:
     """Learns one body with each set of hypotheses, and predicts its held-out pushes."""
     body = make_pushes(job)
     kind = job.name or job.kind
-    uniform = CellParameters.uniform(body.obj)
-    even = calc_mean_cell_error(body.obj, uniform, body.held_out, "quasi_static")
-    scores = [HypothesisScore(kind, job.seed, UNIFORM, even)]
+    scores: list[HypothesisScore] = []
     for name, ensemble in make_sets().items():
         found = identify(body.obj, body.training, ensemble=ensemble)
+        if not scores:
+            uniform = CellParameters.uniform(body.obj)
+            even = calc_mean_cell_error(body.obj, uniform, body.held_out, found.physics)
+            scores.append(HypothesisScore(kind, job.seed, UNIFORM, even))
         error = calc_mean_cell_error(body.obj, found.params, body.held_out, found.physics)
         covered = None
         if body.center is not None:
