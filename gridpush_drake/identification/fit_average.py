@@ -177,17 +177,24 @@ def average_fits(
         starts=tuple(FitStart(one.fit.z, one.fit.scale, one.name) for one in candidates),
         best=fits[best],
         interval_scale=kappa / wider,
-        hypotheses=tuple(
-            HypothesisEvidence(
-                name=one.name,
-                log_evidence=float(evidence - evidences.max()),
-                log_predictive=float(predictive - predictives.max()),
-                weight=float(weight),
-            )
-            for one, evidence, predictive, weight in zip(
-                candidates, evidences, predictives, weights, strict=True
-            )
-        ),
+        hypotheses=_describe_hypotheses(candidates, evidences, predictives, weights),
+    )
+
+
+def _describe_hypotheses(
+    candidates: list[Candidate], evidences: Array, predictives: Array, weights: Array
+) -> tuple[HypothesisEvidence, ...]:
+    """Says of each fit how well it explains and predicts the pushes, and its weight."""
+    return tuple(
+        HypothesisEvidence(
+            name=one.name,
+            log_evidence=float(evidence - evidences.max()),
+            log_predictive=float(predictive - predictives.max()),
+            weight=float(weight),
+        )
+        for one, evidence, predictive, weight in zip(
+            candidates, evidences, predictives, weights, strict=True
+        )
     )
 
 
