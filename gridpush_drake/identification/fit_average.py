@@ -121,6 +121,11 @@ class Candidate:
         """Log evidence of the fit, without the share that the prior has of it."""
         return self.fit.log_evidence
 
+    @property
+    def shared_log_evidence(self) -> float:
+        """Log evidence of the fit with the share that the prior has of it."""
+        return self.log_evidence + float(np.log(self.prior.evidence_share))
+
 
 def average_fits(
     problem: PushProblem, candidates: list[Candidate], noise: NoiseModel
@@ -137,9 +142,7 @@ def average_fits(
     # Leaning on weak variation predicts better; it is no knowledge, and must not make the
     # estimate look surer. So the mean goes by w, and the spread by w', without the prior's weights,
     # and over all fits that either the evidence or the predictions speak for.
-    evidences = np.array(
-        [one.log_evidence + np.log(one.prior.evidence_share) for one in candidates]
-    )
+    evidences = np.array([one.shared_log_evidence for one in candidates])
     predictives = _calc_predictives(fits, evidences, noise)
     said = (1 - PREDICTIVE_SHARE) * evidences + PREDICTIVE_SHARE * predictives
     leaning = said + np.log([one.prior.weight for one in candidates])
@@ -149,12 +152,7 @@ def average_fits(
     # The mean: x = sum_a w_a x_a.
     groups = _group(problem, candidates, leaning, weights)
     z = _average_shares(np.array([group.weight for group in groups]), [group.z for group in groups])
-
-    # Kappa, by which the pushes depart from what is said of each by all the others.
-    residuals = problem.residuals(z)
-    counted = np.flatnonzero(plausible > NEGLIGIBLE)
-    ratios = [fits[i].linearized.leave_out_ends(residuals).ratios for i in counted]
-    kappa = noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
+    kappa = _calc_kappa(fits, plausible, problem.residuals(z), noise)
     wider = max(kappa, 1.0)
     surer = min(CAUTION * kappa, 1.0)
 
@@ -179,6 +177,22 @@ def average_fits(
         interval_scale=kappa / wider,
         hypotheses=_describe_hypotheses(candidates, evidences, predictives, weights),
     )
+
+
+def _calc_kappa(
+    fits: list[MapFit], plausible: Array, residuals: list[Array], noise: NoiseModel
+) -> float:
+    """Calculates by how much the pushes depart from what is said of each by all the others.
+
+    Args:
+        fits: the fits.
+        plausible: (a,) weight of each fit by what the pushes say alone.
+        residuals: (3K,) residuals of each push by the average, m.
+        noise: the noise model, unscaled.
+    """
+    counted = np.flatnonzero(plausible > NEGLIGIBLE)
+    ratios = [fits[i].linearized.leave_out_ends(residuals).ratios for i in counted]
+    return noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
 
 
 def _describe_hypotheses(

@@ -118,8 +118,8 @@ class Identification:
             pushes like these end nearer to their predictions than posterior and noise would
             suggest.
         noise: the noise that the method assumed, before it was scaled.
-        hypotheses: evidence, predictions and weight of each hypothesis of how the object bears on the table;
-            empty for other methods than the default.
+        hypotheses: evidence, predictions and weight of each hypothesis of how the object bears on
+            the table; empty for other methods than the default.
         absolute: mass, center of mass and mean friction of an object that was weighed; None of one
             that was not.
     """
