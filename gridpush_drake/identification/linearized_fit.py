@@ -13,6 +13,7 @@ what the other pushes predict of each one (`docs/theory/identification.md`, sect
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -20,7 +21,13 @@ from scipy.linalg.lapack import dtrtri
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.center_of_mass import CenterOfMass
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
+from gridpush_drake.identification.noise import (
+    POSE,
+    LeftOutEnds,
+    NoiseModel,
+    NoiseScale,
+    calc_effective_count,
+)
 from gridpush_drake.identification.outliers import LeftOut
 from gridpush_drake.identification.problem import SHIFT, Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart
@@ -39,7 +46,7 @@ largest diagonal entry: about the round-off of a sum of a hundred terms."""
 RIDGE_FACTOR = 10.0
 """Factor by which a ridge grows that was not enough."""
 
-LAST_POSE = slice(-3, None)
+LAST_POSE = slice(-POSE, None)
 """Rows of a push's residuals that belong to its last observed pose."""
 
 
@@ -321,6 +328,10 @@ class LinearizedFit:
         Returns:
             For each push how far its residuals are off the prediction, and how sure that is.
         """
+        return self._left_out
+
+    @cached_property
+    def _left_out(self) -> list[LeftOut]:
         found = []
         for weight, W, r, J in zip(
             self.weights, self.whitenings, self.linear.residuals, self.slopes, strict=True
@@ -336,28 +347,28 @@ class LinearizedFit:
             found.append(LeftOut(precision=W.apply(root), pull=pull))
         return found
 
-    def calc_end_errors(self, residuals: list[Array]) -> Array:
-        """Calculates how far off the other pushes predict the last pose of each one.
+    def leave_out_ends(self, residuals: list[Array] | None = None) -> LeftOutEnds:
+        """Predicts the last pose of each push from all other pushes.
 
         Args:
             residuals: (3K,) residuals of each push, m, by the parameters that are to predict. They
-                need not be those of this fit.
-
-        Returns:
-            (P,) squared lengths of the errors, as cells move, over the expected ones.
+                need not be those of this fit, which are taken where none are given.
         """
-        found = []
+        errors = []
+        covariances = []
         for left_out, r, own in zip(
-            self.leave_out(), residuals, self.linear.residuals, strict=True
+            self.leave_out(),
+            self.linear.residuals if residuals is None else residuals,
+            self.linear.residuals,
+            strict=True,
         ):
             covariance = np.linalg.inv(left_out.precision)
             # The poses of a push share errors. The noise model allows for this by taking the noise
             # of each of K poses as K/K_eff times as large. A single pose has the noise itself.
             shared = (self.scale.pose * self.noise.pose) ** 2 * (np.sqrt(len(covariance) / 3) - 1)
-            e = covariance[LAST_POSE] @ left_out.pull + (r - own)[LAST_POSE]
-            expected = float(np.trace(covariance[LAST_POSE, LAST_POSE]) - 3 * shared)
-            found.append(float(e @ e) / expected)
-        return np.array(found)
+            errors.append(covariance[LAST_POSE] @ left_out.pull + (r - own)[LAST_POSE])
+            covariances.append(covariance[LAST_POSE, LAST_POSE] - shared * np.eye(POSE))
+        return LeftOutEnds(np.array(errors), np.array(covariances))
 
     def _factorize(self, c: float) -> tuple[tuple[Array, bool], float]:
         """Factorizes c I + J^T J, or c I + J J^T where that is smaller; see `factorize`."""

@@ -78,11 +78,14 @@ class HypothesisEvidence:
     Attributes:
         name: name of the hypothesis, with a number where it stands for several priors.
         log_evidence: log evidence, less that of the best one.
+        log_predictive: log density that it gives to the end of each push by what it learns from the
+            others, of all pushes, less that of the best one.
         weight: share of the estimate that comes from it, between 0 and 1.
     """
 
     name: str
     log_evidence: float
+    log_predictive: float
     weight: float
 
 
@@ -117,8 +120,8 @@ class Identification:
             pushes like these end nearer to their predictions than posterior and noise would
             suggest.
         noise: the noise that the method assumed, before it was scaled.
-        hypotheses: evidence and weight of each hypothesis of how the object bears on the table;
-            empty for other methods than the default.
+        hypotheses: evidence, predictions and weight of each hypothesis of how the object bears on
+            the table; empty for other methods than the default.
         absolute: mass, center of mass and mean friction of an object that was weighed; None of one
             that was not. It may be contradictory, which only `weighed` is not.
     """

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.optimize import least_squares
 
 from gridpush_drake.identification.center_of_mass import FRICTION_STD, CenterOfMass
@@ -197,7 +198,7 @@ def test_last_poses_are_judged_by_what_the_other_pushes_say_of_them() -> None:
     problem, _, z0, A = make_problem(4)
     system = fit_map(problem, z0, A, NoiseModel()).linearized
     noise, K = system.noise, len(system.linear.residuals[0]) // 3
-    ratios = system.calc_end_errors(system.linear.residuals)
+    ratios = system.leave_out_ends().ratios
     for i, ratio in enumerate(ratios):
         weighted = [root * W.apply(J) for root, W, J in zip(
             np.sqrt(system.weights), system.whitenings, system.slopes, strict=True)]  # fmt: skip
@@ -213,7 +214,24 @@ def test_last_poses_are_judged_by_what_the_other_pushes_say_of_them() -> None:
         S = one + J[-3:] @ np.linalg.solve(H, J[-3:].T)
         assert ratio == pytest.approx(e @ e / np.trace(S), rel=1e-6)
     worse = [r + 0.01 for r in system.linear.residuals]
-    assert system.calc_end_errors(worse).sum() > 10 * ratios.sum()
+    assert system.leave_out_ends(worse).ratios.sum() > 10 * ratios.sum()
+
+
+def test_the_log_predictive_is_that_of_students_t_as_wide_as_the_errors_are() -> None:
+    problem, _, z0, A = make_problem(4)
+    system = fit_map(problem, z0, A, NoiseModel()).linearized
+    noise = system.noise
+    ends = system.leave_out_ends()
+    f = noise.calc_freedom(len(problem))
+    kappa = noise.calc_discrepancy(ends.ratios)
+    scale = noise.calc_typical_share(len(problem)) * kappa**2
+    exact = [
+        stats.multivariate_t.logpdf(e, shape=scale * C, df=f)
+        for e, C in zip(ends.errors, ends.covariances, strict=True)
+    ]
+    # Both differ by a constant: that of four errors of zero and unit covariance.
+    constant = len(problem) * stats.multivariate_t.logpdf(np.zeros(3), shape=np.eye(3), df=f)
+    assert noise.calc_log_predictive(ends) == pytest.approx(sum(exact) - constant)
 
 
 class SteepOnce(PushProblem):
