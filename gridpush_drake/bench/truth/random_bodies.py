@@ -81,6 +81,9 @@ SHIFTED = 0.4
 MAX_SHIFT = 0.4
 """Greatest distance of such a piece from the axis, as a share of its width."""
 
+PLATE_OVAL = 0.5
+"""Probability that a plate or a patch is an oval and not a box."""
+
 PLATE_SIZE = (0.1, 0.25)
 """Least and greatest length and width of a plate, m."""
 
@@ -166,7 +169,9 @@ def draw_patches(rng: np.random.Generator) -> GridObject:
         # What no patch covers is part 1.
         patches = {}
         for label in range(2, rng.integers(PARTS[0], PARTS[1] + 1) + 1):
-            patch = _draw_shape(rng, *(np.exp(rng.uniform(*np.log(PATCH_SIZE), 2)) * size), 0.5)
+            least, greatest = np.log(PATCH_SIZE)
+            length, width = np.exp(rng.uniform(least, greatest, 2)) * size
+            patch = _draw_shape(rng, length, width, PLATE_OVAL)
             patch = affinity.rotate(patch, rng.uniform(0, 360))
             place = rng.uniform((left, bottom), (right, top))
             patches[label] = affinity.translate(patch, *place)
@@ -281,7 +286,8 @@ def _draw_shape(rng: np.random.Generator, length: float, width: float, oval: flo
 
 def _draw_plate(rng: np.random.Generator) -> Polygon:
     """Draws a turned box or oval."""
-    plate = _draw_shape(rng, *rng.uniform(*PLATE_SIZE, 2), 0.5)
+    length, width = rng.uniform(PLATE_SIZE[0], PLATE_SIZE[1], 2)
+    plate = _draw_shape(rng, length, width, PLATE_OVAL)
     return Polygon(affinity.rotate(plate, rng.uniform(0, 360)))
 
 
