@@ -222,6 +222,23 @@ def fail_in_station(bench, begun):
     return lambda: delattr(bench.link, "_step")
 
 
+def test_a_robot_that_falls_silent_is_given_up_after_a_second(bench):
+    bench.begin()
+    dropped = []
+
+    def drop(time, data):
+        if dropped or bench.task.read("executor.status").phase == PushPhase.PUSHING:
+            dropped.append(time)
+        return [] if dropped else [data]
+
+    bench.spoil[ARM.status] = drop
+    record, _ = run(bench)
+    assert record.status == TaskStatus.STOPPED
+    assert "No usable status of the robot came for 1.00 s" in record.message
+    # it was waited for so long, and after that no longer than to end the run
+    assert 0.95 < dropped[-1] - dropped[0] < 1.2
+
+
 @pytest.mark.slow
 def test_the_link_waits_for_as_long_as_the_arm_goes_back(monkeypatch):
     """The task fails while the arm goes back from a collision, by a way of 0.1 m."""
