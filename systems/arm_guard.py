@@ -142,12 +142,12 @@ class ArmGuard(AbstractStateSystem[GuardState]):
 
     **What stops the arm**, each with a sentence in the status: the last status is as old as
     `GuardLimits.status_age`; a number is not finite; a joint is desired beyond its limits; a torque
-    from outside or the force on the tip is beyond its limit; a joint is measured to move faster than `JOINT_SPEED_MARGIN` times its
-    speed limit between two statuses; a joint is measured farther than `following_error` from all
-    that it was told within the last `following_time`, for longer than that again, or the joints
-    are measured at exactly the same place meanwhile, `FROZEN_ERROR` from where they should be; the
-    tip leaves where it may be; the pose of the object jumps, or the object moves as the finger
-    cannot have moved it; or `stop` says so.
+    from outside or the force on the tip is beyond its limit; a joint is measured to move faster
+    than `JOINT_SPEED_MARGIN` times its speed limit between two statuses; a joint is measured
+    farther than `following_error` from all that it was told within the last `following_time`, for
+    longer than that again, or the joints are measured at exactly the same place meanwhile,
+    `FROZEN_ERROR` from where they should be; the tip leaves where it may be; the pose of the object
+    jumps, or the object moves as the finger cannot have moved it; or `stop` says so.
 
     All this counts from the very update on in which the arm is first measured at rest. What `stop`
     says counts even before: the arm is then held where it is first measured.

@@ -282,7 +282,10 @@ class HardwareLink:
 
     def explain(self) -> str:
         """Says in sentences what went wrong beside what the guard says; see `Drive`."""
-        return " ".join(f"{cause.rstrip('.')}." for cause in self.report.causes)
+        sentences = [f"{cause.rstrip('.')}." for cause in self.report.causes]
+        if self._said.failed and not self.report.traces:
+            sentences.append(self.report.describe_slowness())
+        return " ".join(filter(None, sentences))
 
     def note(self, text: str) -> None:
         """Adds to the log, at the station's time."""
