@@ -222,9 +222,6 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         now = replace(now, seen=self._watch.measure(now.seen, inputs))
         begins = now.position is None
         if begins:
-            # A stop that comes before the arm was measured counts as well.
-            if not now.status.stopped:
-                now = self._note_faults(now, inputs, self._watch.find_told_stop(inputs))
             now = self._begin_at(now, inputs)
         if now.position is None or now.velocity is None:
             return now
@@ -266,7 +263,12 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         )
 
     def _begin_at(self, now: GuardState, inputs: GuardInputs) -> GuardState:
-        """Begins where two statuses in a row say that the arm is at rest."""
+        """Begins where two statuses in a row say that the arm is at rest; until then, waits.
+
+        A stop that comes while it waits is kept.
+        """
+        if not now.status.stopped:
+            now = self._note_faults(now, inputs, self._watch.find_told_stop(inputs))
         seen = now.seen
         measured = inputs.measured
         if seen.too_fast is not None:  # the first of the two may have been the wrong one
@@ -332,7 +334,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             period=self._period,
         )
         now = self._move_at(now, velocity)
-        assert now.position is not None and now.velocity is not None
+        assert now.position is not None and now.velocity is not None and now.path is not None
         return replace(
             now,
             desired=inputs.desired,

@@ -65,10 +65,10 @@ class GuardLimits:
 class GuardMode(StrEnum):
     """The present mode of a guard.
 
-    WAITING: the arm was not measured yet; no command goes out, and a stop is kept. FOLLOWING: commands are passed on.
-    STOPPING: the arm is brought to rest, or goes back from a collision. HOLDING: the arm is
-    commanded to stay, and is measured at rest there. UNCONFIRMED: the arm is commanded to stay, but
-    is not measured at rest there, or not measured at all.
+    WAITING: the arm was not measured yet; no command goes out, and a stop is kept. FOLLOWING:
+    commands are passed on. STOPPING: the arm is brought to rest, or goes back from a collision.
+    HOLDING: the arm is commanded to stay, and is measured at rest there. UNCONFIRMED: the arm is
+    commanded to stay, but is not measured at rest there, or not measured at all.
     """
 
     WAITING = "waiting"
