@@ -153,7 +153,9 @@ PACKAGE_URL = re.compile(r"(?:package|model)://([^/]+)")
 
 
 def ProcessDirectives(directives: Sequence[ModelDirective], parser: Parser) -> None:
-    """Carries out model directives, after their files and those of their models were checked.
+    """Carries out model directives.
+
+    Drake reads whatever they name: `flatten_directives` and `check_model` come first, once.
 
     A model may fix itself to the world, as ROS descriptions do with a link `world`. Where a
     directive welds it to a place, it stands there instead.
@@ -163,17 +165,12 @@ def ProcessDirectives(directives: Sequence[ModelDirective], parser: Parser) -> N
         parser: of a plant that is not finalised, see `MakeParser`.
 
     Raises:
-        ScenarioError: a file will not do, or a directive cannot be carried out.
+        ScenarioError: a directive cannot be carried out.
     """
-    package_map = parser.package_map()
-    flat = flatten_directives(directives, package_map)
-    for directive in flat:
-        if directive.add_model:
-            check_model(directive.add_model.file, package_map)
     own_welds: dict[ModelInstanceIndex, list[Joint]] = {}
     plant = parser.plant()
     try:
-        for directive in flat:
+        for directive in _flatten(directives, parser.package_map()):
             if directive.add_weld:
                 child = GetScopedFrameByName(plant, directive.add_weld.child)
                 for joint in own_welds.pop(child.model_instance(), []):
@@ -225,11 +222,15 @@ def flatten_directives(
     """
     check_directives(directives, package_map)
     try:
-        flat: list[ModelDirective] = FlattenModelDirectives(
-            ModelDirectives(directives=list(directives)), package_map
-        ).directives
+        return _flatten(directives, package_map)
     except (RuntimeError, ValueError) as error:
         raise ScenarioError(f"directives: {' '.join(str(error).split())}") from error
+
+
+def _flatten(directives: Sequence[ModelDirective], package_map: PackageMap) -> list[ModelDirective]:
+    """Flattens directives whose files were checked."""
+    whole = ModelDirectives(directives=list(directives))
+    flat: list[ModelDirective] = FlattenModelDirectives(whole, package_map).directives
     return flat
 
 

@@ -118,7 +118,8 @@ def AddScene(parser: Parser, scenario: PushScenario) -> None:
 
     Args:
         parser: `MakeParser(plant, robot.packages)`; the plant is not finalised yet.
-        scenario: a scenario whose `directives` are carried out.
+        scenario: a scenario whose `directives` are carried out. `find_robot` has checked their
+            files.
 
     Raises:
         ScenarioError: a directive cannot be carried out.

@@ -16,9 +16,11 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.multibody.parser import (
     MAX_DIRECTIVES,
     AddModelsPackage,
+    MakePackageMap,
     MakeParser,
     ProcessDirectives,
     check_directives,
+    check_model,
 )
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import find_robot, list_robots, make_robot_directives
@@ -118,10 +120,6 @@ def test_a_pipe_or_a_device_is_not_waited_for(tmp_path, kind):
     assert "is a pipe or a device" in refuse(include(inner))
 
 
-def name_model(path):
-    return ModelDirective(add_model=AddModel(file=path.as_uri(), name="m"))
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [
@@ -172,9 +170,15 @@ def test_the_files_of_a_model_are_checked_before_drake_reads_them(tmp_path, name
 
 
 def refuse_model(path):
-    """What is said of a model whose scene is added to a plant."""
+    """What is said of a model, by the check and by whatever adds it to a scene with a robot."""
+    url = path.as_uri()
     with pytest.raises(ScenarioError) as said:
-        ProcessDirectives([name_model(path)], MakeParser(MultibodyPlant(0.0)))
+        check_model(url, MakePackageMap())
+    model = ModelDirective(add_model=AddModel(file=url, name="m"))
+    scene = make_robot_directives("iiwa14", grasping=False)
+    with pytest.raises(ScenarioError) as read:
+        resolve(PushScenario(directives=[*scene, model]))
+    assert str(read.value) == str(said.value)
     assert "\n" not in str(said.value)
     return str(said.value)
 
@@ -194,8 +198,7 @@ def test_packages_are_found_as_the_user_says(tmp_path, monkeypatch, told):
     write(folder / "a.dmd.yaml", rest="- add_frame: {name: f, X_PF: {base_frame: world}}\n")
     directive = ModelDirective(add_directives=AddDirectives(file="package://cell/a.dmd.yaml"))
     plant = MultibodyPlant(0.0)
-    with pytest.raises(ScenarioError, match="package cell is not known"):
-        ProcessDirectives([directive], MakeParser(plant))
+    assert "package cell is not known; expected its folder in the scenario" in refuse(directive)
     packages = {"cell": str(folder)} if told == "scenario" else {}
     if told == "environment":
         monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'src'}")
