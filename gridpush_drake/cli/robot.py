@@ -307,8 +307,8 @@ def _report(
         print_line(f"Control loop: {link.report.describe()}.")
     if summary["status"] in ("stopped", "interrupted"):
         print_notice(
-            f"gridpush: {record.message} To go on, run the command again with --force, or with "
-            "another --out."
+            f"gridpush: {record.message} Before another run put right what stopped this one; give "
+            "it another --out, as --force only replaces the files of this one."
         )
     if unwritten:
         print_notice(f"gridpush: {unwritten} {out / LOG} says what happened.")

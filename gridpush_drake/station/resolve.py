@@ -194,10 +194,10 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
         )
 
     # The scene and the robot in it.
-    scene = _MakeScene(scenario, obj, others, truth)
+    robot = find_robot(scenario.directives, scenario.packages)
+    scene = _MakeScene(scenario, robot, obj, others, truth)
     plant = scene.plant
     inspector = scene.scene_graph.model_inspector()
-    robot = find_robot(scenario.directives)
     check_robot(plant, robot)
     tip_radius = robot.finger.tip_radius
     _check_heights(scenario, tip_radius)
@@ -244,12 +244,16 @@ def _push_by(obj: GridObject, scenario: PushScenario, robot: Robot) -> GridObjec
 
 
 def _MakeScene(
-    scenario: PushScenario, obj: GridObject, others: Sequence[GridObject], truth: CellParameters
+    scenario: PushScenario,
+    robot: Robot,
+    obj: GridObject,
+    others: Sequence[GridObject],
+    truth: CellParameters,
 ) -> CheckedScene:
     """Builds the scene that is checked, and photographed by a color and depth camera."""
     builder = DiagramBuilder()
     plant, scene_graph = AddPlantAndSceneGraph(builder, scenario.simulation.time_step)
-    AddScene(MakeParser(plant), scenario)
+    AddScene(MakeParser(plant, robot.packages), scenario)
     object_in_plant = None
     others_in_plant = []
     if scenario.camera.kind == "rgbd":

@@ -26,6 +26,7 @@ from gridpush_drake.multibody.ground_truth import (
     FRICTION_RANGE,
     Support,
 )
+from gridpush_drake.station.robot_measures import Packages
 from gridpush_drake.station.scenario_camera import CameraConfig
 from gridpush_drake.station.scenario_fields import (
     MAX_SIZE,
@@ -520,6 +521,8 @@ class PushScenario(Config):
         seed: seed of everything random.
         directives: all models in the scene but the objects, as Drake's model directives: a robot
             with a finger, see `station.robot`, and a model with the name `table`.
+        packages: folders of the packages that `package://NAME/...` in directives and models names,
+            by name; each is a path relative to the scenario's file.
 
     Raises:
         ScenarioError: a field is unknown, or holds what will not do.
@@ -563,6 +566,7 @@ class PushScenario(Config):
             default_factory=_default_directives, description="a list of Drake's model directives"
         ),
     ]
+    packages: Packages = {}
     _names: ObjectNames = PrivateAttr(default_factory=ObjectNames)
 
     def __init__(self, **fields: Any) -> None:

@@ -84,7 +84,7 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
 
     Returns:
         The scenario. Fields that the file leaves out have the defaults of `PushScenario`. Paths of
-        object files, which are relative to the scenario's file, have become absolute.
+        object files and packages, which are relative to the scenario's file, have become absolute.
 
     Raises:
         ScenarioError: there is no such file or shipped scenario; the file cannot be read, is of
@@ -132,6 +132,9 @@ def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> P
         beside = path.parent / each.object
         if beside.suffix or is_file(beside):
             each.object = str(beside.resolve())
+    scenario.packages = {
+        name: str((path.parent / folder).resolve()) for name, folder in scenario.packages.items()
+    }
     return scenario
 
 

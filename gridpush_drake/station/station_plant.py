@@ -41,7 +41,7 @@ def AddStationScene(
     Returns:
         The robot's model instances, and the table's collision geometries.
     """
-    AddScene(MakeParser(plant), scenario)
+    AddScene(MakeParser(plant, robot.packages), scenario)
     # Not by the plant's own GetCollisionGeometriesForBody: pydrake ties the ids that it returns to
     # the plant, and whoever keeps them keeps the plant alive, unseen by Python's garbage collector.
     inspector = scene_graph.model_inspector()
