@@ -9,7 +9,7 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_progress, print_json, print_line, print_notice
 from gridpush_drake.cli.interrupts import EXIT_INTERRUPTED
-from gridpush_drake.cli.nothing_told import NothingTold, tell_nothing
+from gridpush_drake.cli.unknown_inertia import UnknownInertia, hide_inertia
 from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.errors import OutputError, StationError
 from gridpush_drake.files import make_folder_beside, output_folder
@@ -49,15 +49,7 @@ def demo(
             show_default="the scenario's",
         ),
     ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|DIR",
-            help="The robot: gantry, iiwa14, panda, ur5e or xarm6, or the folder that holds "
-            "your own robot.yaml. Its scene (arm, finger and table) replaces the scenario's.",
-            show_default="the scenario's, an iiwa14",
-        ),
-    ] = None,
+    robot: options.RobotScene = None,
     scenario_file: Annotated[
         Path | None,
         typer.Option(
@@ -75,7 +67,7 @@ def demo(
             show_default="the scenario's, 8",
         ),
     ] = None,
-    nothing_told: NothingTold = False,
+    unknown_inertia: UnknownInertia = False,
     camera: Annotated[
         Literal["ideal", "rgbd"] | None,
         typer.Option(
@@ -152,8 +144,8 @@ def demo(
         scenario.camera.use(camera)
     if seed is not None:
         scenario.seed = seed
-    if nothing_told:
-        tell_nothing(scenario, task)
+    if unknown_inertia:
+        hide_inertia(scenario, task)
     if robot is not None:
         scenario.directives = make_robot_directives(robot, grasping=chosen.grasps)
     if camera is None and scenario_file is None:
