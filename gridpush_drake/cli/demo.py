@@ -9,6 +9,7 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_progress, print_json, print_line, print_notice
 from gridpush_drake.cli.interrupts import EXIT_INTERRUPTED
+from gridpush_drake.cli.kernels import compiling_meanwhile
 from gridpush_drake.cli.unknown_inertia import UnknownInertia, hide_inertia
 from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.errors import OutputError, StationError
@@ -160,14 +161,16 @@ def demo(
         view = None if rerun is None else RerunView(rerun, force)
         watchers = [each.note for each in (recorder, view) if each is not None]
         page = LivePage(port)
-        options.compile_kernels()
 
         def show_page() -> None:
             print_notice(f"Watch it at {page.url}")
             if open_browser:
                 typer.launch(page.url)
 
-        with count_progress("the robot", chosen.count_steps(scenario)) as report_step:
+        with (
+            compiling_meanwhile(),
+            count_progress("the robot", chosen.count_steps(scenario)) as report_step,
+        ):
             # Making the station may still refuse the scenario, so that the page is shown only when
             # the robot has begun.
             report = call_first(show_page, report_step)
