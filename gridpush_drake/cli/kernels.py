@@ -34,7 +34,7 @@ REST = "from gridpush_drake.cli.kernels import compile_rest; compile_rest()"
 """Python code that a third process runs, while this one does something else."""
 
 SOURCES = frozenset(
-    [*KERNELS.glob("*.py"), *(Path(each.__file__) for each in (contact_kernels, stability))]
+    [*KERNELS.glob("*.py"), *(Path(str(each.__file__)) for each in (contact_kernels, stability))]
 )
 """Files of the kernels that the second and third process compile."""
 
