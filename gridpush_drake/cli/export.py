@@ -149,7 +149,8 @@ def export(
         "written": [str(path) for path in outs],
     }
     line = (
-        f"{speak_name(obj.name)} ({source}): {obj.n} cells, {mass:.3g} kg, {height * MM:.3g} mm high, "
+        f"{speak_name(obj.name)} ({source}): {obj.n} cells, {mass:.3g} kg, "
+        f"{height * MM:.3g} mm high, "
         f"{base} base"
     )
     written = options.describe_written(out)

@@ -435,7 +435,8 @@ class _Made(NamedTuple):
         height = self.found.height
         tall = f"{height * MM:.0f} mm high" if height else "of unknown height"
         print_line(
-            f"{speak_name(self.obj.name)}: {self.found.outline.area * CM2:.1f} cm², {tall}, {self.obj.n} cells."
+            f"{speak_name(self.obj.name)}: {self.found.outline.area * CM2:.1f} cm², {tall}, "
+            f"{self.obj.n} cells."
             f" Wrote {self.path}."
         )
 

@@ -488,8 +488,8 @@ def load_log(path: Path, obj: GridObject, *, require_final: bool = True) -> Push
         return log
     if obj.prior.pusher_radius is None:
         print_notice(
-            f"{speak_name(obj.name)}: its file has no pusher.radius; the pusher's radius is assumed to be "
-            f"{DEFAULT_PUSHER_RADIUS:g} m"
+            f"{speak_name(obj.name)}: its file has no pusher.radius; the pusher's radius is "
+            f"assumed to be {DEFAULT_PUSHER_RADIUS:g} m"
         )
         return log
     return log.with_radius(obj.prior.pusher_radius)

@@ -28,6 +28,7 @@ def hide_inertia(scenario: PushScenario, task: TaskName) -> None:
     """
     if task is not TaskName.pregrasp:
         raise options.OptionError(
-            f"--unknown-inertia: goes with --task pregrasp only; in --task {task} nothing is weighed"
+            f"--unknown-inertia: goes with --task pregrasp only; in --task {task} nothing "
+            "is weighed"
         )
     scenario.nothing_told = True

@@ -167,7 +167,8 @@ def describe_making(result: Identification, log: PushLog, version: str) -> list[
     return [
         (
             "object",
-            f"{speak_name(result.obj.name)}, {result.obj.n} cells of {result.obj.cell_size * MM:.1f} mm",
+            f"{speak_name(result.obj.name)}, {result.obj.n} cells of "
+            f"{result.obj.cell_size * MM:.1f} mm",
         ),
         ("pushes", log.source or "given in memory"),
         ("method", result.method),

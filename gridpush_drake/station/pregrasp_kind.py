@@ -63,7 +63,8 @@ HEADLINES = {
     TaskStatus.DROPPED: "The object fell.",
     TaskStatus.STUCK: "Nothing happened any more.",
 }
-"""One sentence for each end that the controller explains at length. The explanation stands below."""
+"""One sentence for each end that the controller explains at length. The explanation
+stands below."""
 
 
 class PreGraspKind(TaskKind):
@@ -139,6 +140,7 @@ class PreGraspKind(TaskKind):
     def make_summary(self, record: PreGraspRecord) -> ReportSummary:
         """Shows the object's way to the edge, and how safely it lies there."""
         last = record.last
+        headline = HEADLINES.get(record.status, record.message)
         facts: list[tuple[str, str]] = []
         # Of an object that no gripper took, nobody asks how far it was raised.
         if last.grasps:
@@ -149,7 +151,7 @@ class PreGraspKind(TaskKind):
             weighed = summarize_weighed(record.estimates[-1].absolute, record)
             facts += [(f"{what}, {more}", value) for what, value, more in list_weighed(weighed)]
         return ReportSummary(
-            headline=f"{HEADLINES.get(record.status, record.message)} It took {count_pushes(last.pokes, last.slides)}.",
+            headline=f"{headline} It took {count_pushes(last.pokes, last.slides)}.",
             facts=(
                 ("pokes", str(last.pokes)),
                 ("slides", str(last.slides)),
