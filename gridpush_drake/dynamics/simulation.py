@@ -142,6 +142,7 @@ def simulate(
             is not on the table.
     """
     check_word("gradients", gradients, GRADIENTS)
+    _check_kinds(obj, params, push)
     if params.n != obj.n:
         raise SimulationError(
             f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has"
@@ -170,6 +171,22 @@ def simulate(
         gradients=gradients,
         edges=find_edges_near(obj, push, q, table, used.inertial),
     )
+
+
+def _check_kinds(obj: object, params: object, push: object) -> None:
+    """Raises SimulationError where arguments are of other classes, such as swapped ones."""
+    expected: tuple[tuple[str, object, tuple[type, ...]], ...] = (
+        ("obj", obj, (GridObject,)),
+        ("params", params, (CellParameters,)),
+        ("push", push, (Push, ForcePush)),
+    )
+    for name, value, kinds in expected:
+        if not isinstance(value, kinds):
+            words = " or ".join(kind.__name__ for kind in kinds)
+            raise SimulationError(
+                f"{name}: is a {type(value).__name__}; expected a {words}, as in "
+                "simulate(obj, params, push)"
+            )
 
 
 def simulate_steps(

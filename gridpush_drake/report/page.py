@@ -25,6 +25,7 @@ from gridpush_drake.identification.prediction import (
 )
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.sight import Sight
 from gridpush_drake.pushes.push_log import PushLog
@@ -200,7 +201,8 @@ def describe_making(result: Identification, log: PushLog, version: str) -> list[
     return [
         (
             "object",
-            f"{result.obj.name}, {result.obj.n} cells of {result.obj.cell_size * MM:.1f} mm",
+            f"{speak_name(result.obj.name)}, {result.obj.n} cells of "
+            f"{result.obj.cell_size * MM:.1f} mm",
         ),
         ("pushes", log.source or "given in memory"),
         ("method", result.method),
@@ -369,7 +371,7 @@ def make_report(
         facts = summary.facts
     return render(
         TEMPLATE,
-        name=obj.name.replace("_", " "),
+        name=speak_name(obj.name),
         headline=headline,
         message=identification.message,
         doubt=doubt_center(identification) if identification.push_names else None,
@@ -451,7 +453,7 @@ def _compare(result: Identification, log: PushLog, held_out: bool) -> _Compariso
 def _make_headline(result: Identification, judged: _Comparison) -> str:
     """The first sentence: what came of it, in plain words."""
     before, after = judged.cell
-    name = result.obj.name.replace("_", " ")
+    name = speak_name(result.obj.name)
     if result.status == IdentificationStatus.NO_DATA or not np.isfinite(after):
         return f"Nothing was learned about the {name}: the pusher touched it in none of the pushes."
     which = "pushes it had never seen" if judged.held_out else "the pushes it learned from"

@@ -269,6 +269,25 @@ def test_what_was_weighed_is_told_beside_the_truth(weighed):
     assert "truly" not in "\n".join(PreGraspKind().describe(unknown))
 
 
+def test_a_run_that_is_given_up_says_so_in_one_sentence(weighed):
+    why = "No safe way: the margin is 3.1 mm of 8.0 mm; it may be 12 mm off, after 6 pokes."
+    given_up = replace(
+        weighed[0],
+        status=TaskStatus.FAILED,
+        message=why,
+        raised=-0.0001,
+        last=replace(weighed[0].last, grasps=0),
+    )
+    lines = PreGraspKind().describe(PreGraspKind().summarize(given_up))
+    assert lines[0].endswith(": The robot gave the object up.")
+    assert lines[1].strip() == why
+    report = PreGraspKind().make_summary(given_up)
+    assert report.headline.startswith("The robot gave the object up. It took ")
+    assert "raised by" not in dict(report.facts)
+    grasped = replace(given_up, last=replace(given_up.last, grasps=1))
+    assert dict(PreGraspKind().make_summary(grasped).facts)["raised by"] == "0 mm"
+
+
 def test_the_files_of_a_weighed_run_make_the_same_model_again(weighed, tmp_path):
     record, scenario = weighed
     written = write_files(PreGraspKind(), tmp_path, scenario, record, None, force=False)
