@@ -18,6 +18,7 @@ with the errors of force, edge and pose, and what is made small is
 """
 
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 import shapely
@@ -131,9 +132,12 @@ def plan_next_press(
 
     best: PlannedPress | None = None
     least = (1 - options.min_gain) * calc_open(belief.covariance, options)
-    # A heavy object may lie still wherever its center of mass is farthest from the edge. If there
-    # is no other press, one is made that tilts it with the center where it is expected.
-    for surely in (True, False):
+    # The whole finger is to press on the object; only where no such press is left, a press is made on
+    # a part that is too narrow for that. A heavy object may lie still wherever its center of mass is
+    # farthest from the edge. If there is no other press, one is made that tilts it with the center
+    # where it is expected.
+    for is_narrow, surely in product((False, True), (True, False)):
+        rules = replace(rules, is_narrow=is_narrow)
         for heading in calc_headings(found.obj, edge).tolist():
             rests = list_rests(found.obj, region, heading, edge, top, rules, surely=surely)
             for planned in rests:
