@@ -76,17 +76,15 @@ MAX_SLIP = 0.0015
 """Distance between where an object lay before a press and where it lies afterwards, m, beyond which
 it slid."""
 
-MAX_SLIP_TURN = 0.005
-"""Angle by which an object may be turned by a press, rad; beyond it, it slid."""
-
-LOOKS = 8
-"""Number of poses, one of each picture, whose mean says where an object lies after a press."""
+MAX_SLIP_TURN = 0.006
+"""Angle by which an object may be turned by a press, rad; beyond it, it slid. By presses that told
+the weight it was turned by up to 0.003 rad."""
 
 LOOK_DELAY = 0.3
 """Time after which the pictures that are told show the tip at rest, s."""
 
-LOOK_TIME = 1.5
-"""Longest time for which the object is looked at after a press, s."""
+LOOK_TIME = 1.0
+"""Time from when the tip is back from a press until it is judged where the object lies, s."""
 
 ARM_PRESS = PressOptions(approach_speed=0.02, max_force=24.0)
 """How an arm presses: as `PressOptions`, but slower just above the object, so that the joints'
@@ -415,7 +413,7 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
             x, y, theta = pose.tolist()
             if (x, y, theta) not in looks[-1:]:
                 looks = (*looks, (x, y, theta))
-        if len(looks) < LOOKS and since < LOOK_TIME:
+        if since < LOOK_TIME:
             return replace(now, looks=looks)
         return self._finish(now, looks)
 
