@@ -120,6 +120,10 @@ class OutlineFinder:
         """Calculates how much is covered of what a fit saw; see `Registration.calc_lost`."""
         return self._registration.calc_lost(view, before, pose)
 
+    def has_jumped(self, view: View, before: Fit, pose: Array) -> bool:
+        """Says whether a pose (3,) is far from a fit; see `Registration.has_jumped`."""
+        return self._registration.has_jumped(view, before, pose)
+
     def measure_motion(self, view: View, before: Fit) -> Motion | None:
         """Measures how the object moved since a fit; see `Registration.measure_motion`."""
         return self._registration.measure_motion(view, before)

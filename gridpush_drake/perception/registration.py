@@ -39,7 +39,14 @@ from scipy.linalg import eigh
 from scipy.ndimage import uniform_filter1d
 from shapely import Polygon
 
-from gridpush_drake.geometry.se2 import Array, IntArray, rotate, transform, transform_back
+from gridpush_drake.geometry.se2 import (
+    Array,
+    IntArray,
+    rotate,
+    transform,
+    transform_back,
+    wrap_angle,
+)
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.frames import Mask
 from gridpush_drake.perception.pixel_kernels import (
@@ -311,10 +318,18 @@ class Registration:
         Returns:
             The fraction of the edges found then that are covered now.
         """
+        # Edges that were not found then cannot be lost now.
         seen = np.isfinite(before.offsets)
         edges = self._expect(before.boundary, pose, view.corner)
         covered = sample_image(view.covered, edges.pixels[seen]) > HALF
         return float(covered.mean()) if seen.any() else 0.0
+
+    def has_jumped(self, view: View, before: Fit, pose: Array) -> bool:
+        """Says whether a pose (3,) is farther from a registration than edges are compared."""
+        edges = self._expect(before.boundary, before.pose, view.corner)
+        off = pose - before.pose
+        off[2] = wrap_angle(off[2])
+        return bool(np.abs(edges.J @ off).max() > MAX_CHANGE)
 
     def measure_motion(self, view: View, before: Fit) -> Motion | None:
         """Measures by the change of its edges how an object moved that hardly moved.
@@ -336,12 +351,14 @@ class Registration:
             pose = pose + step.moved
             if np.abs(edges.J @ step.moved).max() < search.converged:
                 break
-        # An object that moved far takes its edges along, or out of reach.
+        # An object that moved far takes its edges out of reach, or most of them elsewhere.
         in_view = step.visible & np.isfinite(before.offsets)
         along = step.found & (np.abs(step.d - edges.J @ step.moved) < SAME_CHANGE)
         is_plain = in_view.sum() >= MIN_EDGES and along.sum() >= MIN_CHANGED * in_view.sum()
-        if not is_plain or np.abs(edges.J @ (pose - before.pose)).max() > MAX_CHANGE:
+        if not is_plain or self.has_jumped(view, before, pose):
             return None
+
+        # The inverse of the information left; the prior keeps directions that no edge tells.
         weighted = edges.J * step.weight[:, None]
         information = weighted.T @ edges.J / step.noise + CHANGE_PRIOR
         return Motion(pose=pose, covariance=np.linalg.inv(information))

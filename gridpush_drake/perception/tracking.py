@@ -381,17 +381,22 @@ class PoseTracker:
 
         Returns:
             `fit` itself where the object is as well in view as before, or moved too far to be
-            compared; None where it seems to have moved and nothing touched it.
+            compared; None where it seems to have jumped and nothing touched it.
         """
         clear = state.clear
         if clear is None or self._finder.calc_lost(view, clear, fit.pose) < STILL_CLEAR:
             return fit
+        # The change of the edges says how it moved, if little.
         motion = self._finder.measure_motion(view, clear)
         if motion is not None:
             covariance = clear.covariance + motion.covariance
             return fit._replace(pose=motion.pose, covariance=covariance)
-        may_have_moved = state.touched or state.t - state.told_t > DOUBT_TIME
-        return fit if may_have_moved else None
+        if state.touched or state.t - state.told_t > DOUBT_TIME:
+            return fit
+        # What nothing touched is at rest. A jump of it is not believed.
+        if self._finder.has_jumped(view, clear, fit.pose):
+            return None
+        return fit._replace(pose=clear.pose, covariance=clear.covariance)
 
     def _follow(
         self, state: TrackerState, picture: Picture, starts: list[Array], expected: Expectation

@@ -188,8 +188,8 @@ class WeighingPlanner(PreGraspPlanner):
         # and if there is none of these, one that tilts it if it is lighter than it is expected.
         lighter = self._suppose_lighter(belief)
         tried = ((self, True), (self, False), (lighter, False))
-        # The whole finger is to press on the object. Where no such press is left, a part that is too
-        # narrow for it is pressed.
+        # The whole finger is to press on the object. Where no such press is left, a part that is
+        # too narrow for it is pressed.
         narrow = ((planner._allow_narrow(), surely) for planner, surely in tried)
         for planner, surely in (*tried, *narrow):
             here = planner._find_press(pose, model, belief, surely)
