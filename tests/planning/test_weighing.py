@@ -95,6 +95,25 @@ def test_what_is_not_safe_is_not_planned():
     assert len(heavy) < len(list_rests(BAR, CENTERS, heading, EDGE, TOP))
 
 
+def test_the_whole_finger_presses_on_the_object_unless_its_parts_are_too_narrow():
+    bar = GridObject.from_outline(rectangle(0.3, 0.014), max_cells=30, name="narrow bar")
+    centers = 0.2 * CENTERS
+    rules = PressRules()
+    assert rules.rim > rules.tip_radius
+    assert not list_rests(bar, centers, EDGE.angle, EDGE, TOP, rules)
+    rests = list_rests(bar, centers, EDGE.angle, EDGE, TOP, replace(rules, is_narrow=True))
+    assert rests
+    for planned in rests:
+        rim = shapely.Polygon(transform(planned.pose, np.array(bar.outline.exterior.coords)))
+        assert rim.exterior.distance(shapely.Point(planned.target.place)) > 0.9 * rules.pose_error
+    # A wide object is not pressed at its narrow end, though it would tell more.
+    found = describe_prior(BAR.forget())
+    assert plan_next_press(found, CENTERS, EDGE, TOP) is not None
+    thin = describe_prior(bar.forget())
+    planned = plan_next_press(thin, centers, EDGE, TOP)
+    assert planned is not None
+
+
 def test_a_region_is_cut_to_what_an_estimate_leaves():
     cut = cut_to_ellipse(CENTERS, np.array([0.01, 0.0]), np.diag([0.002**2, 1.0]), 3.0)
     np.testing.assert_allclose(cut.min(axis=0), [0.004, -0.01], atol=1e-4)
@@ -604,7 +623,7 @@ def test_slides_go_to_where_the_object_is_stable_before_other_places():
     )
     model = replace(UncertainModel.of_identification(found), belief=belief)
     planner = WeighingPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
-    pose = np.array([0.03, 0.268, 1.96])
+    pose = np.array([0.0, 0.1, 1.96])
     rests = planner._list_rests(pose, model, belief)
     goals = planner._choose_goals(rests)
     assert len(goals) == 6

@@ -386,16 +386,20 @@ def advance_press(
     return replace(after, last=sample.time)
 
 
-def has_slid(before: Array, after: Array) -> bool:
+def has_slid(
+    before: Array, after: Array, distance: float = SLID_DISTANCE, angle: float = SLID_ANGLE
+) -> bool:
     """Says whether an object was shifted or turned by a press.
 
     Args:
         before: (3,) X_WB as it was seen at rest before the press, m and rad.
         after: (3,) X_WB as it is seen at rest afterwards; NaN where it is not seen.
+        distance: how far it may seem to be shifted by the noise of the poses, m.
+        angle: how far it may seem to be turned, rad.
     """
     off = after - before
     turn = wrap_angle(off[2])
-    return bool(np.linalg.norm(off[:2]) > SLID_DISTANCE or abs(turn) > SLID_ANGLE)
+    return bool(np.linalg.norm(off[:2]) > distance or abs(turn) > angle)
 
 
 def break_off(now: PressState, sample: PressSample, outcome: PressOutcome) -> PressState:
