@@ -1,13 +1,19 @@
 """Files that a user names: read within bounds, and written whole or not at all.
 
+Several outputs of one command are written all or none, see `write_together`.
+
 No file is overwritten that nobody asked to be.
 """
 
 import os
+import secrets
+import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -25,6 +31,9 @@ MAX_TEXT_SIZE = 64 * MEGABYTE
 TEMPORARY_PREFIX = ".gridpush-"
 """Beginning of the name of a file that is being written. It is short, so that a file can have any
 name that the file system takes."""
+
+NAME_BYTES = 8
+"""Random bytes in the name of a file that is kept until others are written."""
 
 MAX_BESIDE = 1000
 """Largest number of folders beside one that cannot be used that are tried."""
@@ -180,8 +189,51 @@ def check_writable(path: Path | str, force: bool = False) -> Path:
     return path
 
 
+@dataclass(frozen=True)
+class _Draft:
+    """A file that is written, but does not have its name yet.
+
+    Attributes:
+        temporary: where the content is, in the folder of `path`.
+        path: the file that it becomes.
+    """
+
+    temporary: Path
+    path: Path
+
+
+_DRAFTS: ContextVar[list[_Draft] | None] = ContextVar("drafts", default=None)
+"""The drafts of the `write_together` that is open; None where none is."""
+
+
+@contextmanager
+def write_together() -> Iterator[None]:
+    """Lets all files that `write_whole` writes inside appear at the end, or none of them.
+
+    A file that is replaced keeps its old content until then, and if any file cannot be written.
+    Inside another `write_together`, the files are part of the outer one.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    if _DRAFTS.get() is not None:
+        yield
+        return
+    drafts: list[_Draft] = []
+    token = _DRAFTS.set(drafts)
+    try:
+        yield
+        _publish(drafts)
+    finally:
+        _DRAFTS.reset(token)
+        for draft in drafts:
+            draft.temporary.unlink(missing_ok=True)
+
+
 def write_whole(path: Path | str, content: str | bytes, force: bool = False) -> None:
     """Writes a file by way of a temporary one beside it, so that no half file is ever seen.
+
+    Inside `write_together`, the file appears at the end of that.
 
     Args:
         path: the file to be written.
@@ -193,23 +245,70 @@ def write_whole(path: Path | str, content: str | bytes, force: bool = False) -> 
     """
     path = check_writable(path, force)
     data = content.encode() if isinstance(content, str) else content
-    temporary = None
+    with write_together():
+        drafts = _DRAFTS.get()
+        assert drafts is not None
+        try:
+            with tempfile.NamedTemporaryFile(
+                dir=path.parent, prefix=TEMPORARY_PREFIX, delete=False
+            ) as file:
+                drafts.append(_Draft(Path(file.name), path))
+                file.write(data)
+            # The mask can be read only by setting it.
+            umask = os.umask(0)
+            os.umask(umask)
+            drafts[-1].temporary.chmod(NEW_MODE & ~umask)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _publish(drafts: list[_Draft]) -> None:
+    """Gives all drafts their names; if one cannot have it, everything is as it was before.
+
+    Raises:
+        OutputError: a file cannot have its name.
+    """
+    kept: dict[Path, Path] = {}
+    done: list[Path] = []
     try:
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=TEMPORARY_PREFIX, delete=False
-        ) as file:
-            temporary = Path(file.name)
-            file.write(data)
-        # The mask can be read only by setting it.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(NEW_MODE & ~umask)
-        temporary.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+        # One file alone is replaced at once, and needs nothing that could be put back.
+        for draft in drafts if len(drafts) > 1 else []:
+            try:
+                if draft.path.exists() and draft.path not in kept:
+                    kept[draft.path] = _keep(draft.path)
+            except OSError as error:
+                raise OutputError(f"{draft.path}: cannot be replaced: {error.strerror}") from error
+        for draft in drafts:
+            try:
+                draft.temporary.replace(draft.path)
+            except OSError as error:
+                raise OutputError(f"{draft.path}: cannot be written: {error.strerror}") from error
+            done.append(draft.path)
+    except BaseException:
+        for path in done:
+            with suppress(OSError):
+                if path in kept:
+                    kept[path].replace(path)
+                else:
+                    path.unlink()
+        raise
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+        for old in kept.values():
+            old.unlink(missing_ok=True)
+
+
+def _keep(path: Path) -> Path:
+    """Gives a file a second name beside it, under which it stays when it is replaced."""
+    second = path.with_name(TEMPORARY_PREFIX + secrets.token_hex(NAME_BYTES))
+    try:
+        os.link(path, second)
+    except OSError:  # as the file system has no second names
+        try:
+            shutil.copy2(path, second)
+        except OSError:
+            second.unlink(missing_ok=True)
+            raise
+    return second
 
 
 def make_folder(path: Path | str) -> None:

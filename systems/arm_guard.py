@@ -19,7 +19,7 @@ from pydrake.systems.framework import Context
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.systems.arm_path import ArmPath, CalcTip, brake, follow
+from gridpush_drake.systems.arm_path import ArmPath, CalcTip, brake, follow, keep_stoppable
 from gridpush_drake.systems.arm_watch import (
     MILLI,
     ROUNDING,
@@ -141,16 +141,20 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     * status: abstract `GuardStatus`, what the guard does, and why it stopped the arm.
 
     **What stops the arm**, each with a sentence in the status: the last status is as old as
-    `GuardLimits.status_age`; a number is not finite; a torque from outside or the force on the tip
-    is beyond its limit; a joint is measured to move faster than `JOINT_SPEED_MARGIN` times its
-    speed limit between two statuses; a joint is measured farther than `following_error` from all
-    that it was told within the last `following_time`, for longer than that again, or the joints
-    are measured at exactly the same place meanwhile, `FROZEN_ERROR` from where they should be; the
-    tip leaves where it may be; the pose of the object jumps, or the object moves as the finger
-    cannot have moved it; or `stop` says so.
+    `GuardLimits.status_age`; a number is not finite; a joint is desired beyond its limits; a torque
+    from outside or the force on the tip is beyond its limit; a joint is measured to move faster
+    than `JOINT_SPEED_MARGIN` times its speed limit between two statuses; a joint is measured
+    farther than `following_error` from all that it was told within the last `following_time`, for
+    longer than that again, or the joints are measured at exactly the same place meanwhile,
+    `FROZEN_ERROR` from where they should be; the tip leaves where it may be; the pose of the object
+    jumps, or the object moves as the finger cannot have moved it; or `stop` says so.
+
+    All this counts from the very update on in which the arm is first measured at rest. What `stop`
+    says counts even before: the arm is then held where it is first measured.
 
     **What a stop does.** The commands go on in a straight line in the joints' space, no farther
-    than the accelerations need, and rest there. After a torque or a force over its limit they then
+    than the accelerations need, and rest there; where a joint would leave its limits so, it brakes
+    harder. After a torque or a force over its limit they then
     go back slowly along the way that the arm was measured to have come, until the tip has traveled
     by `retreat`, or as far as the way is known. A fault on the way back ends it there. All the
     time, all commands keep the limits of speed and acceleration. No measurement leads the arm
@@ -216,8 +220,11 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         inputs = self._read(context)
         paused = self._watch.has_paused(now.seen, inputs)
         now = replace(now, seen=self._watch.measure(now.seen, inputs))
+        begins = now.position is None
+        if begins:
+            now = self._begin_at(now, inputs)
         if now.position is None or now.velocity is None:
-            return self._begin_at(now, inputs)
+            return now
         if paused:
             now = replace(now, velocity=np.zeros_like(now.velocity))
         if now.status.stopped:
@@ -237,7 +244,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         now = self._note_faults(now, inputs, faults)
         if now.status.stopped:
             return self._stop_on(now, inputs)
-        return self._follow(now, inputs)
+        return now if begins else self._follow(now, inputs)
 
     def _read(self, context: Context) -> GuardInputs:
         """Reads the input ports."""
@@ -256,7 +263,12 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         )
 
     def _begin_at(self, now: GuardState, inputs: GuardInputs) -> GuardState:
-        """Begins where two statuses in a row say that the arm is at rest."""
+        """Begins where two statuses in a row say that the arm is at rest; until then, waits.
+
+        A stop that comes while it waits is kept.
+        """
+        if not now.status.stopped:
+            now = self._note_faults(now, inputs, self._watch.find_told_stop(inputs))
         seen = now.seen
         measured = inputs.measured
         if seen.too_fast is not None:  # the first of the two may have been the wrong one
@@ -265,9 +277,11 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             )
         if not seen.credible or np.isnan(seen.slow_since) or not np.isfinite(inputs.desired).all():
             return now
+        stopped = now.status.stopped
+        mode = GuardMode.STOPPING if stopped else GuardMode.FOLLOWING
         return replace(
             now,
-            status=GuardStatus(GuardMode.FOLLOWING),
+            status=replace(now.status, mode=mode),
             position=measured,
             velocity=np.zeros_like(measured),
             desired=inputs.desired,
@@ -310,7 +324,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         """Makes the next command after what is desired."""
         assert now.position is not None and now.velocity is not None and now.desired is not None
         assert now.path is not None
-        position, velocity = follow(
+        _, velocity = follow(
             position=now.position,
             velocity=now.velocity,
             before=now.desired,
@@ -319,13 +333,13 @@ class ArmGuard(AbstractStateSystem[GuardState]):
             acceleration=self.limits.acceleration,
             period=self._period,
         )
+        now = self._move_at(now, velocity)
+        assert now.position is not None and now.velocity is not None and now.path is not None
         return replace(
             now,
-            position=position,
-            velocity=velocity,
             desired=inputs.desired,
-            moved=inputs.time if velocity.any() else now.moved,
-            path=now.path.add(inputs.time, position, self.limits.retreat, self._calc_tip),
+            moved=inputs.time if now.velocity.any() else now.moved,
+            path=now.path.add(inputs.time, now.position, self.limits.retreat, self._calc_tip),
         )
 
     def _note_faults(self, now: GuardState, inputs: GuardInputs, faults: list[Fault]) -> GuardState:
@@ -370,7 +384,20 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         assert now.position is not None and now.velocity is not None
         if not now.velocity.any():
             return now
-        velocity = brake(now.velocity, self.limits.acceleration, self._period)
+        return self._move_at(now, brake(now.velocity, self.limits.acceleration, self._period))
+
+    def _move_at(self, now: GuardState, velocity: Array) -> GuardState:
+        """Makes the next command at velocities (n,), rad/s, or slower near a joint's limit."""
+        assert now.position is not None
+        limits = self.limits
+        velocity = keep_stoppable(
+            now.position,
+            velocity,
+            limits.position_lower,
+            limits.position_upper,
+            limits.acceleration,
+            self._period,
+        )
         return replace(now, position=now.position + self._period * velocity, velocity=velocity)
 
     def _go_back(self, now: GuardState, retreat: Retreat) -> GuardState:

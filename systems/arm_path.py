@@ -249,12 +249,15 @@ def follow(
 ) -> tuple[Array, Array]:
     """Takes one step after a target that moves, each joint by itself.
 
-    A target that keeps the limits is met exactly; behind one that does not, the step is the longest
-    after which the joint can still come to rest, seen from the target, before it overshoots. With
-    the gap e, the acceleration a and the period h, the speed v from which braking in whole periods
-    is just enough is
+    A target that keeps the limits is met exactly. It may brake at any time as hard as the joint can
+    itself. So a joint that is behind goes no faster than lets it come to rest, at the latest, where
+    the target can come to rest first. With the gap e, the target's velocity w in the direction of
+    the gap, and the way S of `calc_stop_distance`, the velocity v in this direction is
 
-        v (v / a + h) / 2 = |e|,  hence  v = (a h / 2) (sqrt(1 + 8 |e| / (a h^2)) - 1)
+        S(v) = e + S(w)  if w >= 0 (the target goes away),   v = w + S^-1(e)  otherwise.
+
+    If the target keeps the limits, a joint that begins at rest thus never overshoots: it stays in
+    the range of where it began, where the target has been, and where the target can rest first.
 
     Args:
         position: (n,) rad.
@@ -269,12 +272,72 @@ def follow(
         Position (n,), rad, and velocity (n,), rad/s, after the step.
     """
     q, v, start, end = (np.asarray(value, float) for value in (position, velocity, before, target))
-    gap = start - q
     unit = acceleration * period
-    braking = unit / 2 * (np.sqrt(1 + 8 * np.abs(gap) / (unit * period)) - 1)
-    wanted = (end - start) / period + np.sign(gap) * np.minimum(np.abs(gap) / period, braking)
+    gap = start - q
+    toward = np.where(gap < 0.0, -1.0, 1.0)
+    # The target's velocity along the gap, and how far it still goes if it brakes.
+    leaving = toward * np.clip((end - start) / period, -speed, speed)
+    ahead = calc_stop_distance(np.maximum(leaving, 0.0), unit, period)
+    # More than the way of a joint at its greatest speed makes no difference.
+    distance = np.minimum(np.abs(gap) + ahead, calc_stop_distance(speed, unit, period))
+    wanted = toward * (_calc_stoppable_speed(distance, unit, period) + np.minimum(leaving, 0.0))
     v = np.clip(np.clip(wanted, -speed, speed), v - unit, v + unit)
     return q + period * v, v
+
+
+def calc_stop_distance(speed: Array, unit: Array, period: float) -> Array:
+    """Calculates how far joints go that move at a speed in this period, and brake after it.
+
+    In each period h the speed v falls by u, so that with m = ceil(v / u) periods of motion
+
+        S(v) = h (m v - u m (m - 1) / 2)
+
+    Args:
+        speed: (n,) at least 0, rad/s.
+        unit: (n,) greatest change of the speed within a period, rad/s.
+        period: s.
+
+    Returns:
+        (n,) way, with that in this period, rad.
+    """
+    periods = np.ceil(speed / unit)
+    distance: Array = period * (periods * speed - unit * periods * (periods - 1) / 2)
+    return distance
+
+
+def _calc_stoppable_speed(distance: Array, unit: Array, period: float) -> Array:
+    """Calculates the greatest speeds (n,), rad/s, whose `calc_stop_distance` is a distance, rad."""
+    periods = np.maximum(np.ceil((np.sqrt(1 + 8 * distance / (unit * period)) - 1) / 2), 1.0)
+    speed: Array = distance / (period * periods) + unit * (periods - 1) / 2
+    return speed
+
+
+def keep_stoppable(
+    position: Array,
+    velocity: Array,
+    lower: Array,
+    upper: Array,
+    acceleration: Array,
+    period: float,
+) -> Array:
+    """Slows joints down that could otherwise not come to rest within their limits.
+
+    Args:
+        position: (n,) before the step, rad.
+        velocity: (n,) of the step, rad/s.
+        lower: (n,) least positions, rad.
+        upper: (n,) greatest positions, rad.
+        acceleration: (n,) greatest, rad/s².
+        period: s.
+
+    Returns:
+        (n,) velocities of the step, rad/s. Joints that have kept to this so far need no more than
+        the acceleration for it. Out of its limits a joint only moves back towards them.
+    """
+    unit = acceleration * period
+    most = _calc_stoppable_speed(np.maximum(upper - position, 0.0), unit, period)
+    least = -_calc_stoppable_speed(np.maximum(position - lower, 0.0), unit, period)
+    return np.clip(velocity, least, most)
 
 
 def brake(velocity: Array, acceleration: Array, period: float) -> Array:

@@ -46,6 +46,12 @@ HOLD_SPEED = 0.02
 ROUNDING = 1e-9
 """Times that differ by less than this are the same, s."""
 
+POSITION_ROUNDING = 1e-9
+"""Joint positions that differ by less than this are the same, rad or m."""
+
+SILENT = "the robot has sent no status for"
+"""How the reasons of stops begin that are for a robot's silence."""
+
 MILLI = 1e3
 """Millimeters in a meter, and milliseconds in a second."""
 
@@ -206,6 +212,7 @@ class ArmWatch:
         """Finds all that is wrong while the arm is at work, the most telling first."""
         faults = self._find_stops(seen, inputs)
         faults += self._find_not_finite(inputs, with_desired=True)
+        faults += self._find_desired_beyond_limits(inputs)
         faults += self.find_collisions(inputs)
         faults += self._find_astray_joints(seen, inputs)
         faults += self._find_breach(inputs)
@@ -232,22 +239,42 @@ class ArmWatch:
 
     def _find_stops(self, seen: Measurements, inputs: GuardInputs) -> list[Fault]:
         """Finds what the port `stop` says, and whether the robot is silent."""
+        told = self.find_told_stop(inputs)
         allowed = self.limits.status_age
         age = inputs.time - seen.came
-        if np.isfinite(inputs.stop) and inputs.stop not in (0.0, BY_SILENCE):
-            if inputs.stop == BY_USER:
-                return [Fault(StopKind.USER, STOPPED_BY_USER)]
-            return [Fault(StopKind.DONE, WORK_DONE)]
-        text = "the robot has sent no status for"
+        if not told and age > allowed - ROUNDING:
+            passed = f"{MILLI * max(age, allowed):.0f} ms"
+            reason = f"{SILENT} {passed}; {MILLI * allowed:.0f} ms are allowed"
+            return [Fault(StopKind.SILENCE, reason)]
+        return told
+
+    def find_told_stop(self, inputs: GuardInputs) -> list[Fault]:
+        """Finds what the port `stop` says."""
+        if inputs.stop == 0.0 or not np.isfinite(inputs.stop):
+            return []
+        if inputs.stop == BY_USER:
+            return [Fault(StopKind.USER, STOPPED_BY_USER)]
         if inputs.stop == BY_SILENCE:
             # The Context's time has stood still meanwhile, and cannot tell for how long.
-            reason = f"{text} longer than the {MILLI * allowed:.0f} ms that are allowed"
-            return [Fault(StopKind.SILENCE, reason)]
-        if age > allowed - ROUNDING:
-            passed = f"{MILLI * max(age, allowed):.0f} ms"
-            reason = f"{text} {passed}; {MILLI * allowed:.0f} ms are allowed"
-            return [Fault(StopKind.SILENCE, reason)]
-        return []
+            allowed = f"{MILLI * self.limits.status_age:.0f} ms that are allowed"
+            return [Fault(StopKind.SILENCE, f"{SILENT} longer than the {allowed}")]
+        return [Fault(StopKind.DONE, WORK_DONE)]
+
+    def _find_desired_beyond_limits(self, inputs: GuardInputs) -> list[Fault]:
+        """Finds the joint that is desired farthest beyond its limits."""
+        limits = self.limits
+        beyond = np.maximum(
+            limits.position_lower - inputs.desired, inputs.desired - limits.position_upper
+        )
+        if not (beyond > POSITION_ROUNDING).any():
+            return []
+        k = int(beyond.argmax())
+        unit = limits.name_unit(k)
+        reason = (
+            f"joint {k + 1} is wanted at {inputs.desired[k]:.3f} {unit}; its limits are "
+            f"{limits.position_lower[k]:.3f} and {limits.position_upper[k]:.3f} {unit}"
+        )
+        return [Fault(StopKind.JOINT_LIMIT, reason)]
 
     def _find_not_finite(self, inputs: GuardInputs, with_desired: bool) -> list[Fault]:
         """Finds a port with numbers that are not finite."""
@@ -297,22 +324,24 @@ class ArmWatch:
         limits = self.limits
         if seen.too_fast is not None:
             k, speed = seen.too_fast
+            unit = limits.name_unit(k)
             reason = (
-                f"joint {k + 1} was measured to move at {speed:.2f} per second between two "
-                f"statuses; it can move at {limits.speed[k]:.2f}"
+                f"joint {k + 1} was measured to move at {speed:.2f} {unit}/s between two "
+                f"statuses; it can move at {limits.speed[k]:.2f} {unit}/s"
             )
             faults.append(Fault(StopKind.JOINT_SPEED, reason))
         late = inputs.time - seen.astray_since > limits.following_time + ROUNDING
         if late:
             k, error = seen.astray
-            asked = f"joint {k + 1} is measured {error:.3f} from where it was told to be"
+            unit = limits.name_unit(k)
+            asked = f"joint {k + 1} is measured {error:.3f} {unit} from where it was told to be"
             if inputs.time - seen.unchanged_since > limits.following_time + ROUNDING:
                 still = MILLI * (inputs.time - seen.unchanged_since)
                 reason = f"{asked}, and no joint's measured position has changed for {still:.0f} ms"
             else:
                 reason = (
                     f"{asked}, for more than {MILLI * limits.following_time:.0f} ms; "
-                    f"{limits.following_error:.3f} is allowed"
+                    f"{limits.following_error:.3f} {unit} is allowed"
                 )
             faults.append(Fault(StopKind.FOLLOWING, reason))
         return faults

@@ -10,7 +10,7 @@ import numpy as np
 
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.systems.arm_path import ArmPath, CalcTip, WayBack, follow
+from gridpush_drake.systems.arm_path import ArmPath, CalcTip, WayBack, follow, keep_stoppable
 from gridpush_drake.systems.arm_watch import ArmWatch, GuardInputs
 from gridpush_drake.systems.guard_status import (
     COLLISIONS,
@@ -163,7 +163,7 @@ def go_back(
         far.
     """
     gone = min(retreat.gone + period, way.duration)
-    next_position, next_velocity = follow(
+    _, next_velocity = follow(
         position=position,
         velocity=velocity,
         before=way.calc_position(retreat.gone),
@@ -172,6 +172,15 @@ def go_back(
         acceleration=limits.acceleration,
         period=period,
     )
+    next_velocity = keep_stoppable(
+        position,
+        next_velocity,
+        limits.position_lower,
+        limits.position_upper,
+        limits.acceleration,
+        period,
+    )
+    next_position = position + period * next_velocity
     # How far the tip has gone by then, and would go until it has braked.
     braking_time = float(np.max(np.abs(next_velocity) / limits.acceleration))
     tip = calc_tip(next_position)

@@ -28,6 +28,9 @@ class GuardLimits:
         speed: (n,) greatest speed of each joint in the commands, rad/s.
         acceleration: (n,) greatest acceleration of each joint in the commands, rad/s².
         torque: (n,) greatest torque on each joint from outside, N m; beyond it the arm goes back.
+        position_lower: (n,) least position of each joint, rad; a desired position below it stops
+            the arm, and no command goes beyond it.
+        position_upper: (n,) greatest position of each joint, rad; likewise.
         force: greatest force on the finger's tip, N; beyond it the arm goes back.
         status_age: greatest age of the robot's last status, s; beyond it the arm is stopped.
         pose_jump: farthest that the object may be seen to move from one look to the next, m.
@@ -37,11 +40,14 @@ class GuardLimits:
             the last `following_time`, rad.
         following_time: how long a joint may be farther off than `following_error`, s; and how late
             a joint may be without being off at all.
+        sliding: numbers, from 0, of the joints that slide; the others turn.
     """
 
     speed: Array
     acceleration: Array
     torque: Array
+    position_lower: Array
+    position_upper: Array
     force: float = 30.0
     status_age: float = 0.05
     pose_jump: float = 0.03
@@ -49,15 +55,20 @@ class GuardLimits:
     retreat: float = 0.01
     following_error: float = 0.02
     following_time: float = 0.05
+    sliding: tuple[int, ...] = ()
+
+    def name_unit(self, joint: int) -> str:
+        """Names the unit of a joint's position, by the joint's number from 0: rad or m."""
+        return "m" if joint in self.sliding else "rad"
 
 
 class GuardMode(StrEnum):
     """The present mode of a guard.
 
-    WAITING: the arm was not measured yet; no command goes out. FOLLOWING: commands are passed on.
-    STOPPING: the arm is brought to rest, or goes back from a collision. HOLDING: the arm is
-    commanded to stay, and is measured at rest there. UNCONFIRMED: the arm is commanded to stay, but
-    is not measured at rest there, or not measured at all.
+    WAITING: the arm was not measured yet; no command goes out, and a stop is kept. FOLLOWING:
+    commands are passed on. STOPPING: the arm is brought to rest, or goes back from a collision.
+    HOLDING: the arm is commanded to stay, and is measured at rest there. UNCONFIRMED: the arm is
+    commanded to stay, but is not measured at rest there, or not measured at all.
     """
 
     WAITING = "waiting"
@@ -74,6 +85,7 @@ class StopKind(StrEnum):
     DONE = "done"
     SILENCE = "silence"
     NOT_FINITE = "not finite"
+    JOINT_LIMIT = "joint limit"
     TORQUE = "torque"
     FORCE = "force"
     JOINT_SPEED = "joint speed"
@@ -130,8 +142,12 @@ class GuardStatus:
 
     @property
     def ended(self) -> bool:
-        """Whether the arm was stopped and nothing more is to come: it holds, as far as is known."""
-        return self.mode in (GuardMode.HOLDING, GuardMode.UNCONFIRMED)
+        """Whether the arm was stopped and nothing more is to come: it holds, as far as is known.
+
+        An arm that was stopped before it was measured has had no command.
+        """
+        held = (GuardMode.HOLDING, GuardMode.UNCONFIRMED)
+        return self.mode in held or (self.stopped and self.mode == GuardMode.WAITING)
 
     @property
     def failed(self) -> bool:
@@ -145,9 +161,14 @@ class GuardStatus:
         )
 
     def stop_for(self, fault: Fault, time: float) -> "GuardStatus":
-        """Notes a fault: the first one stops the arm, those after it are added to the reason."""
+        """Notes a fault: the first one stops the arm, those after it are added to the reason.
+
+        An arm that was not measured yet cannot be stopped: the mode stays `WAITING`.
+        """
         if not self.stopped:
-            return GuardStatus(GuardMode.STOPPING, fault.reason, time, (fault.kind,))
+            waits = self.mode == GuardMode.WAITING
+            mode = GuardMode.WAITING if waits else GuardMode.STOPPING
+            return GuardStatus(mode, fault.reason, time, (fault.kind,))
         then = "while it was held" if self.ended else "while it was stopped"
         reason = f"{self.reason}; then, {then}, {fault.reason}"
         return replace(self, reason=reason, kinds=(*self.kinds, fault.kind))

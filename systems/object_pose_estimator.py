@@ -12,6 +12,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.pose_prediction import PosePrediction, PushModel, Tip, predict_pose
 from gridpush_drake.perception.tracking import PoseTracker, TrackerState
+from gridpush_drake.systems.object_watch import ObjectWatch
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 from gridpush_drake.systems.pose_estimator import PoseEstimator, Poses
 
@@ -99,7 +100,11 @@ class ObjectPoseEstimator(PoseEstimator[TrackerState, PosePrediction]):
         self._tracker = tracker
         self._guess = None if guess is None else np.array(guess, dtype=np.float64)
         self._model = model
+        self._watch: ObjectWatch | None = None
         if model is not None:
+            self._watch = ObjectWatch(
+                outline=tracker.outline, height=model.top, tip_radius=model.radius
+            )
             self._mass = self.DeclareVectorInputPort("mass", model.obj.n)
             self._friction = self.DeclareVectorInputPort("friction", model.obj.n)
             self._contact_friction = self.DeclareVectorInputPort("contact_friction", 1)
@@ -113,13 +118,21 @@ class ObjectPoseEstimator(PoseEstimator[TrackerState, PosePrediction]):
         frame: Frame,
         hidden: NDArray[np.bool_] | None,
         prediction: PosePrediction | None,
+        tip: Tip | None,
     ) -> tuple[TrackerState, Poses]:
         # While the object is in view, its last pose says more than any prediction.
         expected = None
         if prediction is not None and tracker.hidden:
             expected = prediction.expect()
-        tracker, pose = self._tracker.track(tracker, frame, hidden, expected)
+        untouched = self._is_untouched(tracker, tip)
+        tracker, pose = self._tracker.track(tracker, frame, hidden, expected, untouched)
         return tracker, (pose,)
+
+    def _is_untouched(self, tracker: TrackerState, tip: Tip | None) -> bool:
+        """Says whether the finger is surely too far from the object to touch it."""
+        if self._watch is None or tip is None or not np.isfinite(tip.place).all():
+            return False
+        return not self._watch.is_near(tracker.told, tip.place)
 
     def _predict(
         self, context: Context, prediction: PosePrediction, last: Tip, now: Tip

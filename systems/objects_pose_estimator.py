@@ -111,6 +111,7 @@ class ObjectsPoseEstimator(PoseEstimator[SceneState, ScenePrediction]):
         frame: Frame,
         hidden: NDArray[np.bool_] | None,
         prediction: ScenePrediction | None,
+        tip: Tip | None,
     ) -> tuple[SceneState, Poses]:
         expected = _expect_hidden(tracker, prediction)
         return self._tracker.track(tracker, frame, hidden, expected)

@@ -148,7 +148,12 @@ class PoseEstimator(AbstractStateSystem[EstimatorState[T, P]], Generic[T, P]):
         raise NotImplementedError
 
     def _track(
-        self, tracker: T, frame: Frame, hidden: NDArray[np.bool_] | None, prediction: P | None
+        self,
+        tracker: T,
+        frame: Frame,
+        hidden: NDArray[np.bool_] | None,
+        prediction: P | None,
+        tip: Tip | None,
     ) -> tuple[T, Poses]:
         """Finds the objects in a picture.
 
@@ -157,6 +162,7 @@ class PoseEstimator(AbstractStateSystem[EstimatorState[T, P]], Generic[T, P]):
             frame: the picture.
             hidden: (height, width) the pixels that show what may hide the objects; None if unknown.
             prediction: where a model predicts the objects; None without one.
+            tip: the finger's tip in the picture; None where it is not known.
 
         Returns:
             The tracker's state after the picture, and the poses.
@@ -233,7 +239,7 @@ class PoseEstimator(AbstractStateSystem[EstimatorState[T, P]], Generic[T, P]):
         """Finds the objects in a picture; returns the state afterwards, and the poses."""
         try:
             tracker = state.tracker or self._start(frame, hidden)
-            tracker, poses = self._track(tracker, frame, hidden, state.prediction)
+            tracker, poses = self._track(tracker, frame, hidden, state.prediction, state.tip)
         except PerceptionError as error:
             return replace(state, message=str(error)), (NOT_SEEN,) * self._count
         return replace(state, tracker=tracker, message=""), poses

@@ -1,9 +1,10 @@
 """`PressExecutor`: an arm presses on what hangs over the table's edge, and notes what it felt.
 
 The tip goes over the object and down to just above it. Then `planning.weighing.press` takes over:
-the tip goes down slowly until the object begins to tilt, and up again. What is not done here is to
-choose where to press (`planning.weighing.plan`) or to say what a press means
-(`identification.absolute`).
+the tip goes down slowly until the object begins to tilt, and up again. Back where it rests, it
+waits until the object was seen again without the arm before it: a press by which the object was
+shifted or turned has slid, and says nothing of the weight. What is not done here is to choose where
+to press (`planning.weighing.plan`) or to say what a press means (`identification.absolute`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -25,15 +26,16 @@ from gridpush_drake.multibody.tool_motion import (
 )
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.closed_loop import Pose
 from gridpush_drake.planning.weighing.press import (
     PressOptions,
     PressOutcome,
     PressPhase,
     PressSample,
     PressState,
-    PressTarget,
     advance_press,
     break_off,
+    has_slid,
 )
 from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
 from gridpush_drake.systems.messages import (
@@ -56,10 +58,38 @@ MM = 1e3
 """Millimeters in a meter."""
 
 MAX_MOVE = 0.01
-"""If the object is seen farther than this from where it lay, m, the press is broken off."""
+"""If a pressed object is seen farther than this from where it lay, m, the press is broken off. An
+arm that gives way takes the object along a little."""
 
 MAX_TURN = 0.1
-"""If the object is seen turned by more than this from how it lay, rad, the press is broken off."""
+"""If a pressed object is seen turned by more than this from how it lay, rad, the press is broken
+off."""
+
+MAX_MOVE_BEFORE = 0.003
+"""If the object is seen farther than this from where it lay before the tip touches it, m, it is not
+pressed: it is not where the press was planned, or it is seen wrongly."""
+
+MAX_TURN_BEFORE = 0.025
+"""If the object is seen turned by more than this from how it lay before the tip touches it, rad, it
+is not pressed."""
+
+MAX_SLIP = 0.0015
+"""Distance between where an object lay before a press and where it lies afterwards, m, beyond which
+it slid."""
+
+MAX_SLIP_TURN = 0.006
+"""Angle by which an object may be turned by a press, rad; beyond it, it slid. By presses that told
+the weight it was turned by up to 0.003 rad."""
+
+LOOK_DELAY = 0.3
+"""Time after which the pictures that are told show the tip at rest, s."""
+
+LOOK_TIME = 1.0
+"""Time from when the tip is back from a press until it is judged where the object lies, s."""
+
+NOTE_TIME = 0.3
+"""Time for which the tip rests after a press before the executor is idle, s: more than it takes
+whoever learns to see the weighing."""
 
 ARM_PRESS = PressOptions(approach_speed=0.02, max_force=24.0)
 """How an arm presses: as `PressOptions`, but slower just above the object, so that the joints'
@@ -70,6 +100,7 @@ WHAT_CAME = {
     PressOutcome.NO_CONTACT: "the tip met nothing where the object's top should be",
     PressOutcome.NO_FORCE: "force or place of the tip was not finite",
     PressOutcome.MOVED: "the object was seen to move away",
+    PressOutcome.SLID: "the tip slid on the object, or the object under it",
     PressOutcome.BROKEN_OFF: "it was taken back",
 }
 """What came of a press that gave no weighing, in half a sentence."""
@@ -85,6 +116,8 @@ class PressExecutorState(Unchanging):
         command: the last command that was taken up.
         yaw: yaw of the tool, which stays as it is, rad.
         press: how the press stands; None before the tip is above the object.
+        looks: poses X_WB of the object since the tip is back from the press, m and rad; no two that
+            follow each other are of one picture.
         status: the status on the port.
         weighings: what came of the presses so far.
     """
@@ -94,6 +127,7 @@ class PressExecutorState(Unchanging):
     command: PressCommand = field(default_factory=PressCommand)
     yaw: float = 0.0
     press: PressState | None = None
+    looks: tuple[Pose, ...] = ()
     status: PressStatus = field(default_factory=PressStatus)
     weighings: WeighingLog = field(default_factory=WeighingLog)
 
@@ -189,7 +223,8 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
         # While nothing is pressed, the other executors do.
         if now.segments:
             place = now.segments[0].position(context.get_time() - now.segment_start)
-        elif now.press is not None and now.press.command is not None:
+        elif now.status.step == PressStep.PRESSING and now.press is not None:
+            assert now.press.command is not None
             place = now.press.command
         else:
             output.set_value(self._other_pose.Eval(context))
@@ -202,6 +237,8 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
             return self._take_up(context, now)
         if now.status.step == PressStep.PRESSING:
             return self._press(context, now)
+        if now.status.step == PressStep.RETURNING and not now.segments:
+            return self._look(context, now)
         return self._travel(context, now)
 
     def _take_up(self, context: Context, now: PressExecutorState) -> PressExecutorState:
@@ -316,8 +353,7 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
         if left:
             return replace(now, segments=tuple(left), segment_start=time)
         if now.status.step == PressStep.RETURNING:
-            status = replace(now.status, step=PressStep.IDLE)
-            return replace(now, segments=(), press=None, status=status)
+            return replace(now, segments=(), segment_start=time)
         # The tip is above the place: what it is commanded goes on from there.
         press = PressState(command=np.array(done.end), since=time, last=time)
         status = replace(now.status, step=PressStep.PRESSING)
@@ -336,64 +372,142 @@ class PressExecutor(AbstractStateSystem[PressExecutorState]):
         press = now.press
         if self._command.Eval(context)[0] == 0:
             press = break_off(press, sample, PressOutcome.BROKEN_OFF)
-        if self._has_moved(now.command, self._object_pose.Eval(context)):
+        if self._has_moved(now, self._object_pose.Eval(context)):
             press = break_off(press, sample, PressOutcome.MOVED)
         # The tip is up again when the press is done; it then returns.
         press = advance_press(target, self.options, press, sample)
         rest = self._read_rest(context)
         if press.phase != PressPhase.DONE or rest is None:
             return replace(now, press=press)
-        return self._return(context.get_time(), now, press, target, np.array(rest[:3]))
+        return self._return(context.get_time(), now, press, np.array(rest[:3]))
 
     def _read_rest(self, context: Context) -> ToolPose | None:
         """Reads where the other executors want the tool at rest; None while that is not finite."""
         rest = calc_tool_pose(self._other_pose.Eval(context))
         return rest if np.isfinite(rest).all() else None
 
-    def _has_moved(self, command: PressCommand, pose: Array) -> bool:
+    def _has_moved(self, now: PressExecutorState, pose: Array) -> bool:
         """Says whether an object that is seen at a pose (3,) is no longer where it lay."""
-        if not np.isfinite(pose).all():
-            return False
-        off = pose - command.object_pose
-        far = np.linalg.norm(off[:2]) > MAX_MOVE
-        return bool(far or abs(wrap_angle(off[2])) > MAX_TURN)
+        assert now.press is not None
+        if now.press.touched is None:
+            return _is_off(now.command, pose, MAX_MOVE_BEFORE, MAX_TURN_BEFORE)
+        return _is_off(now.command, pose, MAX_MOVE, MAX_TURN)
 
     def _return(
-        self,
-        time: float,
-        now: PressExecutorState,
-        press: PressState,
-        target: PressTarget,
-        rest: Array,
+        self, time: float, now: PressExecutorState, press: PressState, rest: Array
     ) -> PressExecutorState:
-        """Writes down what came of a press, and begins the way back to where the tip rests (3,)."""
-        assert press.command is not None and press.outcome is not None
-        weighing = press.make_weighing(target, self.options, now.command.object_pose)
-        weighings = now.weighings
-        if weighing is not None:
-            weighings = replace(weighings, presses=(*weighings.presses, weighing))
+        """Begins the way back to where the tip rests (3,), m."""
+        assert press.command is not None
         return replace(
             now,
             segments=self._make_way(press.command, rest, PressStep.RETURNING),
             segment_start=time,
             press=press,
-            status=replace(
-                now.status,
-                step=PressStep.RETURNING,
-                outcome=press.outcome,
-                reason=describe_press(press, weighing),
-                weighed=weighing is not None,
-            ),
+            looks=(),
+            status=replace(now.status, step=PressStep.RETURNING),
+        )
+
+    def _look(self, context: Context, now: PressExecutorState) -> PressExecutorState:
+        """Looks at the object after a press, and writes down what came of it.
+
+        The executor is idle only `NOTE_TIME` later, so that whoever waits for it knows the
+        weighing.
+        """
+        since = context.get_time() - now.segment_start
+        if now.press is None:
+            if since < NOTE_TIME:
+                return now
+            return replace(now, status=replace(now.status, step=PressStep.IDLE))
+        if now.press.outcome != PressOutcome.TILTED:
+            return self._finish(context.get_time(), now, ())
+        pose = self._object_pose.Eval(context)
+        looks = now.looks
+        if since >= LOOK_DELAY and np.isfinite(pose).all():
+            x, y, theta = pose.tolist()
+            if (x, y, theta) not in looks[-1:]:
+                looks = (*looks, (x, y, theta))
+        if since < LOOK_TIME:
+            return replace(now, looks=looks)
+        return self._finish(context.get_time(), now, looks)
+
+    def _finish(
+        self, time: float, now: PressExecutorState, looks: tuple[Pose, ...]
+    ) -> PressExecutorState:
+        """Writes down what came of a press, after which the object was seen at some poses."""
+        press = now.press
+        assert press is not None and press.outcome is not None
+        outcome = press.outcome
+        weighing = None
+        reason = ""
+        if looks:
+            reason = describe_slip(now.command, np.mean(looks, axis=0))
+        if reason:
+            outcome = PressOutcome.SLID
+        else:
+            target = now.command.make_target(self.style.tip_radius)
+            weighing = press.make_weighing(target, self.options, now.command.object_pose)
+            reason = describe_press(press, weighing)
+        weighings = now.weighings
+        if weighing is not None:
+            weighings = replace(weighings, presses=(*weighings.presses, weighing))
+        status = replace(
+            now.status,
+            outcome=outcome,
+            reason=reason,
+            weighed=weighing is not None,
+        )
+        return replace(
+            now,
+            segment_start=time,
+            press=None,
+            looks=(),
+            status=status,
             weighings=weighings,
         )
+
+
+def _is_off(command: PressCommand, pose: Array, max_move: float, max_turn: float) -> bool:
+    """Says whether an object is seen at a pose (3,) too far from where it was to be pressed.
+
+    Args:
+        command: the press.
+        pose: (3,) X_WB, m and rad; NaN where the object is not seen, which says nothing.
+        max_move: greatest distance, m.
+        max_turn: greatest angle, rad.
+    """
+    if not np.isfinite(pose).all():
+        return False
+    off = pose - command.object_pose
+    far = np.linalg.norm(off[:2]) > max_move
+    return bool(far or abs(wrap_angle(off[2])) > max_turn)
+
+
+def describe_slip(command: PressCommand, pose: Array) -> str:
+    """Says in half a sentence that an object slid by a press; "" where it did not.
+
+    Args:
+        command: the press, with the object's pose before it.
+        pose: (3,) X_WB of the object after it, m and rad.
+    """
+    if not has_slid(np.array(command.object_pose), pose, MAX_SLIP, MAX_SLIP_TURN):
+        return ""
+    off = pose - command.object_pose
+    turn = np.degrees(abs(wrap_angle(off[2])))
+    return (
+        f"the object slid by {MM * np.linalg.norm(off[:2]):.1f} mm and turned by {turn:.1f}°, so "
+        "that its tilt says nothing of its weight"
+    )
 
 
 def describe_press(press: PressState, weighing: EdgePress | None) -> str:
     """Says in half a sentence what came of a press."""
     if weighing is not None:
+        rocked = ""
+        if weighing.rock_force is not None:
+            rocked = f"it rocks at {weighing.rock_force:.1f} N, and "
         return (
-            f"it tilts at {weighing.force:.1f} N, {MM * weighing.arm:.0f} mm beyond the edge, "
-            f"and came back from {np.degrees(press.tilt):.1f}°"
+            f"{rocked}it tilts at {weighing.force:.1f} N, {MM * weighing.arm:.0f} mm beyond the "
+            f"edge, and came back from {np.degrees(press.tilt):.1f}°"
         )
     assert press.outcome is not None
     return WHAT_CAME.get(press.outcome, "it tilted, but hardly any force was felt")

@@ -42,6 +42,15 @@ def test_a_page_with_a_figure_s_name_in_place_of_a_picture_is_found(site):
     assert site.find_bare_reprs("<img src='x.png'> a &lt;Figure&gt; at 0x12") == []
 
 
+def test_a_help_that_cannot_be_made_says_why(site, monkeypatch, tmp_path):
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\necho cma: is not installed >&2\nexit 2\n")
+    python.chmod(0o755)
+    monkeypatch.setattr(site.sys, "executable", str(python))
+    with pytest.raises(site.ExtensionError, match=r"ended with 2:\ncma: is not installed"):
+        site.make_command_line_page()
+
+
 @pytest.mark.parametrize(
     "tutorial", sorted(DOCS.glob("tutorials/*.md")), ids=lambda path: path.stem
 )

@@ -20,6 +20,7 @@ from pydantic import BaseModel
 from pygments.lexers.special import TextLexer
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
@@ -361,7 +362,10 @@ def make_command_line_page() -> str:
         "--name",
         "gridpush",
     ]
-    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise ExtensionError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
+    text = done.stdout
     said = dict(re.findall(r"^#+ `(gridpush[ \w-]*)`\n\n(.+)$", text, re.MULTILINE))
     parts = re.split(r"^(#+ `(gridpush[ \w-]*)`)$", text, flags=re.MULTILINE)
     for i in range(3, len(parts), 3):

@@ -33,7 +33,7 @@ first = take_picture((-0.05, -0.04, 0.3), seed=0)
 found = detect_object(first.color, first.depth, camera)
 plate = found.make_grid_object(name="plate")
 print(
-    f"Found: {1e4 * found.outline.area:.1f} cm2, {1e3 * found.height:.0f} mm high, {plate.n} cells."
+    f"Found: {1e4 * found.outline.area:.1f} cm², {1e3 * found.height:.0f} mm high, {plate.n} cells."
 )
 
 tracker = PoseTracker(found.outline_B, found.height, camera)

@@ -40,7 +40,7 @@ def take_picture(left, seed):
 first = take_picture(-0.15, seed=0)
 found = detect_objects(first.color, first.depth, camera)
 for number, each in enumerate(found.objects, start=1):
-    print(f"Found {number}: {1e4 * each.outline.area:.1f} cm2, {1e3 * each.height:.0f} mm high.")
+    print(f"Found {number}: {1e4 * each.outline.area:.1f} cm², {1e3 * each.height:.0f} mm high.")
 
 # From now on the outlines are known: the objects may touch.
 known = [KnownObject(each.outline_B, each.height) for each in found.objects]

@@ -57,8 +57,6 @@ except ModuleNotFoundError as error:
         "gymnasium: is not installed; expected pip install 'gridpush-drake[gym]'"
     ) from error
 
-cma = import_extra("cma", "baselines")
-
 PLANNER = "planner"
 """Name of our own planner."""
 
@@ -203,7 +201,7 @@ def shorten(options: Options) -> Options:
 
 def measure(options: Options, report: Report | None) -> list[Table]:
     """Measures the environments' speed."""
-    check_known("games", options.names, tuple(GAMES))
+    _check(options)
     return [tabulate_speed([(game, options.steps[game]) for game in options.names])]
 
 
@@ -212,8 +210,9 @@ def make_jobs(options: Options) -> list[Job]:
 
     Raises:
         GridPushError: a game is not known.
+        MissingExtraError: the package cma is not installed, by which the learned player learns.
     """
-    check_known("games", options.names, tuple(GAMES))
+    _check(options)
     planned = [
         Job(game=game, player=PLANNER, seed=options.seed + i, episodes=1)
         for game in options.names
@@ -225,6 +224,12 @@ def make_jobs(options: Options) -> list[Job]:
         others.append(replace(chance, player=LEARNED, generations=options.generations[game]))
         others.append(chance)
     return [*planned, *others]
+
+
+def _check(options: Options) -> None:
+    check_known("games", options.names, tuple(GAMES))
+    # That it is missing is said now, and not after minutes of other jobs.
+    import_extra("cma", "baselines")
 
 
 def run_job(job: Job) -> Played:
@@ -418,6 +423,7 @@ def train(game: str, seed: int, generations: int, candidates: int, episodes: int
         candidates: number of weights in a generation.
         episodes: number of episodes that each of them plays, the same for all of a generation.
     """
+    cma = import_extra("cma", "baselines")
     rng = np.random.default_rng(seed)
     options = {"seed": int(rng.integers(1, 2**31)), "popsize": candidates, "verbose": -9}
     search = cma.CMAEvolutionStrategy(np.zeros(WEIGHTS), SPREAD, options)

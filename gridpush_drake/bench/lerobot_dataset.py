@@ -133,7 +133,8 @@ def export_dataset(campaign: Path, out: Path, force: bool = False) -> Exported:
             f"{campaign}: none of its {len(jobs)} episodes has a recording; expected a campaign "
             "that was run with --record"
         )
-    robot = find_robot(read_scenario(campaign / SCENARIO).directives)
+    scenario = read_scenario(campaign / SCENARIO)
+    robot = find_robot(scenario.directives, scenario.packages)
     scratch = _make_scratch(out)
     try:
         writer = _Writer(scratch, task, robot.arm_model)

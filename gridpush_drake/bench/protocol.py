@@ -306,19 +306,31 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
             f"{', '.join(protocol.masses)}"
         )
     obj = replace(read_object(protocol, name), prior=PhysicalPrior(friction=SUPPORT_FRICTION))
-    if name in protocol.masks:
-        columns = read_labels(protocol.masks[name]).shape[1]
-    else:
-        left, _, right, _ = obj.outline.bounds
-        columns = round((right - left) / METERS_PER_PIXEL)
+    mask = protocol.masks.get(name)
+    columns = None if mask is None else read_labels(mask).shape[1]
     masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
+    log = push_object(obj, truth, columns)
+    return Case(
+        hide_parts(replace(obj, name=name)), replace(log, source=f"{name}, mass set {mass_set}")
+    )
+
+
+def push_object(obj: GridObject, truth: CellParameters, columns: int | None = None) -> PushLog:
+    """Simulates the ten pushes of an object.
+
+    Args:
+        obj: the object.
+        truth: its masses and frictions.
+        columns: number of columns of its picture; as many as it is METERS_PER_PIXEL wide where
+            None.
+    """
+    if columns is None:
+        left, _, right, _ = obj.outline.bounds
+        columns = round((right - left) / METERS_PER_PIXEL)
     pushes = make_pushes(obj, columns)
     seen = [_observe(obj, truth, f"push_{i}", push) for i, push in enumerate(pushes)]
-    return Case(
-        hide_parts(replace(obj, name=name)),
-        PushLog(tuple(seen), source=f"{name}, mass set {mass_set}"),
-    )
+    return PushLog(tuple(seen))
 
 
 def make_pushes(obj: GridObject, columns: int) -> list[Push]:

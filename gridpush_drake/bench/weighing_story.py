@@ -89,7 +89,7 @@ class WeighedLearner:
         if before is None:
             self.log = WeighingLog()
         # What weighings told of the frictions is held: over the edge it matters.
-        weighed = before is not None and before.absolute is not None and len(self.log) > 0
+        weighed = before is not None and before.weighed is not None and len(self.log) > 0
         friction = hold_friction(before) if before is not None and weighed else None
         found = LEARNER.learn(obj, log, before, friction)
         return found if found is before else self.weigh(found)

@@ -5,7 +5,7 @@ finger is held by springs along x, y and z, as an arm under impedance control is
 measured with noise and an offset.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from zlib import crc32
 
 import numpy as np
@@ -25,7 +25,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
-from gridpush_drake.multibody.grid_object import DEFAULT_HEIGHT, AddGridObject
+from gridpush_drake.multibody.grid_object import DEFAULT_HEIGHT, AddGridObject, Feet
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph
 from gridpush_drake.multibody.table_rim import RIM_SPACING, AddRimSpheres
@@ -141,6 +141,8 @@ class WeighingWorld:
         options: PressOptions | None = None,
         noise: WeighingNoise | None = None,
         seed: int = 0,
+        support: Feet | None = None,
+        rim_gap: float = 0.0,
     ) -> None:
         """Builds the Diagram.
 
@@ -151,6 +153,8 @@ class WeighingWorld:
             options: how presses are made.
             noise: of what is measured.
             seed: seed of all noise.
+            support: on what the object stands; by default each cell bears its own weight.
+            rim_gap: height of its underside above the table and its edge, m.
         """
         self.obj = obj
         self.params = params
@@ -176,7 +180,14 @@ class WeighingWorld:
         AddRimSpheres(plant, np.column_stack([np.zeros(count), rim]))
         self._finger = AddFinger(plant)
         self._handle = AddGridObject(
-            plant, scene_graph, Model(obj, params), "free", table=[table], height=height
+            plant,
+            scene_graph,
+            Model(obj, params),
+            "free",
+            table=[table],
+            height=height,
+            support=support,
+            rim_gap=rim_gap,
         )
         plant.set_gravity_enabled(self._finger, False)
         plant.Finalize()
@@ -261,16 +272,8 @@ class WeighingWorld:
         """
         self._presses += 1
         before = self.read_pose()
-        off = self.noise.edge * float(self._rng.standard_normal())
-        edge_x, edge_y = (np.array(target.edge_point) + off * target.normal).tolist()
-        believed = PressTarget(
-            place=target.place,
-            edge_point=(edge_x, edge_y),
-            edge_angle=target.edge_angle,
-            top=target.top,
-            tip_radius=target.tip_radius,
-            sure_force=target.sure_force,
-        )
+        believed = draw_believed_target(target, self.noise, self._rng)
+        edge_x, edge_y = believed.edge_point
         offset = self.noise.offset * self._rng.standard_normal(3)
         self._feeler.SetOffset(self._context, offset)
         command = PressCommand(
@@ -307,6 +310,15 @@ class WeighingWorld:
     def let_pass(self, time: float) -> None:
         """Lets time pass, s."""
         self._simulator.AdvanceTo(self._context.get_time() + time)
+
+
+def draw_believed_target(
+    target: PressTarget, noise: WeighingNoise, rng: np.random.Generator
+) -> PressTarget:
+    """Draws where the robot believes the edge of a target to be, along its normal."""
+    off = noise.edge * float(rng.standard_normal())
+    x, y = (np.array(target.edge_point) + off * target.normal).tolist()
+    return replace(target, edge_point=(x, y))
 
 
 def AddFinger(plant: MultibodyPlant) -> ModelInstanceIndex:

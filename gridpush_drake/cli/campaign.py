@@ -1,7 +1,7 @@
 """`gridpush campaign`: runs the demo many times, and counts how the runs ended."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -18,10 +18,12 @@ from gridpush_drake.bench.results import Results, hash_content, open_results
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line, print_table
 from gridpush_drake.cli.demo import Task
+from gridpush_drake.cli.unknown_inertia import UnknownInertia, hide_inertia
 from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.files import exists, make_folder, read_bytes, read_text, write_whole
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.station.resolve import resolve
+from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.run_recorder import import_rosbags
 from gridpush_drake.station.scenario import MAX_SEED, PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, read_scenario
@@ -79,6 +81,15 @@ def campaign(
         ),
     ] = None,
     task: Task = TaskName.pregrasp,
+    robot: options.RobotScene = None,
+    camera: Annotated[
+        Literal["ideal", "rgbd"] | None,
+        typer.Option(
+            help="What the robot sees; `gridpush demo --help` explains it.",
+            show_default="the scenario's",
+        ),
+    ] = None,
+    unknown_inertia: UnknownInertia = False,
     record: Annotated[
         bool,
         typer.Option(
@@ -109,6 +120,12 @@ def campaign(
             )
         import_rosbags()
     scenario = read_scenario(scenario_file)
+    if camera is not None:
+        scenario.camera.use(camera)
+    if unknown_inertia:
+        hide_inertia(scenario, task)
+    if robot is not None:
+        scenario.directives = make_robot_directives(robot, grasping=TASKS[task].grasps)
     chosen = _find_objects(scenario, objects)
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
     # an object that does not fit the scenario or the task is refused now, not after hours

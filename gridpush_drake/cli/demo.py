@@ -9,7 +9,8 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_progress, print_json, print_line, print_notice
 from gridpush_drake.cli.interrupts import EXIT_INTERRUPTED
-from gridpush_drake.cli.nothing_told import NothingTold, tell_nothing
+from gridpush_drake.cli.kernels import compiling_meanwhile
+from gridpush_drake.cli.unknown_inertia import UnknownInertia, hide_inertia
 from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.errors import OutputError, StationError
 from gridpush_drake.files import make_folder_beside, output_folder
@@ -61,15 +62,7 @@ def demo(
             show_default="the scenario's",
         ),
     ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|DIR",
-            help="The robot: gantry, iiwa14, panda, ur5e or xarm6, or the folder that holds "
-            "your own robot.yaml. Its scene (arm, finger and table) replaces the scenario's.",
-            show_default="the scenario's, an iiwa14",
-        ),
-    ] = None,
+    robot: options.RobotScene = None,
     scenario_file: Annotated[
         Path | None,
         typer.Option(
@@ -87,7 +80,7 @@ def demo(
             show_default="the scenario's, 8",
         ),
     ] = None,
-    nothing_told: NothingTold = False,
+    unknown_inertia: UnknownInertia = False,
     camera: Annotated[
         Literal["ideal", "rgbd"] | None,
         typer.Option(
@@ -164,8 +157,8 @@ def demo(
         scenario.camera.use(camera)
     if seed is not None:
         scenario.seed = seed
-    if nothing_told:
-        tell_nothing(scenario, task)
+    if unknown_inertia:
+        hide_inertia(scenario, task)
     if robot is not None:
         scenario.directives = make_robot_directives(robot, grasping=chosen.grasps)
     if camera is None and scenario_file is None:
@@ -181,14 +174,16 @@ def demo(
         view = None if rerun is None else RerunView(rerun, force)
         watchers = [each.note for each in (recorder, view) if each is not None]
         page = LivePage(port)
-        options.compile_kernels()
 
         def show_page() -> None:
             print_notice(f"Watch it at {page.url}")
             if open_browser:
                 typer.launch(page.url)
 
-        with count_progress("the robot", chosen.count_steps(scenario)) as report_step:
+        with (
+            compiling_meanwhile(),
+            count_progress("the robot", chosen.count_steps(scenario)) as report_step,
+        ):
             # Making the station may still refuse the scenario, so that the page is shown only when
             # the robot has begun.
             report = call_first(show_page, report_step)

@@ -7,10 +7,12 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found, print_notice
+from gridpush_drake.files import write_together
 from gridpush_drake.identification.absolute import describe_weighed
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.mjcf import WriteMjcf
 from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
+from gridpush_drake.objects.object_file import speak_name
 
 Format = Literal["sdf", "urdf", "mjcf"]
 """A format that can be written."""
@@ -119,18 +121,21 @@ def export(
         )
     else:
         drawn = loaded.model.draws(samples, seed)
-    absolute = None if loaded.model is None else loaded.model.absolute
+    absolute = None if loaded.model is None else loaded.model.weighed
     note = "" if absolute is None else describe_weighed(absolute)
     if samples is not None and note:
         note = f"A draw of what is known: {note}"
-    for params, path in zip(drawn, outs, strict=True):
-        if chosen == "sdf":
-            WriteSdf(Model(obj, params), path, force, base=base, height=height, note=note)
-        else:
-            write = WriteUrdf if chosen == "urdf" else WriteMjcf
-            write(Model(obj, params), path, force, height=height, note=note)
+    with write_together():
+        for params, path in zip(drawn, outs, strict=True):
+            if chosen == "sdf":
+                WriteSdf(Model(obj, params), path, force, base=base, height=height, note=note)
+            else:
+                write = WriteUrdf if chosen == "urdf" else WriteMjcf
+                write(Model(obj, params), path, force, height=height, note=note)
     if obj.prior.total_mass is None and absolute is None:
-        print_notice(f"{obj.name}: its file has no total_mass; {mass:.3g} kg is assumed")
+        print_notice(
+            f"{speak_name(obj.name)}: its file has no total_mass; {mass:.3g} kg is assumed"
+        )
     source = "learned model" if loaded.model else "object, mass and friction spread evenly"
     found = {
         "object": obj.name,
@@ -145,7 +150,8 @@ def export(
         "written": [str(path) for path in outs],
     }
     line = (
-        f"{obj.name} ({source}): {obj.n} cells, {mass:.3g} kg, {height * MM:.3g} mm high, "
+        f"{speak_name(obj.name)} ({source}): {obj.n} cells, {mass:.3g} kg, "
+        f"{height * MM:.3g} mm high, "
         f"{base} base"
     )
     written = options.describe_written(out)

@@ -10,13 +10,14 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found, search_progress
 from gridpush_drake.cli.identify_scene import identify_together
 from gridpush_drake.errors import PushLogError
-from gridpush_drake.files import write_whole
+from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import identify as search
 from gridpush_drake.identification.model_check import calc_training_errors, doubt_center, doubt_fit
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.identification.weighed_learning import learn_with_weighings
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.pushes.misplaced import explain_no_contact
 from gridpush_drake.pushes.plausibility import check_plausible_weighings
 from gridpush_drake.pushes.push_log import PushLog
@@ -140,7 +141,7 @@ def identify(
     # What cannot be true is refused before the pushes are learned from, which takes a while.
     check_plausible_weighings(obj, weighed)
     options.compile_kernels()
-    with search_progress(f"identifying {obj.name}", budget) as progress:
+    with search_progress(f"identifying {speak_name(obj.name)}", budget) as progress:
 
         def learn(
             log: PushLog,
@@ -164,9 +165,10 @@ def identify(
         )
     if not pushed.push_names:
         raise PushLogError(explain_no_contact(obj, log))
-    write_model(out, result, force)
-    if report is not None:
-        write_whole(report, make_report(result, log), force)
+    with write_together():
+        write_model(out, result, force)
+        if report is not None:
+            write_whole(report, make_report(result, log), force)
     found = {
         **describe_result(result, log),
         "overhanging_pushes": [seen.name for seen in full.overhanging],
@@ -241,7 +243,7 @@ def explain_result(result: Identification, found: dict[str, Any]) -> list[str]:
     pushes = count_noun(len(result.push_names), "push")
     contact_friction = result.params.contact_friction
     lines = [
-        f"{result.obj.name}: {cells}, {pushes}, {result.simulations} simulations",
+        f"{speak_name(result.obj.name)}: {cells}, {pushes}, {result.simulations} simulations",
         result.message,
         *([doubt] if doubt else []),
         f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "

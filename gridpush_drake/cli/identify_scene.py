@@ -9,7 +9,7 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_found, work_progress
 from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import PushLogError
-from gridpush_drake.files import write_whole
+from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.result import IdentificationStatus
 from gridpush_drake.identification.scene_learning import find_pusher_radius, identify_scene
@@ -76,10 +76,11 @@ def identify_together(
     models = make_object_models(found)
     if not found.moved.any():
         raise PushLogError(f"{pushes}: no push moved any of {', '.join(log.names)}")
-    for name, model in zip(log.names, models, strict=True):
-        write_model(models_out[name], model, force)
-    if report is not None:
-        write_whole(report, make_scene_report(found, models, log), force)
+    with write_together():
+        for name, model in zip(log.names, models, strict=True):
+            write_model(models_out[name], model, force)
+        if report is not None:
+            write_whole(report, make_scene_report(found, models, log), force)
     outputs = [models_out[name] for name in log.names]
     if report is not None:
         outputs.append(report)

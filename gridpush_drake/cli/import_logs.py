@@ -18,6 +18,7 @@ from gridpush_drake.cli.lazy_group import refuse_unknown
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import exists, make_folder
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.pushes.importers import IMPORTERS, Importer, find_importer
 
 OutDir = Annotated[
@@ -104,7 +105,9 @@ def _make_command(name: str, importer: type[Importer]) -> Any:
             "written": [str(csv_path), str(object_path)],
         }
         count = count_noun(len(pushes), "push")
-        print_found(found, [f"{count} of {obj.name}. Wrote {csv_path} and {object_path}."], json)
+        print_found(
+            found, [f"{count} of {speak_name(obj.name)}. Wrote {csv_path} and {object_path}."], json
+        )
 
     file = Annotated[
         Path, typer.Argument(metavar=importer.file, help=f"The file to convert: {importer.source}.")

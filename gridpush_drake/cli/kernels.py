@@ -1,15 +1,19 @@
 """Loads the compiled kernels before a command needs them, or compiles them.
 
 Kernels are the functions in which pushes are simulated. Where they have to be compiled and there is
-a second core, a second process compiles half of them.
+a second core, a second process compiles half of them. A command that has something else to do
+first, such as the demo, which makes its station, does it while other processes compile all of them.
 """
 
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
+from gridpush_drake.dynamics.kernels.compiled import KERNELS, Others, filled_by, find_cache_folder
 from gridpush_drake.dynamics.warm_up import (
     compile_columns,
     compile_rollouts,
@@ -17,13 +21,29 @@ from gridpush_drake.dynamics.warm_up import (
     make_square,
 )
 from gridpush_drake.identification.model import Model
-from gridpush_drake.planning.contact import optimize_contact
+from gridpush_drake.planning.contact import contact_kernels, optimize_contact
+from gridpush_drake.planning.pregrasp import stability
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 
 APART = "from gridpush_drake.cli.kernels import compile_apart; compile_apart()"
 """Python code that the second process runs."""
+
+REST = "from gridpush_drake.cli.kernels import compile_rest; compile_rest()"
+"""Python code that a third process runs, while this one does something else."""
+
+SOURCES = frozenset(
+    [*KERNELS.glob("*.py"), *(Path(str(each.__file__)) for each in (contact_kernels, stability))]
+)
+"""Files of the kernels that the second and third process compile."""
+
+MIN_CORES = 2
+"""Number of cores with which a second process saves time."""
+
+MAX_COMPILE_TIME = 300.0
+"""Time after which nobody waits any longer for kernels that other processes compile, s. They take
+less than a minute on two idle cores."""
 
 PATIENCE = 60.0
 """Time that the second process is waited for once this one is done, s. Then it is ended: whatever
@@ -32,16 +52,46 @@ it has not compiled is compiled when it is first needed."""
 
 def compile_all() -> None:
     """Loads the kernels that commands need, and compiles those that are not in the cache."""
-    with _working_apart(needed=not is_compiled()):
+    with _working_apart(APART, needed=not is_compiled()) as processes:
         compile_rollouts()
+        with suppress(subprocess.TimeoutExpired):
+            for process in processes:
+                process.wait(PATIENCE)
     compile_contact_search()
     compile_margins()
+
+
+@contextmanager
+def compiling_meanwhile() -> Iterator[None]:
+    """Lets other processes compile the kernels while this one does something else.
+
+    The first call of a kernel then waits for it. Where no other process can do it, or nothing needs
+    to be compiled, the kernels are compiled or loaded at once, as by `compile_all`.
+    """
+    needed = not is_compiled() and find_cache_folder(KERNELS / "rollout.py") is not None
+    with _working_apart(REST, APART, needed=needed) as processes:
+        if not processes:
+            compile_all()
+        deadline = time.monotonic() + MAX_COMPILE_TIME
+
+        def is_at_work() -> bool:
+            running = any(each.poll() is None for each in processes)
+            return running and time.monotonic() < deadline
+
+        with filled_by(Others(SOURCES, is_at_work)):
+            yield
 
 
 def compile_apart() -> None:
     """Compiles the second process's part: what a rollout needs last, and what it does not need."""
     compile_columns()
     compile_margins()
+
+
+def compile_rest() -> None:
+    """Compiles the third process's part: all that `compile_apart` leaves."""
+    compile_rollouts()
+    compile_contact_search()
 
 
 def compile_contact_search() -> None:
@@ -59,31 +109,32 @@ def compile_margins() -> None:
 
 
 @contextmanager
-def _working_apart(needed: bool) -> Iterator[None]:
-    """Lets a second process compile its part meanwhile, if there is a second core for it.
+def _working_apart(*codes: str, needed: bool) -> Iterator[Sequence[subprocess.Popen[bytes]]]:
+    """Lets other processes compile meanwhile, if there is a second core for them.
 
-    If anything goes wrong in that process, only time is lost: this process compiles whatever it
-    does not find in the cache.
+    If anything goes wrong in one of them, only time is lost: this process compiles whatever it does
+    not find in the cache. They are ended with the body.
 
     Args:
+        codes: the Python code of each process.
         needed: whether there is anything to compile.
+
+    Returns:
+        The processes; none where they are not needed, or cannot be started.
     """
-    if not needed or len(os.sched_getaffinity(0)) < 2 or not sys.executable:
-        yield
-        return
-    quiet = subprocess.DEVNULL
+    processes: list[subprocess.Popen[bytes]] = []
     try:
-        apart = subprocess.Popen(
-            [sys.executable, "-c", APART], stdin=quiet, stdout=quiet, stderr=quiet
-        )
-    except OSError:
-        yield
-        return
-    try:
-        yield
-        apart.wait(PATIENCE)
-    except subprocess.TimeoutExpired:
-        pass
+        if needed and len(os.sched_getaffinity(0)) >= MIN_CORES and sys.executable:
+            quiet = subprocess.DEVNULL
+            with suppress(OSError):
+                for code in codes:
+                    processes.append(
+                        subprocess.Popen(
+                            [sys.executable, "-c", code], stdin=quiet, stdout=quiet, stderr=quiet
+                        )
+                    )
+        yield processes
     finally:
-        apart.kill()
-        apart.wait()
+        for process in processes:
+            process.kill()
+            process.wait()

@@ -41,6 +41,9 @@ PLAIN_WORDS = {
 """Patterns of Pydantic's messages about options, by which Typer checks their values, and what is
 said instead."""
 
+RENAMED = {"--nothing-told": "--unknown-inertia"}
+"""Options by their old names, which are taken with a warning for one more release."""
+
 LINKED = {"twin", "tracker", "robot"}
 """Commands that take arguments of ROS."""
 
@@ -222,17 +225,25 @@ def _run(args: list[str] | None) -> int | None:
         if ros and LINKED.isdisjoint(own[:1]):
             return _fail(f"--ros-args: expected one of {', '.join(sorted(LINKED))}, with --ros2")
         ROS_ARGUMENTS.set(ros)
+        own = _rename_options(own)
         with _short_warnings():
             code: int | None = app(args=own, prog_name="gridpush", standalone_mode=False)
     except GridPushError as error:
         code = _fail(str(error))
     except typer.TyperException as error:
-        # An error without a message has printed what it had to say, as a bare `gridpush` does
+        # A bare `gridpush` has printed its help, as was asked, and has no message
         message = _say_plainly(error.format_message())
-        code = _fail(message) if message.strip() else error.exit_code
+        code = _fail(message) if message.strip() else None
     except MemoryError:
         code = _fail("out of memory; expected a smaller object, push log or image")
     return code
+
+
+def _rename_options(words: list[str]) -> list[str]:
+    """Replaces old names of options by what they are called now, and warns of each."""
+    for old in RENAMED.keys() & set(words):
+        print(f"gridpush: warning: {old} is called {RENAMED[old]} now", file=sys.stderr)
+    return [RENAMED.get(word, word) for word in words]
 
 
 def _say_plainly(message: str) -> str:

@@ -17,9 +17,9 @@ from gridpush_drake.errors import (
     SeveralObjectsError,
     TagError,
 )
-from gridpush_drake.files import write_whole
+from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import SeenSchema, TagSchema, dump_object
+from gridpush_drake.objects.object_file import SeenSchema, TagSchema, dump_object, speak_name
 from gridpush_drake.perception import (
     SHEETS,
     Camera,
@@ -276,9 +276,10 @@ def make_object(
     obj = found.make_grid_object(cell_size, name or photo.stem)
     tag_on_it = None if tag is None else _find_tag(photo, color, found, tag, tag_size)
     made = _Made(path=out, obj=obj, found=found, pixel=(float(pixel[0]), float(pixel[1])))
-    made.write(tag_on_it, force)
-    if picture is not None:
-        write_picture(picture, found.picture, force)
+    with write_together():
+        made.write(tag_on_it, force)
+        if picture is not None:
+            write_picture(picture, found.picture, force)
     if json:
         print_json(made.describe())
     else:
@@ -365,10 +366,11 @@ def _make_all(
                 path=path, obj=obj, found=each, pixel=(float(each.pixel[0]), float(each.pixel[1]))
             )
         )
-    for row in rows:
-        row.write(None, wanted.force)
-    if wanted.picture is not None:
-        write_picture(wanted.picture, found.picture, wanted.force)
+    with write_together():
+        for row in rows:
+            row.write(None, wanted.force)
+        if wanted.picture is not None:
+            write_picture(wanted.picture, found.picture, wanted.force)
     if wanted.json:
         print_json({"objects": [row.describe() for row in rows], "cut": found.cut})
         return
@@ -433,7 +435,8 @@ class _Made(NamedTuple):
         height = self.found.height
         tall = f"{height * MM:.0f} mm high" if height else "of unknown height"
         print_line(
-            f"{self.obj.name}: {self.found.outline.area * CM2:.1f} cm2, {tall}, {self.obj.n} cells."
+            f"{speak_name(self.obj.name)}: {self.found.outline.area * CM2:.1f} cm², {tall}, "
+            f"{self.obj.n} cells."
             f" Wrote {self.path}."
         )
 

@@ -31,7 +31,7 @@ from gridpush_drake.files import check_writable, exists, is_file, is_same
 from gridpush_drake.identification.model_file import looks_like_model, read_model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.object_file import find_shipped_object, speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import MAX_FIRST_ANGLE, MAX_TABLE
@@ -87,6 +87,17 @@ HTML = expect_ending(".html", ".htm")
 
 MCAP = expect_ending(".mcap")
 """Callback of an option that names a recording to be written."""
+
+RobotScene = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|DIR",
+        help="The robot: gantry, iiwa14, panda, ur5e or xarm6, or the folder that holds "
+        "your own robot.yaml. Its scene (arm, finger and table) replaces the scenario's.",
+        show_default="the scenario's, an iiwa14",
+    ),
+]
+"""`--robot`, in commands that simulate; see `make_robot_directives`."""
 
 Record = Annotated[
     Path | None,
@@ -478,8 +489,8 @@ def load_log(path: Path, obj: GridObject, *, require_final: bool = True) -> Push
         return log
     if obj.prior.pusher_radius is None:
         print_notice(
-            f"{obj.name}: its file has no pusher.radius; the pusher's radius is assumed to be "
-            f"{DEFAULT_PUSHER_RADIUS:g} m"
+            f"{speak_name(obj.name)}: its file has no pusher.radius; the pusher's radius is "
+            f"assumed to be {DEFAULT_PUSHER_RADIUS:g} m"
         )
         return log
     return log.with_radius(obj.prior.pusher_radius)

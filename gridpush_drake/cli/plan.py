@@ -8,8 +8,9 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
-from gridpush_drake.files import write_whole
+from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.identification.model import Model
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_plan import (
@@ -127,13 +128,17 @@ def plan(
     options.compile_kernels()
     found = plan_pushes(Model(target.obj, target.params), start_pose, goal_pose, rules)
     _check_ends(found)
-    if out is not None:
-        write_plan(out, found, target.obj.name, radius, force)
-    if picture is not None:
-        write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
+    with write_together():
+        if out is not None:
+            write_plan(out, found, target.obj.name, radius, force)
+        if picture is not None:
+            write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
     written = [str(path) for path in (out, picture) if path is not None]
     document = {**describe_plan(found, target.obj.name, radius), "written": written}
-    lines = [*_describe(target.obj.name, found), *options.describe_written(out, picture)]
+    lines = [
+        *_describe(speak_name(target.obj.name), found),
+        *options.describe_written(out, picture),
+    ]
     print_found(document, lines, json)
     if not found.reached:
         raise typer.Exit(options.EXIT_NO_PLAN)

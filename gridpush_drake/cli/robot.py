@@ -31,7 +31,6 @@ from gridpush_drake.cli.interrupts import (
     is_hangup,
     set_handlers,
 )
-from gridpush_drake.cli.nothing_told import NothingTold, tell_nothing
 from gridpush_drake.cli.open_link import (
     DEFAULT_URL,
     ByRos2,
@@ -49,6 +48,7 @@ from gridpush_drake.cli.twin import (
     Scenario,
     read_robot_scenario,
 )
+from gridpush_drake.cli.unknown_inertia import UnknownInertia, hide_inertia
 from gridpush_drake.errors import GridPushError, StationError
 from gridpush_drake.files import make_folder, write_whole
 from gridpush_drake.station.lcm.hardware_link import HardwareLink
@@ -86,7 +86,7 @@ def robot(
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,
     ros2: ByRos2 = False,
-    nothing_told: NothingTold = False,
+    unknown_inertia: UnknownInertia = False,
     go: Annotated[
         bool,
         typer.Option(
@@ -132,8 +132,8 @@ def robot(
     """
     chosen = TASKS[task]
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
-    if nothing_told:
-        tell_nothing(scenario, task)
+    if unknown_inertia:
+        hide_inertia(scenario, task)
     # In simulation the robot waits until an answer is calculated; a real arm does not stand still
     scenario.simulation.answer_delay = None
     resolved = prepare_link(resolve(scenario, scenario_file or DEFAULT_SCENARIO, told=obj), ros2)
@@ -307,8 +307,8 @@ def _report(
         print_line(f"Control loop: {link.report.describe()}.")
     if summary["status"] in ("stopped", "interrupted"):
         print_notice(
-            f"gridpush: {record.message} To go on, run the command again with --force, or with "
-            "another --out."
+            f"gridpush: {record.message} Before another run put right what stopped this one; give "
+            "it another --out, as --force only replaces the files of this one."
         )
     if unwritten:
         print_notice(f"gridpush: {unwritten} {out / LOG} says what happened.")

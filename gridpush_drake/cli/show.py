@@ -8,6 +8,7 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_noun, print_found
 from gridpush_drake.files import write_whole
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.report.draw import to_png
 from gridpush_drake.report.figures import draw_model, draw_object
 
@@ -53,5 +54,5 @@ def show(
     size = f"{right - left:.0f} mm by {high - low:.0f} mm"
     cells = count_noun(obj.n, "cell")
     pieces = count_noun(len(parts), "part")
-    line = f"{obj.name}: {size}, {cells} of {obj.cell_size * MM:.1f} mm, {pieces}"
+    line = f"{speak_name(obj.name)}: {size}, {cells} of {obj.cell_size * MM:.1f} mm, {pieces}"
     print_found(found, [line, *options.describe_written(out)], json)

@@ -11,8 +11,9 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.files import write_whole
+from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.identification.model import Model
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.report.draw import to_png
@@ -99,16 +100,19 @@ def simulate(
     options.compile_kernels()
     motion = Model(loaded.obj, params, physics).simulate(push, pose_W)
     chosen = motion.physics.regime
-    if out is not None:
-        # as many steps of the motion as poses are asked for, evenly in time, without the first
-        steps = len(motion.times) - 1
-        rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]
-        seen = ObservedPush(
-            PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows]
-        )
-        PushLog((seen,)).write_csv(out, force)
-    if picture is not None:
-        write_whole(picture, to_png(draw_motion(loaded.obj, push, motion.poses)), force)
+    with write_together():
+        if out is not None:
+            # as many steps of the motion as poses are asked for, evenly in time, without the first
+            steps = len(motion.times) - 1
+            rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[
+                1:
+            ]
+            seen = ObservedPush(
+                PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows]
+            )
+            PushLog((seen,)).write_csv(out, force)
+        if picture is not None:
+            write_whole(picture, to_png(draw_motion(loaded.obj, push, motion.poses)), force)
     first = motion.poses[0]
     last = motion.final_pose
     found = {
@@ -121,7 +125,7 @@ def simulate(
         "written": [str(path) for path in (out, picture) if path],
     }
     lines = [
-        f"{loaded.obj.name}, {chosen}: {motion.status}",
+        f"{speak_name(loaded.obj.name)}, {chosen}: {motion.status}",
         f"from  {_describe_pose(first.tolist())}",
         f"to    {_describe_pose(last.tolist())}",
         *options.describe_written(out, picture),

@@ -11,7 +11,7 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found, to_json
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.files import write_whole
+from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
@@ -162,10 +162,11 @@ def slide(
     plan = plan_pregrasp(planner, uncertain, pose)
     found = _describe(planner, plan, "learned" if target.model else "prior")
     found["written"] = [str(path) for path in (out, picture) if path is not None]
-    if out is not None:
-        write_whole(out, _to_text(found, out), force)
-    if picture is not None:
-        write_whole(picture, to_png(draw_slide(planner, uncertain.masses, plan)), force)
+    with write_together():
+        if out is not None:
+            write_whole(out, _to_text(found, out), force)
+        if picture is not None:
+            write_whole(picture, to_png(draw_slide(planner, uncertain.masses, plan)), force)
     print_found(found, [*_explain(found), *options.describe_written(out, picture)], json)
     if plan.status != PreGraspPlanStatus.READY:
         raise typer.Exit(options.EXIT_NO_PLAN)

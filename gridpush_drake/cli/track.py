@@ -18,7 +18,7 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_json, print_line
 from gridpush_drake.cli.object import TagSize
 from gridpush_drake.errors import CameraError, ImageError, PerceptionError, PushLogError, TagError
-from gridpush_drake.files import read_text
+from gridpush_drake.files import read_text, write_together
 from gridpush_drake.geometry.se2 import compose, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import TagSchema, read_object_file
@@ -204,24 +204,27 @@ def track(
     frames = len(seen_all.t)
     lost = int((~np.isfinite(seen_all.poses).all(axis=1)).sum())
 
-    # Write what was seen, also if there should be no push in it
     velocities = calc_velocities(seen_all.t, seen_all.tips)
     samples = make_samples(seen_all.t, seen_all.tips, velocities, seen_all.poses)
-    if stream is not None:
-        # a tag on the pusher is seen in the same pictures as the object; another clock may be off
-        same_clock = 0.0 if find_tip.tag is not None else None
-        write_stream_csv(samples, stream, force, same_clock)
-    if picture is not None and seen_all.pictures:
-        write_picture(picture, _draw_outlines(seen_by, obj, tall, seen_all.pictures), force)
-
     recording = record_pushes(samples, obj, radius, source=str(video))
     log = recording.log
+
+    # Write what was seen, also if there should be no push in it
+    with write_together():
+        if stream is not None:
+            # a tag on the pusher is seen in the same pictures as the object; another clock may be
+            # off
+            same_clock = 0.0 if find_tip.tag is not None else None
+            write_stream_csv(samples, stream, force, same_clock)
+        if picture is not None and seen_all.pictures:
+            write_picture(picture, _draw_outlines(seen_by, obj, tall, seen_all.pictures), force)
+        if len(log):
+            log.write_csv(out, force)
     if not len(log):
         raise PushLogError(
             f"{video}: holds no whole push: {_explain_no_push(recording)}; the object was seen in "
             f"{frames - lost} of {frames} frames"
         )
-    log.write_csv(out, force)
     if json:
         found = {"object": obj.name, "frames": frames, "lost": lost, "pushes": len(log)}
         print_json({**found, "written": str(out)})

@@ -33,6 +33,7 @@ from gridpush_drake.display.film import write_film
 from gridpush_drake.display.rerun_scene import LIVE, RerunScene
 from gridpush_drake.display.server import looks_like_recording, write_recording
 from gridpush_drake.files import is_file
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.station.rerun_replay import show_run
 from gridpush_drake.station.run_recording import SUFFIX, read_run
 
@@ -294,7 +295,7 @@ def _show_in_rerun(
             shows=shows,
         )
         found = describe_target(target)
-        lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(shows)]
+        lines = [f"{speak_name(target.obj.name)}: {target.obj.n} cells", describe_colors(shows)]
 
     scene = RerunScene(rerun, force)
     try:

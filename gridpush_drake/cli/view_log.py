@@ -13,6 +13,7 @@ from gridpush_drake.files import exists, is_file
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import looks_like_model
 from gridpush_drake.identification.prediction import Prediction, predict, summarize_errors
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.pushes.push_log import PushLog
 
 MODEL_BESIDE = "model.yaml"
@@ -75,7 +76,7 @@ def describe_pushes(
     overhanging = [seen.name for seen in picked.overhanging]
     judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
     errors = summarize_errors(target.obj, judged, picked.supported) if judged else []
-    lines = [f"{target.obj.name}: {count_noun(len(picked), 'push')}"]
+    lines = [f"{speak_name(target.obj.name)}: {count_noun(len(picked), 'push')}"]
     if predictions:
         lines.append("Solid: as observed. Orange: as the model predicts it.")
         lines.append(describe_colors(shows))

@@ -24,6 +24,7 @@ from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.display.overlay import Overlay
 from gridpush_drake.display.server import PublishOnce
 from gridpush_drake.identification.scene_learning import find_pusher_radius
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.pushes.scene_log import SceneLog
 
 
@@ -82,7 +83,7 @@ def draw_model_page(target: options.Target, look: Look) -> Scene:
         page=page,
         overlay=make_overlay(target, look.shows),
         found=describe_target(target),
-        lines=[f"{target.obj.name}: {target.obj.n} cells", describe_colors(look.shows)],
+        lines=[f"{speak_name(target.obj.name)}: {target.obj.n} cells", describe_colors(look.shows)],
     )
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from gridpush_drake.errors import OutputError
 from gridpush_drake.extras import import_extra
-from gridpush_drake.files import check_writable
+from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
 
@@ -36,9 +36,6 @@ APPLICATION = "gridpush"
 
 TIMELINE = "time"
 """Name of the time in the viewer, s."""
-
-UNFINISHED = ".unfinished.rrd"
-"""Ending of the file until everything is in it; it is renamed when it is whole."""
 
 MILLIMETERS = 1e3
 """Millimeters in a meter."""
@@ -87,12 +84,13 @@ class RerunScene:
             self._path = check_writable(Path(target), force)
         self._rr = import_extra("rerun", "rerun")
         self._stream = self._rr.RecordingStream(APPLICATION)
-        self._scratch: Path | None = None
+        self._force = force
+        # Rerun's own writer waits for ever if the disk is full, so that a file is made in memory
+        self._memory = None
         if self._path is None:
             self._stream.spawn()
         else:
-            self._scratch = self._path.with_name(self._path.name + UNFINISHED)
-            self._stream.save(self._scratch)
+            self._memory = self._stream.memory_recording()
         self._log("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
     def set_time(self, time: float) -> None:
@@ -213,18 +211,14 @@ class RerunScene:
             OutputError: the file cannot be written.
         """
         self._stream.flush()
+        content = None if self._memory is None else self._memory.drain_as_bytes()
         self._stream.disconnect()
-        if self._path is not None and self._scratch is not None:
-            try:
-                self._scratch.replace(self._path)
-            except OSError as error:
-                raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
+        if self._path is not None and content is not None:
+            write_whole(self._path, content, self._force)
 
     def drop(self) -> None:
         """Ends it without a file, where what was to be shown cannot be."""
         self._stream.disconnect()
-        if self._scratch is not None:
-            self._scratch.unlink(missing_ok=True)
 
     def _draw_line(self, entity: str, points: Array, color: tuple[int, int, int]) -> None:
         """Draws a line through points (k, 3), m."""

@@ -136,6 +136,7 @@ def simulate(
         SimulationError: an argument is out of range, or the combination makes no sense; the object
             is not on the table.
     """
+    _check_kinds(bodies, push)
     check_word("gradients", gradients, GRADIENTS)
     q = check_vector(SimulationError, "pose", pose, 3)
     nu = check_vector(SimulationError, "velocity", velocity, 3)
@@ -162,6 +163,21 @@ def simulate(
         gradients=gradients,
         edges=find_edges_near(bodies.obj, push, q, table, used.inertial),
     )
+
+
+def _check_kinds(bodies: object, push: object) -> None:
+    """Raises SimulationError where arguments are of other classes, such as swapped ones."""
+    expected: tuple[tuple[str, object, tuple[type, ...]], ...] = (
+        ("model", bodies, (Bodies,)),
+        ("push", push, (Push, ForcePush)),
+    )
+    for name, value, kinds in expected:
+        if not isinstance(value, kinds):
+            words = " or ".join(kind.__name__ for kind in kinds)
+            raise SimulationError(
+                f"{name}: is a {type(value).__name__}; expected a {words}, as in "
+                "simulate(Model(obj, params), push)"
+            )
 
 
 def simulate_steps(

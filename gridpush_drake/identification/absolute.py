@@ -16,10 +16,19 @@ how far the edge is truly from where it is said to be: e along n makes b longer 
 by e. All have normal priors, and least squares and Laplace's
 approximation give estimate and covariance (`docs/theory/identification.md`, section 11).
 
+About which line an object tilted in a press is not known for sure, and is judged in
+`tilt_tests`: about the edge, as above; about a line of supports D inside the edge, on which an
+object whose bottom is not flat rocks first,
+
+    F = m g (b - D) / (a + D)          log D is normal, and one for all presses of a rest
+
+or neither, and then the press says nothing.
+
 How the estimate changes a learned model is not here but in `weighed_model`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
@@ -63,12 +72,33 @@ START_SIGMAS = (-1.5, 0.0, 1.5)
 """Standard deviations of the prior from its mean at which the mass is begun with. From far off the
 least squares might end in a side valley."""
 
-TOLERANCES = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-10}
+TOLERANCES = {"xtol": 1e-8, "ftol": 1e-9, "gtol": 1e-8}
 """At which changes of unknowns and sum of squares, and at which slope, the least squares end."""
 
-DOUBT = 1e-3
+DOUBT = 5e-3
 """Probability of a sum of squares as large as the one that is left, below which weighings, forces
-and pushes are said to contradict each other."""
+and pushes are said to contradict each other. Of estimates whose errors are as they are supposed to
+be, one in 200 is doubted."""
+
+SHIFT_UNCERTAINTY = 0.4
+"""Standard deviation of how far a tilt moves the center of mass outwards, as a fraction of it: the
+height of the center is hardly known."""
+
+LINE_DISTANCE = 0.03
+"""Median of the distance D of a support line from the edge beforehand, m."""
+
+LINE_SPREAD = 1.0
+"""Standard deviation of log D beforehand."""
+
+
+class TiltingLine(StrEnum):
+    """About which line an object tilted in a press."""
+
+    EDGE = "edge"
+    SUPPORTS = "supports"
+    """A line of two supports inside the edge: the object rocked."""
+    NONE = "none"
+    """None of these: the press is left out."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +162,32 @@ class PoseNoise:
                 raise IdentificationError(f"{name} is {value!r}; expected a positive number")
 
 
+@dataclass(frozen=True)
+class TiltTest:
+    """How a press at the edge was judged by what all other presses and the pushes say.
+
+    Attributes:
+        place: (x, y) where the tip pressed, body frame, m.
+        arm: how far beyond the edge that was, m.
+        force: that was measured, N.
+        expected: force at which the object tilts about the edge by all that the others say, N.
+        residual: measured less expected force, in standard deviations of their difference.
+        line: about which line it tilted.
+        probability: that it was this line.
+        support_distance: how far the support line is inside the edge about which it rocked, m; None
+            where no rocking is known.
+    """
+
+    place: tuple[float, float]
+    arm: float
+    force: float
+    expected: float
+    residual: float
+    line: TiltingLine = TiltingLine.EDGE
+    probability: float = 1.0
+    support_distance: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class AbsoluteEstimate:
     """Mass, center of mass and mean friction, and how well they are known.
@@ -142,7 +198,9 @@ class AbsoluteEstimate:
         presses: number of presses at an edge that it rests on.
         lifts: number of lifts.
         pushes: number of pushes whose forces were measured.
-        agreement: probability of observations that agree as badly as these do, or worse.
+        agreement: probability of observations that agree as badly as these do, or worse; of those
+            that were not left out.
+        tests: how each press was judged, in their order.
         gyration: radius of gyration about the vertical axis through c, m; 0 where it is not known.
         gyration_std: its standard deviation, m.
     """
@@ -155,6 +213,7 @@ class AbsoluteEstimate:
     agreement: float = 1.0
     gyration: float = 0.0
     gyration_std: float = 0.0
+    tests: "tuple[TiltTest, ...]" = ()
 
     @property
     def total_mass(self) -> float:
@@ -206,8 +265,12 @@ class AbsoluteEstimate:
 
     @property
     def contradictory(self) -> bool:
-        """Whether the observations contradict each other."""
-        return self.agreement < DOUBT
+        """Whether the observations contradict each other: nothing is planned with such numbers.
+
+        That is if they agree worse than `DOUBT`, or if more presses were left out than counted.
+        """
+        left_out = sum(one.line == TiltingLine.NONE for one in self.tests)
+        return self.agreement < DOUBT or 2 * left_out > len(self.tests)
 
     def summarize(self) -> dict[str, Any]:
         """Returns all numbers by name, in SI units; friction is None without measured forces."""
@@ -225,6 +288,8 @@ class AbsoluteEstimate:
             "lifts": self.lifts,
             "pushes": self.pushes,
             "agreement": self.agreement,
+            "contradictory": self.contradictory,
+            "tests": [asdict(one) for one in self.tests],
         }
 
     def _calc_interval(self, index: int) -> tuple[float, float]:
@@ -246,6 +311,7 @@ class WeighingProblem:
         prior: what is held of mass and friction beforehand.
         noise: of poses and edges.
         gravity: m/s².
+        lines: about which line the object tilted in each press; about the edge in all where empty.
     """
 
     log: WeighingLog
@@ -255,6 +321,30 @@ class WeighingProblem:
     prior: AbsolutePrior = field(default_factory=AbsolutePrior)
     noise: PoseNoise = field(default_factory=PoseNoise)
     gravity: float = GRAVITY
+    lines: tuple[TiltingLine, ...] = ()
+
+    def suppose(self, lines: tuple[TiltingLine, ...]) -> "WeighingProblem":
+        """The problem with other tilting lines."""
+        return replace(self, lines=lines)
+
+    @cached_property
+    def tilting_lines(self) -> tuple[TiltingLine, ...]:
+        """The tilting line of each press."""
+        return self.lines or (TiltingLine.EDGE,) * len(self.log.presses)
+
+    @cached_property
+    def support_rests(self) -> list[tuple[float, ...]]:
+        """The different rests at which the object rocked on supports; each has one support line."""
+        keys = [
+            _get_support_rest(press)
+            for press, line in zip(self.log.presses, self.tilting_lines, strict=True)
+            if line == TiltingLine.SUPPORTS
+        ]
+        return list(dict.fromkeys(keys))
+
+    def find_support_rest(self, press: EdgePress) -> int:
+        """Finds the index of a press's support line among all."""
+        return self.support_rests.index(_get_support_rest(press))
 
     @cached_property
     def rests(self) -> list[tuple[float, ...]]:
@@ -266,12 +356,14 @@ class WeighingProblem:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return ABSOLUTE + 3 * len(self.rests) + len(self.log.presses)
+        known = ABSOLUTE + 3 * len(self.rests) + len(self.log.presses)
+        return known + len(self.support_rests)
 
     def make_prior(self) -> tuple[Array, Array]:
         """Mean (N,) of the unknowns beforehand, and the root (N, N) of their covariance.
 
-        The errors of poses and edges are unknowns in units of their standard deviations.
+        The errors of poses and edges are unknowns in units of their standard deviations, and so
+        are the logarithms of the distances of support lines.
         """
         mass, mass_std = self.prior.log_mass
         friction, friction_std = self.prior.log_friction
@@ -295,12 +387,11 @@ class WeighingProblem:
         rests = self.rests
         residuals: list[float] = []
         rows: list[Array] = []
-        for i, press in enumerate(self.log.presses):
-            rest = ABSOLUTE + 3 * rests.index(tuple(press.pose.tolist()))
-            edge = ABSOLUTE + 3 * len(rests) + i
-            r, row = self._calc_press(u, press, rest, edge)
-            residuals.append(r)
-            rows.append(row)
+        for i, line in enumerate(self.tilting_lines):
+            if line != TiltingLine.NONE:
+                r, row = self.calc_press(u, i, line)
+                residuals.append(r)
+                rows.append(row)
         for lift in self.log.lifts:
             rest = ABSOLUTE + 3 * rests.index(tuple(lift.pose.tolist()))
             r_lift, row_lift = self._calc_lift(u, lift, rest)
@@ -339,26 +430,38 @@ class WeighingProblem:
         J[:, rest + 2] = angle * turn_left(arm)
         return p + arm, J
 
-    def _calc_press(self, u: Array, press: EdgePress, rest: int, edge: int) -> tuple[float, Array]:
+    def calc_press(self, u: Array, index: int, line: TiltingLine) -> tuple[float, Array]:
         """Calculates the residual of a press, and its derivatives (N,).
 
         Args:
             u: (N,) the unknowns.
-            press: the press.
-            rest: index of the first of its pose's three errors among the unknowns.
-            edge: index of its edge's error.
+            index: of the press.
+            line: about which line the object tilted: the edge or supports.
         """
+        press = self.log.presses[index]
+        rest = ABSOLUTE + 3 * self.rests.index(tuple(press.pose.tolist()))
+        edge = ABSOLUTE + 3 * len(self.rests) + index
         weight = self.gravity * np.exp(u[LOG_MASS])
         c_W, J_c = self._place_center(u, press.pose, rest)
         n = press.normal
-        # F = m g b / a, with the edge by e farther out than it is said to be.
-        e = self.noise.edge * float(u[edge])
-        b = float(n @ (press.edge_point - c_W)) + e
+        # F = m g b / a, with the edge by e farther out than it is said to be; about a line D inside
+        # the edge, b is shorter and a longer by D.
+        std = float(np.hypot(self.noise.edge, SHIFT_UNCERTAINTY * press.center_shift))
+        e = std * float(u[edge])
+        b = float(n @ (press.edge_point - c_W)) - press.center_shift + e
         a = press.arm - e
-        force = weight * b / a
-        row = -weight / a * (n @ J_c)
+        support = 0
+        D = 0.0
+        if line == TiltingLine.SUPPORTS:
+            first = ABSOLUTE + 3 * len(self.rests) + len(self.log.presses)
+            support = first + self.find_support_rest(press)
+            D = LINE_DISTANCE * float(np.exp(LINE_SPREAD * u[support]))
+        force = weight * (b - D) / (a + D)
+        row = -weight / (a + D) * (n @ J_c)
         row[LOG_MASS] = force
-        row[edge] = (weight + force) / a * self.noise.edge
+        row[edge] = (weight + force) / (a + D) * std
+        if line == TiltingLine.SUPPORTS:
+            row[support] = -(weight + force) / (a + D) * D * LINE_SPREAD
         return float(force - press.force) / press.force_std, row / press.force_std
 
     def _calc_lift(self, u: Array, lift: Lift, rest: int) -> tuple[list[float], list[Array]]:
@@ -380,43 +483,78 @@ class WeighingProblem:
         return residuals, rows
 
 
-def estimate_absolute(problem: WeighingProblem) -> AbsoluteEstimate:
-    """Estimates mass, center of mass and mean friction.
+@dataclass(frozen=True, eq=False)
+class AbsoluteFit:
+    """The least squares of a problem, solved.
+
+    Attributes:
+        problem: the problem.
+        v: (N,) the unknowns in standard deviations of their prior.
+        u: (N,) the unknowns.
+        covariance: (N, N) of u, by Laplace's approximation.
+        loss: half the sum of squares, priors included.
+        log_determinant: of the Hessian by v.
+        observations: number of residuals.
+    """
+
+    problem: WeighingProblem
+    v: Array
+    u: Array
+    covariance: Array
+    loss: float
+    log_determinant: float
+    observations: int
+
+    @property
+    def agreement(self) -> float:
+        """Probability of observations that agree as badly as these do, or worse.
+
+        At the minimum the whole sum of squares, priors included, is a chi square with as many
+        degrees of freedom as there are observations.
+        """
+        return float(chi2.sf(2 * self.loss, self.observations))
+
+
+def fit_absolute(problem: WeighingProblem, near: AbsoluteFit | None = None) -> AbsoluteFit:
+    """Solves the least squares.
 
     Args:
         problem: what was observed, and what was held beforehand.
-
-    Returns:
-        The estimate, without radius of gyration.
-
-    Raises:
-        IdentificationError: nothing was weighed, and no force was measured.
+        near: the fit of the same observations with other tilting lines, to begin with.
     """
-    if not len(problem.log) and problem.force is None:
-        raise IdentificationError("weighings: there are none; expected at least one, or a force")
     mean, root = problem.make_prior()
-    found = []
-    for sigmas in START_SIGMAS:
-        start = np.zeros(problem.size)
-        start[LOG_MASS] = sigmas
-        found.append(_minimize(problem, mean, root, start))
+    starts = []
+    if near is None:
+        for sigmas in START_SIGMAS:
+            start = np.zeros(problem.size)
+            start[LOG_MASS] = sigmas
+            starts.append(start)
+    else:
+        # Support lines come last.
+        shared = problem.size - len(problem.support_rests)
+        starts.append(np.append(near.v[:shared], np.zeros(problem.size - shared)))
+    found = [_minimize(problem, mean, root, start) for start in starts]
     loss, v = min(found, key=lambda one: one[0])
     u = mean + root @ v
     residuals, J = problem.calc_residuals(u)
     # Laplace: the covariance is the inverse of the Gauss-Newton Hessian.
     by_v = J @ root
-    covariance = root @ np.linalg.inv(np.eye(problem.size) + by_v.T @ by_v) @ root.T
-    # At the minimum the whole sum of squares, priors included, is a chi square with as many
-    # degrees of freedom as there are observations.
-    agreement = float(chi2.sf(2 * loss, len(residuals)))
-    return AbsoluteEstimate(
-        mean=u[:ABSOLUTE],
-        covariance=(covariance + covariance.T)[:ABSOLUTE, :ABSOLUTE] / 2,
-        presses=len(problem.log.presses),
-        lifts=len(problem.log.lifts),
-        pushes=0 if problem.force is None else problem.force.pushes,
-        agreement=agreement,
+    H = np.eye(problem.size) + by_v.T @ by_v
+    covariance = root @ np.linalg.inv(H) @ root.T
+    return AbsoluteFit(
+        problem=problem,
+        v=v,
+        u=u,
+        covariance=(covariance + covariance.T) / 2,
+        loss=loss,
+        log_determinant=float(np.linalg.slogdet(H)[1]),
+        observations=len(residuals),
     )
+
+
+def _get_support_rest(press: EdgePress) -> tuple[float, ...]:
+    """What presses have in common that rock about one support line: pose and edge."""
+    return (*press.pose.tolist(), *press.edge_point.tolist(), press.edge_angle)
 
 
 def _minimize(
@@ -433,14 +571,17 @@ def _minimize(
     Returns:
         The loss, and v (N,).
     """
-    return fit_with_prior(
-        lambda u: problem.calc_residuals(u)[0],
-        lambda u: problem.calc_residuals(u)[1],
-        mean,
-        root,
-        start,
-        TOLERANCES,
-    )
+    # Residuals and derivatives come together, and both are asked for at the same points.
+    latest: dict[bytes, tuple[Array, Array]] = {}
+
+    def calc(u: Array) -> tuple[Array, Array]:
+        key = u.tobytes()
+        if key not in latest:
+            latest.clear()
+            latest[key] = problem.calc_residuals(u)
+        return latest[key]
+
+    return fit_with_prior(lambda u: calc(u)[0], lambda u: calc(u)[1], mean, root, start, TOLERANCES)
 
 
 def describe_sources(estimate: AbsoluteEstimate) -> str:

@@ -1,11 +1,13 @@
 """The average of the fits of all priors, and the spread of that mixture.
 
-With E_a the log evidence of fit a and its prior's weight p_a, the loads as shares x_a of the whole
-are averaged:
+With E_a the log evidence of fit a, L_a the log density that it gives to the end of each push when
+that push is left out, and its prior's weight p_a, the loads as shares x_a of the whole are
+averaged:
 
-    w_a ~ p_a exp E_a,    x = sum_a w_a x_a
+    w_a ~ p_a exp((E_a + L_a) / 2),    x = sum_a w_a x_a
 
-The spread goes by the evidences alone, w'_a ~ exp E_a:
+Evidence alone, or predictions alone, may be sure of one wrong fit. So the spread goes by both, and
+without the prior's weights: w'_a is the mean of ~ exp E_a and ~ exp((E_a + L_a) / 2). It is
 
     S = kappa² sum_a w'_a (T (S_a + d d^T) T^T + o o^T) + shared
 
@@ -40,8 +42,17 @@ CAUTION = 2.0
 """Where the spread of the parameters is calculated, the noise is taken for at least this many times
 as large as the pushes show it."""
 
+PREDICTIVE_SHARE = 0.5
+"""How much the predictions of pushes left out count in the weight of a fit; the rest is evidence.
+The evidence of a wrong prior may be far the greatest if all priors are wrong. Predictions alone
+hardly tell an even object from one that is almost even."""
+
+HOPELESS = 30.0
+"""A fit whose log evidence is this far below the best one is not carried to its end, and is not
+asked for predictions: it counts as predicting no better than any other."""
+
 NEGLIGIBLE = 1e-3
-"""Fits whose share of the evidence is below this do not count for the spread."""
+"""Fits whose weight without that of the prior is below this do not count for the spread."""
 
 TILT_RIDGE = 0.01
 """Relative ridge that keeps a tilt finite where a corner lies beyond the centers of all cells; it
@@ -69,7 +80,7 @@ class MapEnsembleFit:
         starts: where each fit ended.
         best: the most probable fit; None where there was nothing to fit.
         interval_scale: factor on predicted intervals, see `Identification`.
-        hypotheses: evidence and weight of each fit, in the order of `starts`.
+        hypotheses: evidence, predictions and weight of each fit, in the order of `starts`.
     """
 
     z: Array
@@ -110,6 +121,11 @@ class Candidate:
         """Log evidence of the fit, without the share that the prior has of it."""
         return self.fit.log_evidence
 
+    @property
+    def shared_log_evidence(self) -> float:
+        """Log evidence of the fit with the share that the prior has of it."""
+        return self.log_evidence + float(np.log(self.prior.evidence_share))
+
 
 def average_fits(
     problem: PushProblem, candidates: list[Candidate], noise: NoiseModel
@@ -124,23 +140,19 @@ def average_fits(
     fits = [one.fit for one in candidates]
 
     # Leaning on weak variation predicts better; it is no knowledge, and must not make the
-    # estimate look surer. So the mean goes by w, and the spread by w', the evidence alone.
-    evidences = np.array(
-        [one.log_evidence + np.log(one.prior.evidence_share) for one in candidates]
-    )
-    leaning = evidences + np.log([one.prior.weight for one in candidates])
+    # estimate look surer. So the mean goes by w, and the spread by w', without the prior's weights,
+    # and over all fits that either the evidence or the predictions speak for.
+    evidences = np.array([one.shared_log_evidence for one in candidates])
+    predictives = _calc_predictives(fits, evidences, noise)
+    said = (1 - PREDICTIVE_SHARE) * evidences + PREDICTIVE_SHARE * predictives
+    leaning = said + np.log([one.prior.weight for one in candidates])
     weights = softmax(leaning)
-    plausible = softmax(evidences)
+    plausible = (softmax(evidences) + softmax(said)) / 2
 
     # The mean: x = sum_a w_a x_a.
     groups = _group(problem, candidates, leaning, weights)
     z = _average_shares(np.array([group.weight for group in groups]), [group.z for group in groups])
-
-    # Kappa, by which the pushes depart from what is said of each by all the others.
-    residuals = problem.residuals(z)
-    counted = np.flatnonzero(plausible > NEGLIGIBLE)
-    ratios = [fits[i].linearized.calc_end_errors(residuals) for i in counted]
-    kappa = noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
+    kappa = _calc_kappa(fits, plausible, problem.residuals(z), noise)
     wider = max(kappa, 1.0)
     surer = min(CAUTION * kappa, 1.0)
 
@@ -163,15 +175,60 @@ def average_fits(
         starts=tuple(FitStart(one.fit.z, one.fit.scale, one.name) for one in candidates),
         best=fits[best],
         interval_scale=kappa / wider,
-        hypotheses=tuple(
-            HypothesisEvidence(
-                name=one.name,
-                log_evidence=float(evidence - evidences.max()),
-                weight=float(weight),
-            )
-            for one, evidence, weight in zip(candidates, evidences, weights, strict=True)
-        ),
+        hypotheses=_describe_hypotheses(candidates, evidences, predictives, weights),
     )
+
+
+def _calc_kappa(
+    fits: list[MapFit], plausible: Array, residuals: list[Array], noise: NoiseModel
+) -> float:
+    """Calculates by how much the pushes depart from what is said of each by all the others.
+
+    Args:
+        fits: the fits.
+        plausible: (a,) weight of each fit by what the pushes say alone.
+        residuals: (3K,) residuals of each push by the average, m.
+        noise: the noise model, unscaled.
+    """
+    counted = np.flatnonzero(plausible > NEGLIGIBLE)
+    ratios = [fits[i].linearized.leave_out_ends(residuals).ratios for i in counted]
+    return noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
+
+
+def _describe_hypotheses(
+    candidates: list[Candidate], evidences: Array, predictives: Array, weights: Array
+) -> tuple[HypothesisEvidence, ...]:
+    """Says of each fit how well it explains and predicts the pushes, and its weight."""
+    return tuple(
+        HypothesisEvidence(
+            name=one.name,
+            log_evidence=float(evidence - evidences.max()),
+            log_predictive=float(predictive - predictives.max()),
+            weight=float(weight),
+        )
+        for one, evidence, predictive, weight in zip(
+            candidates, evidences, predictives, weights, strict=True
+        )
+    )
+
+
+def _calc_predictives(fits: list[MapFit], evidences: Array, noise: NoiseModel) -> Array:
+    """Calculates how well each fit predicts the ends of pushes from all other pushes.
+
+    Args:
+        fits: the fits.
+        evidences: (a,) their log evidences.
+        noise: the noise model, unscaled.
+
+    Returns:
+        (a,) log densities. Hopeless fits have the least one of all others.
+    """
+    asked = evidences > evidences.max() - HOPELESS
+    found = [
+        noise.calc_log_predictive(fit.linearized.leave_out_ends()) if ask else np.inf
+        for fit, ask in zip(fits, asked, strict=True)
+    ]
+    return np.where(asked, found, np.min(found))
 
 
 def _calc_mixture(
@@ -186,7 +243,7 @@ def _calc_mixture(
     Args:
         candidates: the priors with their fits.
         groups: which of the fits are averaged directly.
-        plausible: (a,) weight of each fit by its evidence alone.
+        plausible: (a,) weight of each fit by what the pushes say alone.
         z: (n+1,) the average.
         surer: factor on the noise with which the spread of each fit is calculated, at most 1.
 

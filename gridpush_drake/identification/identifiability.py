@@ -12,7 +12,12 @@ import numpy as np
 from scipy.optimize import linprog
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.absolute import SIGMAS, AbsoluteEstimate, describe_sources
+from gridpush_drake.identification.absolute import (
+    SIGMAS,
+    AbsoluteEstimate,
+    TiltingLine,
+    describe_sources,
+)
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import (
@@ -125,14 +130,15 @@ def calc_identifiability(
         box = _calc_box_of_known_scale(share, obj, *mean_friction)
 
     weighed_box = None
-    if absolute is not None:
+    weighed = absolute is not None and not absolute.contradictory
+    if absolute is not None and weighed:
         # The object's mass is known now, whatever the forces bounded it to.
         mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj, None)
         weighed_box = _cut_box(wide, absolute)
     statements = _describe(obj, learned, learned_share, center_std, wide, weighed_box)
     if force is not None:
         # The first statement is that the common scale is not known: with forces it is.
-        scale = _describe_force(obj, force, wide, box, absolute is not None)
+        scale = _describe_force(obj, force, wide, box, weighed)
         statements = (scale, *statements[1:])
     if absolute is not None:
         statements = (_describe_weighings(absolute), *statements)
@@ -356,6 +362,13 @@ def _cut_box(box: Array, absolute: AbsoluteEstimate) -> Array:
 
 def _describe_weighings(absolute: AbsoluteEstimate) -> str:
     """Says what weighings show."""
+    if absolute.contradictory:
+        return (
+            f"Weighed by {describe_sources(absolute)}, which contradict each other: with a "
+            f"probability of {absolute.agreement:.2g} observations agree as badly as these. "
+            "Their numbers are not used. Are the edge, the places and the signs of the forces "
+            f"right? {_describe_tests(absolute)}"
+        ).rstrip()
     low, high = absolute.mass_interval
     least, most = absolute.friction_interval
     x, y = absolute.center_of_mass * MM
@@ -370,12 +383,28 @@ def _describe_weighings(absolute: AbsoluteEstimate) -> str:
         words += f"({least:.3f} to {most:.3f})."
     else:
         words += "The forces of no push were measured, so that the friction stays as supposed."
-    if absolute.contradictory:
-        words += (
-            " But these observations contradict each other: are the edge, the places and the "
-            "signs of the forces right?"
-        )
-    return words
+    return f"{words} {_describe_tests(absolute)}".rstrip()
+
+
+def _describe_tests(absolute: AbsoluteEstimate) -> str:
+    """Says which presses do not count as tilts about the edge; empty if all do."""
+    words = []
+    for i, one in enumerate(absolute.tests):
+        if one.line == TiltingLine.EDGE:
+            continue
+        told = f"press {i + 1} gave way at {one.force:.2f} N, where {one.expected:.2f} N "
+        told += f"({one.residual:+.1f} standard deviations) are expected of a tilt about the edge"
+        if one.line == TiltingLine.NONE:
+            words.append(f"{told}, and is left out")
+        else:
+            assert one.support_distance is not None
+            words.append(
+                f"{told}: it rocked on supports {one.support_distance * MM:.0f} mm inside the edge"
+            )
+    if not words:
+        return ""
+    text = "; ".join(words)
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def _describe_patterns(obj: GridObject, patterns: int, cells: int) -> str:

@@ -13,6 +13,7 @@ what the other pushes predict of each one (`docs/theory/identification.md`, sect
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -20,7 +21,13 @@ from scipy.linalg.lapack import dtrtri
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.center_of_mass import CenterOfMass
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
+from gridpush_drake.identification.noise import (
+    POSE,
+    LeftOutEnds,
+    NoiseModel,
+    NoiseScale,
+    calc_effective_count,
+)
 from gridpush_drake.identification.outliers import LeftOut
 from gridpush_drake.identification.problem import SHIFT, Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart
@@ -32,7 +39,14 @@ MAX_EFFECTIVE_SHARE = 0.8
 """Largest share of the residuals that the parameters may be taken to explain. The noise is
 estimated from the rest, so that some must be left."""
 
-LAST_POSE = slice(-3, None)
+FIRST_RIDGE = 1e-14
+"""Least ridge of a matrix that has lost a small eigenvalue to round-off, as a fraction of its
+largest diagonal entry: about the round-off of a sum of a hundred terms."""
+
+RIDGE_FACTOR = 10.0
+"""Factor by which a ridge grows that was not enough."""
+
+LAST_POSE = slice(-POSE, None)
 """Rows of a push's residuals that belong to its last observed pose."""
 
 
@@ -93,6 +107,8 @@ class LinearizedFit:
         by_residuals: whether the form by residuals is the smaller one.
         gram: J J^T or J^T J, in the smaller form.
         factor: Cholesky's factor of I plus that, as `scipy.linalg.cho_factor` gives it.
+        ridge: what had to be added to the diagonal for there to be a factor; 0 as a rule, see
+            `factorize`.
     """
 
     def __init__(
@@ -139,7 +155,7 @@ class LinearizedFit:
         self.J = np.concatenate(jacobians)
         self.by_residuals = len(self.r) < len(u)
         self.gram = self.J @ self.J.T if self.by_residuals else self.J.T @ self.J
-        self.factor = self._factorize(1.0)
+        self.factor, self.ridge = self._factorize(1.0)
 
     def move(self, u: Array, linear: Linearization) -> "LinearizedFit":
         """Linearizes about another point, with the same scale of the noise."""
@@ -172,7 +188,7 @@ class LinearizedFit:
         # d = -(c I + J^T J)^-1 g, with g the gradient of the loss, in the smaller of both forms.
         g = self.u + self.J.T @ self.r
         c = 1.0 + damping
-        factor = self.factor if damping == 0 else self._factorize(c)
+        factor = self.factor if damping == 0 else self._factorize(c)[0]
         if self.by_residuals:
             shown = self.J.T @ cho_solve(factor, self.J @ g)
             d = (shown - g) / c
@@ -312,6 +328,10 @@ class LinearizedFit:
         Returns:
             For each push how far its residuals are off the prediction, and how sure that is.
         """
+        return self._left_out
+
+    @cached_property
+    def _left_out(self) -> list[LeftOut]:
         found = []
         for weight, W, r, J in zip(
             self.weights, self.whitenings, self.linear.residuals, self.slopes, strict=True
@@ -327,32 +347,64 @@ class LinearizedFit:
             found.append(LeftOut(precision=W.apply(root), pull=pull))
         return found
 
-    def calc_end_errors(self, residuals: list[Array]) -> Array:
-        """Calculates how far off the other pushes predict the last pose of each one.
+    def leave_out_ends(self, residuals: list[Array] | None = None) -> LeftOutEnds:
+        """Predicts the last pose of each push from all other pushes.
 
         Args:
             residuals: (3K,) residuals of each push, m, by the parameters that are to predict. They
-                need not be those of this fit.
-
-        Returns:
-            (P,) squared lengths of the errors, as cells move, over the expected ones.
+                need not be those of this fit, which are taken where none are given.
         """
-        found = []
+        errors = []
+        covariances = []
         for left_out, r, own in zip(
-            self.leave_out(), residuals, self.linear.residuals, strict=True
+            self.leave_out(),
+            self.linear.residuals if residuals is None else residuals,
+            self.linear.residuals,
+            strict=True,
         ):
             covariance = np.linalg.inv(left_out.precision)
             # The poses of a push share errors. The noise model allows for this by taking the noise
             # of each of K poses as K/K_eff times as large. A single pose has the noise itself.
             shared = (self.scale.pose * self.noise.pose) ** 2 * (np.sqrt(len(covariance) / 3) - 1)
-            e = covariance[LAST_POSE] @ left_out.pull + (r - own)[LAST_POSE]
-            expected = float(np.trace(covariance[LAST_POSE, LAST_POSE]) - 3 * shared)
-            found.append(float(e @ e) / expected)
-        return np.array(found)
+            errors.append(covariance[LAST_POSE] @ left_out.pull + (r - own)[LAST_POSE])
+            covariances.append(covariance[LAST_POSE, LAST_POSE] - shared * np.eye(POSE))
+        return LeftOutEnds(np.array(errors), np.array(covariances))
 
-    def _factorize(self, c: float) -> tuple[Array, bool]:
-        """Factorizes c I + J^T J, or c I + J J^T where that is smaller."""
-        return cho_factor(c * np.eye(len(self.gram)) + self.gram, lower=True)
+    def _factorize(self, c: float) -> tuple[tuple[Array, bool], float]:
+        """Factorizes c I + J^T J, or c I + J J^T where that is smaller; see `factorize`."""
+        return factorize(c * np.eye(len(self.gram)) + self.gram)
+
+
+def factorize(matrix: Array) -> tuple[tuple[Array, bool], float]:
+    """Factorizes I plus a Gram matrix after Cholesky, whatever round-off did to it.
+
+    The matrix is positive definite, but where a push's end all but jumps, derivatives are so large
+    that round-off makes it indefinite: with entries of 1e16, an eigenvalue of 1 is lost. Then a
+    ridge is added to the diagonal, `FIRST_RIDGE` of its largest entry, and ten times as much until
+    there is a factor. That keeps the large eigenvalues, and takes the small ones for a little
+    larger: what the pushes leave open counts as a little better known.
+
+    Args:
+        matrix: (N, N), symmetric.
+
+    Returns:
+        The lower factor, as `scipy.linalg.cho_factor` gives it, and the ridge; 0 where none was
+        needed.
+
+    Raises:
+        LinAlgError: an entry is not finite, or no ridge up to the largest entry is enough.
+    """
+    if not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError("matrix with entries that are not finite")
+    largest = float(np.diag(matrix).max(initial=1.0))
+    ridge = 0.0
+    while True:
+        try:
+            return cho_factor(matrix + ridge * np.eye(len(matrix)), lower=True), ridge
+        except np.linalg.LinAlgError:
+            if ridge >= largest:
+                raise
+            ridge = max(RIDGE_FACTOR * ridge, FIRST_RIDGE * largest)
 
 
 def calc_shortening(dz: Array) -> float:

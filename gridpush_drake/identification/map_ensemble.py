@@ -1,4 +1,4 @@
-"""The default identifier: hypotheses of how the object bears on the table, weighed by evidence.
+"""The default identifier: hypotheses of how the object bears on the table, fitted and weighed.
 
 The hypotheses are an open list (`hypotheses`). Each proposes normal priors of z; for each prior z
 is fitted by Gauss-Newton (`map_fit`). The smooth fields are fitted in the order of their
@@ -20,7 +20,12 @@ from scipy.special import logsumexp
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.center_of_mass import CenterOfMass
-from gridpush_drake.identification.fit_average import Candidate, MapEnsembleFit, average_fits
+from gridpush_drake.identification.fit_average import (
+    HOPELESS,
+    Candidate,
+    MapEnsembleFit,
+    average_fits,
+)
 from gridpush_drake.identification.hypotheses import (
     CENTER_STD,
     DEFAULT_HYPOTHESES,
@@ -39,10 +44,6 @@ from gridpush_drake.objects.grid_object import GridObject
 FIRST_EVALUATIONS = 6
 """Each fit first simulates the pushes at most this often. When all fits have begun, only those that
 may still come to count are carried on."""
-
-HOPELESS = 30.0
-"""A fit whose log evidence is this far below the best is not carried on: it gains less than this
-once it has begun to settle, and would have no weight."""
 
 POOR_SCALE = 1.0
 """If the noise scale at the best smooth field is above this, it may be a poor optimum, and fits

@@ -227,9 +227,10 @@ def _move_to(system: LinearizedFit, u: Array, linear: Linearization) -> Lineariz
     That is where a push's end all but jumps, so that its derivatives are as good as infinite.
     """
     try:
-        return system.move(u, linear)
+        moved = system.move(u, linear)
     except np.linalg.LinAlgError:
         return None
+    return None if moved.ridge > 0 else moved
 
 
 def fit_without(fit: LinearizedFit, index: int) -> LeftOut:

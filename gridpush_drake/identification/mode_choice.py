@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.linearized_fit import factorize
 from gridpush_drake.identification.load_prior import (
     LinearizedPushes,
     LoadPrior,
@@ -130,7 +131,7 @@ def calc_cut_evidence(
     Returns:
         (cuts,) log evidence of each cut, less that of no cut.
     """
-    L = np.linalg.cholesky(np.eye(len(residuals)) + J @ within @ J.T)
+    L = np.tril(factorize(np.eye(len(residuals)) + J @ within @ J.T)[0][0])
     r = solve_triangular(L, residuals, lower=True)
     g = part_std * solve_triangular(L, J[:, CELLS] @ cuts.T, lower=True)
     size2 = 1 + (g * g).sum(axis=0)

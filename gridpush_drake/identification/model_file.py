@@ -19,7 +19,12 @@ from gridpush_drake.dynamics.physics import GRAVITY, Physics, SpinModel
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.absolute import ABSOLUTE, AbsoluteEstimate
+from gridpush_drake.identification.absolute import (
+    ABSOLUTE,
+    AbsoluteEstimate,
+    TiltingLine,
+    TiltTest,
+)
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.friction_gradient import calc_gradient_std
 from gridpush_drake.identification.identifiability import calc_identifiability
@@ -95,6 +100,19 @@ class QuantitySchema(StrictSchema):
     high: Positive
 
 
+class TiltTestSchema(StrictSchema):
+    """How a press at the table's edge was judged; see `TiltTest`."""
+
+    place: Point
+    arm: Positive
+    force: Positive
+    expected: float
+    residual: float
+    line: TiltingLine
+    probability: Annotated[float, Field(ge=0, le=1)]
+    support_distance: float | None = None
+
+
 class AbsoluteSchema(StrictSchema):
     """What weighings say; see `AbsoluteEstimate`.
 
@@ -113,6 +131,7 @@ class AbsoluteSchema(StrictSchema):
     agreement: Annotated[float, Field(ge=0, le=1)] = 1.0
     gyration: NotNegative = 0.0
     gyration_std: NotNegative = 0.0
+    tests: tuple[TiltTestSchema, ...] = ()
     mean: Annotated[list[float], Field(min_length=ABSOLUTE, max_length=ABSOLUTE)]
     covariance: str
 
@@ -444,6 +463,9 @@ def _describe_absolute(absolute: AbsoluteEstimate) -> AbsoluteSchema:
         agreement=absolute.agreement,
         gyration=absolute.gyration,
         gyration_std=absolute.gyration_std,
+        tests=tuple(
+            TiltTestSchema(**(asdict(one) | {"place": list(one.place)})) for one in absolute.tests
+        ),
         mean=absolute.mean.tolist(),
         covariance=pack_symmetric(absolute.covariance),
         **told,
@@ -461,7 +483,14 @@ def _restore_absolute(schema: AbsoluteSchema) -> AbsoluteEstimate:
         agreement=schema.agreement,
         gyration=schema.gyration,
         gyration_std=schema.gyration_std,
+        tests=tuple(_restore_test(one) for one in schema.tests),
     )
+
+
+def _restore_test(schema: TiltTestSchema) -> TiltTest:
+    """Makes the judgment of a press again of what a file says."""
+    x, y = schema.place
+    return TiltTest(**(schema.model_dump() | {"place": (x, y)}))
 
 
 def _make_usual_noise(obj: GridObject) -> NoiseModel:

@@ -42,6 +42,25 @@ class NoiseScale(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class LeftOutEnds:
+    """How far off the last pose of each push is from what all other pushes predict of it.
+
+    Attributes:
+        errors: (P, 3) errors of the predictions, as residuals have them, m.
+        covariances: (P, 3, 3) covariances that are stated of them, m².
+    """
+
+    errors: Array
+    covariances: Array
+
+    @property
+    def ratios(self) -> Array:
+        """Squared lengths (P,) of the errors, as cells move, over the expected ones."""
+        expected = np.trace(self.covariances, axis1=1, axis2=2)
+        return np.asarray((self.errors**2).sum(axis=1) / expected)
+
+
+@dataclass(frozen=True, eq=False)
 class Whitening:
     """W = (I - M T M^T) / a, which makes a push's residuals independent with unit variance.
 
@@ -169,6 +188,27 @@ class NoiseModel:
         # Section 5: the mean of a scaled inverse chi-square distribution.
         weight = self.discrepancy_weight
         return sqrt((POSE * float(ratios.sum()) + weight) / (POSE * len(ratios) + weight))
+
+    def calc_log_predictive(self, ends: LeftOutEnds) -> float:
+        """Calculates how probable the last poses of pushes are by what the others predict of them.
+
+        The distribution is the one by which poses of new pushes are predicted: Student's t, as much
+        wider or narrower than stated as the errors of these pushes are.
+
+        Returns:
+            Sum of the log densities of all pushes, up to a constant that depends on their number
+            alone.
+        """
+        pushes = len(ends.errors)
+        freedom = self.calc_freedom(pushes)
+        factor = self.calc_typical_share(pushes) * self.calc_discrepancy(ends.ratios) ** 2
+        scales = factor * ends.covariances
+        # log t_f(e; 0, C) = -1/2 log det C - (f + 3)/2 log(1 + e^T C^-1 e / f) + constant
+        pulls = np.linalg.solve(scales, ends.errors[:, :, None])[:, :, 0]
+        squares = (ends.errors * pulls).sum(axis=1)
+        spread = np.linalg.slogdet(scales)[1]
+        tails = (freedom + POSE) * np.log1p(squares / freedom)
+        return -0.5 * float((spread + tails).sum())
 
     def calc_freedom(self, pushes: int) -> float:
         """Degrees of freedom of the Student's t distribution of a predicted coordinate.

@@ -78,11 +78,14 @@ class HypothesisEvidence:
     Attributes:
         name: name of the hypothesis, with a number where it stands for several priors.
         log_evidence: log evidence, less that of the best one.
+        log_predictive: log density that it gives to the end of each push by what it learns from the
+            others, of all pushes, less that of the best one.
         weight: share of the estimate that comes from it, between 0 and 1.
     """
 
     name: str
     log_evidence: float
+    log_predictive: float
     weight: float
 
 
@@ -117,10 +120,10 @@ class Identification(Model):
             pushes like these end nearer to their predictions than posterior and noise would
             suggest.
         noise: the noise that the method assumed, before it was scaled.
-        hypotheses: evidence and weight of each hypothesis of how the object bears on the table;
-            empty for other methods than the default.
+        hypotheses: evidence, predictions and weight of each hypothesis of how the object bears on
+            the table; empty for other methods than the default.
         absolute: mass, center of mass and mean friction of an object that was weighed; None of one
-            that was not.
+            that was not. It may be contradictory, which only `weighed` is not.
     """
 
     std: CellParameters
@@ -188,6 +191,12 @@ class Identification(Model):
         return self.physics.regime
 
     @property
+    def weighed(self) -> AbsoluteEstimate | None:
+        """What weighings say, to plan and to predict with; None if they contradict each other."""
+        absolute = self.absolute
+        return None if absolute is None or absolute.contradictory else absolute
+
+    @property
     def noise_scale(self) -> NoiseScale:
         """Scale of the noise, in the method's own: how large the pushes said that it is."""
         pose = self.noise_std / self.noise.pose
@@ -211,9 +220,10 @@ class Identification(Model):
             IdentificationError: the count or the seed is negative.
         """
         check_draws(count, seed)
-        if self.absolute is None:
+        weighed = self.weighed
+        if weighed is None:
             return self.posterior.draw_parameters(self.params, count, seed)
-        return draw_absolute_parameters(self, self.posterior, self.absolute, count, seed)
+        return draw_absolute_parameters(self, self.posterior, weighed, count, seed)
 
     @property
     def relative_friction(self) -> Array:
@@ -239,8 +249,8 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     Returns:
         p_BBcm (2,), m, body frame, and its covariance (2, 2), m².
     """
-    if found.absolute is not None:
-        return found.absolute.center_of_mass, found.absolute.center_covariance
+    if found.weighed is not None:
+        return found.weighed.center_of_mass, found.weighed.center_covariance
     prior = found.obj.prior
     if prior.center_of_mass is not None:
         return np.array(prior.center_of_mass), prior.center_of_mass_std**2 * np.eye(2)

@@ -63,7 +63,8 @@ def learn_with_weighings(
     if not len(weighings):
         return pushed, pushed
     found = weigh_model(pushed, weighings, seed=seed)
-    if not holds_friction:
+    # Weighings that contradict each other tell no frictions to hold.
+    if not holds_friction or found.weighed is None:
         return pushed, found
     pushed = learn(log, found, hold_friction(found))
     return pushed, weigh_model(pushed, weighings, seed=seed)

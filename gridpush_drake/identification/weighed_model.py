@@ -20,7 +20,6 @@ from gridpush_drake.identification.absolute import (
     AbsolutePrior,
     PoseNoise,
     WeighingProblem,
-    estimate_absolute,
 )
 from gridpush_drake.identification.absolute_masses import (
     calc_relative_friction_std,
@@ -36,6 +35,7 @@ from gridpush_drake.identification.result import (
     calc_center_of_friction,
     calc_center_of_mass,
 )
+from gridpush_drake.identification.tilt_tests import estimate_absolute
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -68,7 +68,9 @@ def weigh_model(
         seed: of the draws by which the spread of the inertia is computed.
 
     Returns:
-        The model with absolute masses and frictions, and their estimate in `absolute`.
+        The model with absolute masses and frictions, and their estimate in `absolute`. Where the
+        observations contradict each other, masses and frictions stay as they were, and only the
+        estimate, which says so, is added.
 
     Its status is "explains_little" where the weighings put the center of mass outside the object:
     then something is wrong with them, and the model should not be used.
@@ -101,6 +103,8 @@ def weigh_model(
             f"{source}: no mass and center of mass are found that explain them; are force and "
             "force_std in N, and torque_x, torque_y and torque_std in N m?"
         ) from error
+    if estimate.contradictory:
+        return _add_estimate(found, estimate)
     # As much as weighings leave open of the center of mass, they leave open of the gradient of the
     # friction.
     left = float(np.trace(estimate.center_covariance) / np.trace(covariance))
@@ -221,14 +225,15 @@ def apply_absolute(found: Identification, estimate: AbsoluteEstimate) -> Identif
         friction=params.friction * friction,
         contact_friction=found.std.contact_friction,
     )
+    return _add_estimate(replace(found, parameters=(params,), std=std), estimate)
+
+
+def _add_estimate(found: Identification, estimate: AbsoluteEstimate) -> Identification:
+    """Adds an estimate and its statements to a model whose masses and frictions stay."""
     return replace(
         found,
-        parameters=(params,),
-        std=std,
         absolute=estimate,
-        identifiability=calc_identifiability(
-            Model(obj, params), found.posterior, found.force, estimate
-        ),
+        identifiability=calc_identifiability(found, found.posterior, found.force, estimate),
     )
 
 

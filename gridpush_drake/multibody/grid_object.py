@@ -37,7 +37,6 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
     Box,
@@ -63,6 +62,7 @@ from pydrake.multibody.tree import (
     RigidBody,
     SpatialInertia,
 )
+from pydrake.systems.framework import Context
 from shapely import Polygon, box, prepare
 
 from gridpush_drake.errors import ObjectError, ParameterError, require_positive
@@ -77,6 +77,21 @@ SPHERE_RADIUS = 0.002
 """Radius of a contact sphere, m; more than the spheres are ever pressed in."""
 
 SpheresPerCell = Literal[1, 4]
+
+
+@dataclass(frozen=True, eq=False)
+class Feet:
+    """What a free object stands on: a foot below each cell.
+
+    Attributes:
+        stiffness: (n,) what each foot bears where all are pressed in as far as by the object's
+            weight, kg.
+        gap: (n,) how much higher each foot ends than the longest one, m. An object on three feet
+            has three that end lowest; all others are its underside.
+    """
+
+    stiffness: Array
+    gap: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +130,7 @@ class ContactSphereLayout:
         return cls(p_BS=p_BS, cell=np.repeat(np.arange(obj.n), 4), spheres_per_cell=4)
 
     def make_properties(
-        self, params: CellParameters, delta: float, gravity: float, support: Array | None = None
+        self, params: CellParameters, delta: float, gravity: float, support: Feet | None = None
     ) -> list[ProximityProperties]:
         """Makes the spheres' contact properties.
 
@@ -123,20 +138,27 @@ class ContactSphereLayout:
             params: the cells' masses and frictions.
             delta: how far the spheres are pressed in at rest, m.
             gravity: m/s².
-            support: (n,) what each cell's spheres bear where they are pressed in so far, kg; its
-                own mass by default.
+            support: on what the object stands; by default each cell bears its own mass.
 
         Raises:
             ParameterError: a friction is 2 or more, which Drake's combination cannot give.
         """
         # k_i = m_i g / delta, shared by the spheres of a cell
-        borne = params.mass if support is None else support
+        borne = params.mass if support is None else support.stiffness
         stiffness = borne * gravity / (delta * self.spheres_per_cell)
         friction = [
             calc_own_friction(float(mu), f"friction of cell {i}")
             for i, mu in enumerate(params.friction)
         ]
         return [MakeContactProperties(friction[i], float(stiffness[i])) for i in self.cell]
+
+    def place_spheres(self, support: Feet | None = None) -> list[RigidTransform]:
+        """Places the spheres' centers in B, on the feet that the object stands on."""
+        gap = np.zeros(len(self.cell)) if support is None else support.gap[self.cell]
+        return [
+            RigidTransform([x, y, SPHERE_RADIUS + z])
+            for (x, y), z in zip(self.p_BS, gap, strict=True)
+        ]
 
 
 MAX_DEPTH = 0.01
@@ -256,6 +278,7 @@ class GridObjectInPlant:
         height: height of the object, m.
         delta: how far the spheres are pressed in at rest, m.
         side_stiffness: stiffness of the outline's contacts, N/m.
+        table: geometries that the spheres stand on.
     """
 
     obj: GridObject
@@ -271,6 +294,7 @@ class GridObjectInPlant:
     height: float
     delta: float
     side_stiffness: float
+    table: tuple[GeometryId, ...]
 
     @property
     def body(self) -> RigidBody:
@@ -297,7 +321,8 @@ def AddGridObject(
     name: str | None = None,
     delta: float | None = None,
     spheres_per_cell: SpheresPerCell = 1,
-    support: ArrayLike | None = None,
+    support: Feet | None = None,
+    rim_gap: float = 0.0,
     side_stiffness: float = SIDE_STIFFNESS,
     visual: bool = True,
     color: Sequence[float] = DEFAULT_COLOR,
@@ -321,9 +346,10 @@ def AddGridObject(
             "free".
         spheres_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its
             edge. Over a table's edge it tips up to one cell early, either way.
-        support: (n,) how stiff the cells' spheres are: what they bear where they are pressed in by
-            delta, kg (see `ground_truth.calc_support`). By default each cell's mass, and so each
-            bears its own weight.
+        support: on what it stands (see `ground_truth.calc_support`). By default each cell bears its
+            own weight.
+        rim_gap: height of its flat underside above the table, m, which a table's edge touches when
+            the object tilts; 0 for an object that lies flat. Its feet alone touch the table.
         side_stiffness: stiffness of the outline's contacts, N/m.
         visual: whether it has illustration geometry.
         color: red, green, blue and opacity of that geometry.
@@ -343,6 +369,10 @@ def AddGridObject(
         raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
     delta = DEFAULT_DELTA[base] if delta is None else delta
     require_positive(ObjectError, height=height, delta=delta, side_stiffness=side_stiffness)
+    if not 0 <= rim_gap < height:
+        raise ObjectError(
+            f"rim_gap is {rim_gap!r}; expected 0 or more, and less than the height, {height:g} m"
+        )
     table = list(table)
     if touches and not table:
         raise ObjectError(
@@ -362,7 +392,7 @@ def AddGridObject(
     visuals: tuple[GeometryId, ...] = ()
     if touches:
         spheres = _add_spheres(plant, body, layout, model.params, delta, support)
-        sides = _add_sides(plant, body, model, height, side_stiffness)
+        sides = _add_sides(plant, body, model, (rim_gap, height), side_stiffness)
     if visual:
         visuals = _add_visual(plant, scene_graph, body, obj, height, color)
     handle = GridObjectInPlant(
@@ -379,6 +409,7 @@ def AddGridObject(
         height=height,
         delta=delta,
         side_stiffness=side_stiffness,
+        table=tuple(table),
     )
     if touches:
         ApplyGridObjectFilters(plant, scene_graph, handle, table)
@@ -441,10 +472,18 @@ def ApplyGridObjectFilters(
     scene_graph: SceneGraph,
     handle: GridObjectInPlant,
     table: Iterable[GeometryId],
+    context: Context | None = None,
 ) -> None:
     """Lets an object's spheres touch the table alone, and its sides everything but the table.
 
     That is of what is in the plant by now; see `AddGridObject`.
+
+    Args:
+        plant: the plant.
+        scene_graph: its SceneGraph.
+        handle: the object.
+        table: collision geometries that the spheres stand on.
+        context: Context of the SceneGraph in which it is to hold; by default the model itself.
     """
     table = list(table)
     inspector = scene_graph.model_inspector()
@@ -454,8 +493,12 @@ def ApplyGridObjectFilters(
     sides = GeometrySet(list(handle.sides))
     declaration = CollisionFilterDeclaration(CollisionFilterScope.kAll)
     declaration.ExcludeBetween(spheres, GeometrySet(list(others)))
+    declaration.ExcludeWithin(spheres)
     declaration.ExcludeBetween(sides, GeometrySet(table))
-    scene_graph.collision_filter_manager().Apply(declaration)
+    if context is None:
+        scene_graph.collision_filter_manager().Apply(declaration)
+    else:
+        scene_graph.collision_filter_manager(context).Apply(declaration)
 
 
 def _hold(plant: MultibodyPlant, body: RigidBody, base: Base, delta: float) -> PlanarJoint | None:
@@ -478,17 +521,14 @@ def _add_spheres(
     layout: ContactSphereLayout,
     params: CellParameters,
     delta: float,
-    support: ArrayLike | None,
+    support: Feet | None,
 ) -> tuple[GeometryId, ...]:
     """Adds the contact spheres below the cells."""
-    borne = None if support is None else np.asarray(support, dtype=np.float64)
-    properties = layout.make_properties(params, delta, calc_gravity(plant), borne)
+    properties = layout.make_properties(params, delta, calc_gravity(plant), support)
     shape = Sphere(SPHERE_RADIUS)
     return tuple(
-        plant.RegisterCollisionGeometry(
-            body, RigidTransform([x, y, SPHERE_RADIUS]), shape, f"sphere_{i}", properties[i]
-        )
-        for i, (x, y) in enumerate(layout.p_BS)
+        plant.RegisterCollisionGeometry(body, X_BS, shape, f"sphere_{i}", properties[i])
+        for i, X_BS in enumerate(layout.place_spheres(support))
     )
 
 
@@ -496,17 +536,18 @@ def _add_sides(
     plant: MultibodyPlant,
     body: RigidBody,
     model: Model,
-    height: float,
+    between: tuple[float, float],
     stiffness: float,
 ) -> tuple[GeometryId, ...]:
-    """Adds the boxes along and within the outline."""
+    """Adds the boxes along and within the outline, between two heights, m."""
     obj = model.obj
     properties = MakeSideProperties(model.params, stiffness)
+    low, high = between
 
     def add(name: str, flat: PlanarBox) -> GeometryId:
-        X_BG = RigidTransform(RollPitchYaw(0, 0, flat.angle), [*flat.center, height / 2])
+        X_BG = RigidTransform(RollPitchYaw(0, 0, flat.angle), [*flat.center, (low + high) / 2])
         return plant.RegisterCollisionGeometry(
-            body, X_BG, Box(*flat.size, height), name, properties
+            body, X_BG, Box(*flat.size, high - low), name, properties
         )
 
     edges = [add(f"edge_{i}", flat) for i, flat in enumerate(make_edge_boxes(obj))]

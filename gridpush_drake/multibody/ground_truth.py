@@ -8,17 +8,21 @@ from typing import Any, Literal
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
-from pydrake.geometry import RoleAssign, SceneGraph
+from pydrake.geometry import RoleAssign, SceneGraph, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
+from scipy.optimize import linprog
 from scipy.spatial import cKDTree
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.geometry.se2 import Array, IntArray, check_vector
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.grid_object import (
+    SPHERE_RADIUS,
+    ApplyGridObjectFilters,
+    Feet,
     GridObjectInPlant,
     MakeSideProperties,
     MakeSpatialInertia,
@@ -110,9 +114,12 @@ def resample_parameters(model: Model, other: GridObject) -> CellParameters:
     return CellParameters(tilted, params.friction[nearest], params.contact_friction)
 
 
-Support = Literal["own_weight", "foundation", "three_feet"]
-"""How a free body stands: each cell bears its own weight, on an evenly compliant bottom, or on
-three feet."""
+Support = Literal["own_weight", "foundation", "three_feet", "vertices"]
+"""How a free body stands: each cell bears its own weight, on an evenly compliant bottom, on three
+feet, or on uneven feet at the vertices of its outline's hull."""
+
+BEARING_FEET = 3
+"""Number of rigid feet that share a body's weight, which says how stiff each is."""
 
 FEET_SLACK = 0.002
 """Distance of the center of mass from the sides of three feet's triangle, m, beside that by which a
@@ -126,18 +133,26 @@ TRIES = 20_000
 """Largest number of draws of three feet."""
 
 
-def calc_support(model: Model, support: Support, seed: int, push_height: float) -> Array | None:
-    """Says how stiff a body's feet are, one below each cell.
+def calc_support(
+    model: Model,
+    support: Support,
+    seed: int,
+    push_height: float,
+    rim_gap: float = 0.0,
+) -> Feet | None:
+    """Draws on what a body stands.
 
     Args:
         model: one object, with its parameters.
         support: how it stands.
-        seed: seed by which three feet are drawn.
+        seed: seed by which feet are drawn.
         push_height: height of a pusher that must not tip the body from three feet, m.
+        rim_gap: height of the underside above the table beside three feet or feet at the
+            vertices, m; the latter are uneven by up to as much. With 0 the underside beside three
+            feet touches the table, and is soft.
 
     Returns:
-        (n,) what each foot bears where all are pressed in as far as by the body's weight, kg; None
-        where each cell bears its own weight.
+        A foot below each cell; None where each cell bears its own weight.
 
     Raises:
         ObjectError: no three feet are found.
@@ -145,15 +160,53 @@ def calc_support(model: Model, support: Support, seed: int, push_height: float) 
     obj = model.obj
     params = model.params
     even = params.total_mass / obj.n
+    flat = np.zeros(obj.n)
     if support == "own_weight":
         return None
     if support == "foundation":
-        return np.full(obj.n, even)
-    stiffness = np.full(obj.n, SOFT * even)
-    margin = float(params.friction.max()) * push_height + FEET_SLACK
-    feet = draw_feet(model, margin, np.random.default_rng((seed, 2)))
-    stiffness[feet] = params.total_mass / 3
-    return stiffness
+        return Feet(np.full(obj.n, even), flat)
+    rng = np.random.default_rng((seed, 2))
+    if support == "three_feet":
+        margin = float(params.friction.max()) * push_height + FEET_SLACK
+        feet = draw_feet(model, margin, rng)
+        length = np.zeros(len(feet))
+    else:
+        rim = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
+        feet = np.unique(cKDTree(obj.p_BC).query(rim)[1])
+        length = rng.uniform(0.0, rim_gap, len(feet))
+        length -= length.min()
+    stiffness = np.full(obj.n, even if rim_gap > 0 else SOFT * even)
+    stiffness[feet] = params.total_mass / BEARING_FEET
+    gap = np.full(obj.n, rim_gap)
+    gap[feet] = length
+    return Feet(stiffness, gap)
+
+
+def calc_rigid_loads(places: Array, gap: Array, center: Array) -> Array:
+    """Calculates what rigid feet bear where a body lies at rest.
+
+    Of all loads in equilibrium with the weight, they are those that hold it lowest:
+
+        min_N  sum N_i gap_i    s.t.  N >= 0,  sum N_i = 1,  sum N_i p_i = p_com
+
+    Args:
+        places: (F, 2) p_i, where the feet are, m.
+        gap: (F,) how much higher each of them ends than the longest one, m.
+        center: (2,) p_com, m.
+
+    Returns:
+        (F,) N, as fractions of the weight.
+
+    Raises:
+        ObjectError: the center of mass is not above the feet.
+    """
+    # In units of the body's size, so that tolerances are relative ones.
+    size = float(np.abs(places - center).max())
+    balance = np.vstack([np.ones(len(places)), (places - center).T / size])
+    found = linprog(gap / size, A_eq=balance, b_eq=[1.0, 0.0, 0.0])
+    if found.x is None:
+        raise ObjectError("feet: the center of mass is not above them")
+    return np.asarray(found.x)
 
 
 def draw_feet(model: Model, margin: float, rng: np.random.Generator) -> IntArray:
@@ -180,6 +233,30 @@ def draw_feet(model: Model, margin: float, rng: np.random.Generator) -> IntArray
     raise ObjectError(
         f"{obj.name}: found no three feet about the center of mass, {margin:g} m from every side"
     )
+
+
+def _move_spheres(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    scene_context: Context,
+    handle: GridObjectInPlant,
+    support: Feet | None,
+) -> None:
+    """Moves the spheres in a SceneGraph's Context to where feet end, if they are elsewhere."""
+    inspector = scene_graph.get_query_output_port().Eval(scene_context).inspector()
+    moved = [
+        (geometry, X_BS)
+        for geometry, X_BS in zip(
+            handle.contact_spheres, handle.layout.place_spheres(support), strict=True
+        )
+        if not inspector.GetPoseInFrame(geometry).IsExactlyEqualTo(X_BS)
+    ]
+    shape = Sphere(SPHERE_RADIUS)
+    for geometry, X_BS in moved:
+        scene_graph.ChangeShape(scene_context, plant.get_source_id(), geometry, shape, X_BS)
+    if moved:
+        # A geometry whose shape was changed has lost its collision filters.
+        ApplyGridObjectFilters(plant, scene_graph, handle, handle.table, scene_context)
 
 
 def describe_truth(obj: GridObject, truth: CellParameters) -> dict[str, Any]:
@@ -261,9 +338,9 @@ def SetGridObjectParameters(
     context: Context,
     handle: GridObjectInPlant,
     params: CellParameters,
-    support: ArrayLike | None = None,
+    support: Feet | None = None,
 ) -> None:
-    """Changes the truth: inertia, loads and friction of the spheres, friction of the sides.
+    """Changes the truth: inertia, feet and friction of the spheres, friction of the sides.
 
     Args:
         plant: the plant.
@@ -272,19 +349,20 @@ def SetGridObjectParameters(
             `Diagram.CreateDefaultContext` bring back the parameters that the object was added with.
         handle: the object.
         params: the new truth.
-        support: (n,) how stiff the spheres are, kg, as in `AddGridObject`.
+        support: on what it stands, as in `AddGridObject`. The height of its underside stays.
 
     Raises:
         ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
     """
     inertia = MakeSpatialInertia(Model(handle.obj, params), handle.height)
-    borne = None if support is None else np.asarray(support, dtype=np.float64)
-    spheres = handle.layout.make_properties(params, handle.delta, calc_gravity(plant), borne)
+    layout = handle.layout
+    spheres = layout.make_properties(params, handle.delta, calc_gravity(plant), support)
     side = MakeSideProperties(params, handle.side_stiffness)
     handle.body.SetSpatialInertiaInBodyFrame(plant.GetMyMutableContextFromRoot(context), inertia)
     scene_context = scene_graph.GetMyMutableContextFromRoot(context)
     source = plant.get_source_id()
     for geometry, properties in zip(handle.contact_spheres, spheres, strict=True):
         scene_graph.AssignRole(scene_context, source, geometry, properties, RoleAssign.kReplace)
+    _move_spheres(plant, scene_graph, scene_context, handle, support)
     for geometry in handle.sides:
         scene_graph.AssignRole(scene_context, source, geometry, side, RoleAssign.kReplace)

@@ -9,24 +9,41 @@ the same. Nothing is ever downloaded for them.
 """
 
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+from xml.parsers import expat
 
 from pydrake.geometry import GeometryInstance, IllustrationProperties, Mesh, Role, SceneGraph
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import ModelDirective, PackageMap, Parser
+from pydrake.multibody.parsing import (
+    AddWeld,
+    FlattenModelDirectives,
+    GetScopedFrameByName,
+    ModelDirective,
+    ModelDirectives,
+    PackageMap,
+    Parser,
+    ProcessModelDirectives,
+)
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
+from pydrake.multibody.tree import BodyIndex, Joint, ModelInstanceIndex, WeldJoint
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.files import MAX_TEXT_SIZE, open_file, read_text
-from gridpush_drake.yaml_file import MAX_YAML_SIZE, parse_yaml
+from gridpush_drake.files import MAX_TEXT_SIZE, MEGABYTE, exists, open_file, read_text
+from gridpush_drake.yaml_file import MAX_YAML_SIZE, parse_yaml, shorten
 
 PACKAGE = "gridpush_drake"
+
+ROS_PATH = "ROS_PACKAGE_PATH"
+"""Environment variable with the folders in which ROS packages are looked for."""
+
+NO_PACKAGES: Mapping[str, str] = MappingProxyType({})
+"""No packages beside those that are always known."""
 
 
 def find_models() -> Path:
@@ -40,11 +57,49 @@ def AddModelsPackage(package_map: PackageMap) -> None:
         package_map.AddPackageXml(str(find_models() / "package.xml"))
 
 
-def MakeParser(plant: MultibodyPlant) -> Parser:
-    """Makes a parser for a plant that finds this package's models, and downloads nothing itself."""
+def MakePackageMap(packages: Mapping[str, str] = NO_PACKAGES) -> PackageMap:
+    """Makes the map in which `package://NAME/...` is looked up.
+
+    Beside Drake's own packages and this one it has those of the folders in `ROS_PACKAGE_PATH`.
+
+    Args:
+        packages: folders of further packages by their names; they go before those of
+            `ROS_PACKAGE_PATH`.
+
+    Raises:
+        ScenarioError: a folder is not there.
+    """
+    package_map = PackageMap()
+    AddModelsPackage(package_map)
+    _add_packages(package_map, packages)
+    return package_map
+
+
+def MakeParser(plant: MultibodyPlant, packages: Mapping[str, str] = NO_PACKAGES) -> Parser:
+    """Makes a parser for a plant, with the packages of `MakePackageMap`; it downloads nothing."""
     parser = Parser(plant)
     AddModelsPackage(parser.package_map())
+    _add_packages(parser.package_map(), packages)
     return parser
+
+
+def _add_packages(package_map: PackageMap, packages: Mapping[str, str]) -> None:
+    """Adds packages by name, and those of `ROS_PACKAGE_PATH` that are not there yet."""
+    for name, folder in packages.items():
+        if package_map.Contains(name):
+            package_map.Remove(name)
+        try:
+            package_map.Add(name, folder)
+        except RuntimeError as error:
+            raise ScenarioError(
+                f"packages.{name} is {folder}, which is no folder; expected that of the package"
+            ) from error
+    if os.environ.get(ROS_PATH):
+        ros = PackageMap.MakeEmpty()
+        ros.PopulateFromRosPackagePath()
+        for name in ros.GetPackageNames():
+            if not package_map.Contains(name):
+                package_map.Add(name, ros.GetPath(name))
 
 
 def AddPlantAndSceneGraph(
@@ -75,7 +130,8 @@ def AddPlantAndSceneGraph(
 
 
 MAX_DIRECTIVES = 10_000
-"""Largest number of directives of a scene, those of a file counted each time it is included."""
+"""Largest number of directives of a scene, those of a file counted each time it is included; and of
+files that a model is made of, counted likewise."""
 
 DIRECTIVES = "a file of Drake's model directives"
 """The expected form of a file of directives, for messages."""
@@ -83,20 +139,112 @@ DIRECTIVES = "a file of Drake's model directives"
 MODEL_FILE = "a model: an SDFormat, URDF or MuJoCo file"
 """The expected form of a model's file, for messages."""
 
+MESH_FILE = "a mesh"
+"""The expected form of a file that a model shows or touches with, for messages."""
 
-def check_directives(directives: Sequence[ModelDirective], package_map: PackageMap) -> None:
-    """Checks the files that directives name, before Drake reads them.
+MAX_MESH_SIZE = 1024 * MEGABYTE
+"""Largest size of a mesh's file, bytes."""
+
+XML_MODELS = (".urdf", ".sdf", ".xml", ".world")
+"""How the names of models' files end that are XML."""
+
+PACKAGE_URL = re.compile(r"(?:package|model)://([^/]+)")
+"""How a URL begins that names a package."""
+
+
+def ProcessDirectives(directives: Sequence[ModelDirective], parser: Parser) -> None:
+    """Carries out model directives.
+
+    Drake reads whatever they name: `flatten_directives` and `check_model` come first, once.
+
+    A model may fix itself to the world, as ROS descriptions do with a link `world`. Where a
+    directive welds it to a place, it stands there instead.
+
+    Args:
+        directives: the directives.
+        parser: of a plant that is not finalised, see `MakeParser`.
+
+    Raises:
+        ScenarioError: a directive cannot be carried out.
+    """
+    own_welds: dict[ModelInstanceIndex, list[Joint]] = {}
+    plant = parser.plant()
+    try:
+        for directive in _flatten(directives, parser.package_map()):
+            if directive.add_weld:
+                child = GetScopedFrameByName(plant, directive.add_weld.child)
+                for joint in own_welds.pop(child.model_instance(), []):
+                    plant.RemoveJoint(joint)
+                Weld(plant, directive.add_weld)
+                continue
+            for added in ProcessModelDirectives(ModelDirectives(directives=[directive]), parser):
+                own_welds[added.model_instance] = list_world_welds(plant, added.model_instance)
+    except (RuntimeError, ValueError) as error:
+        lines = str(error).splitlines()  # Drake's messages go on with lines of C++
+        said = next((line.strip() for line in lines if line.strip()), "cannot be carried out")
+        raise ScenarioError(f"directives: {said}") from error
+
+
+def Weld(plant: MultibodyPlant, weld: AddWeld) -> None:
+    """Welds two bodies of a plant as a directive says."""
+    X_PC = RigidTransform() if weld.X_PC is None else weld.X_PC.GetDeterministicValue()
+    plant.WeldFrames(
+        GetScopedFrameByName(plant, weld.parent), GetScopedFrameByName(plant, weld.child), X_PC
+    )
+
+
+def list_world_welds(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[Joint]:
+    """Lists the joints of a model that fix it to the world, before Finalize."""
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices(instance)]
+    world = plant.world_body().index()
+    return [
+        joint
+        for joint in joints
+        if joint.type_name() == WeldJoint.kTypeName and joint.parent_body().index() == world
+    ]
+
+
+def flatten_directives(
+    directives: Sequence[ModelDirective], package_map: PackageMap
+) -> list[ModelDirective]:
+    """Replaces directives that include files by what the files hold, down to the last one.
 
     Drake opens whatever it finds there, a pipe too, reads it without bounds, and follows a file
-    that includes itself until its memory ends.
+    that includes itself until its memory ends. So all files are checked first.
 
     Args:
         directives: the scene's.
         package_map: in which packages are looked up.
 
     Raises:
-        ScenarioError: a file cannot be read, is too large, is no YAML, or includes itself; or there
-            are too many directives. What else may be wrong is left to Drake to say.
+        ScenarioError: a file cannot be read, is too large, is no YAML, or includes itself; a
+            package is not known; there are too many directives; or one cannot be carried out.
+    """
+    check_directives(directives, package_map)
+    try:
+        return _flatten(directives, package_map)
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"directives: {' '.join(str(error).split())}") from error
+
+
+def _flatten(directives: Sequence[ModelDirective], package_map: PackageMap) -> list[ModelDirective]:
+    """Flattens directives whose files were checked."""
+    whole = ModelDirectives(directives=list(directives))
+    flat: list[ModelDirective] = FlattenModelDirectives(whole, package_map).directives
+    return flat
+
+
+def check_directives(directives: Sequence[ModelDirective], package_map: PackageMap) -> None:
+    """Checks the files that directives name, before Drake reads them; see `flatten_directives`.
+
+    Args:
+        directives: the scene's.
+        package_map: in which packages are looked up.
+
+    Raises:
+        ScenarioError: a file cannot be read, is too large, is no YAML, or includes itself; a
+            package is not known; or there are too many directives. What else may be wrong is left
+            to Drake to say.
     """
     _DirectivesCheck(package_map).check(
         [
@@ -109,12 +257,50 @@ def check_directives(directives: Sequence[ModelDirective], package_map: PackageM
     )
 
 
-class _DirectivesCheck:
-    """A walk through included files.
+def check_model(url: str, package_map: PackageMap) -> None:
+    """Checks a model's file, those that it includes, and its meshes, before Drake reads them.
+
+    Args:
+        url: of an SDFormat, URDF or MuJoCo file.
+        package_map: in which packages are looked up.
+
+    Raises:
+        ScenarioError: a file cannot be read, is too large, is no XML, or includes itself; or a
+            package is not known. What else may be wrong is left to Drake to say.
+    """
+    path = _resolve(url, package_map, "directives")
+    if path is not None:
+        _ModelCheck(package_map, path).check(path)
+
+
+def _resolve(url: str | None, package_map: PackageMap, where: str) -> Path | None:
+    """Finds the file of a URL; None where Drake says better why there is none.
+
+    Raises:
+        ScenarioError: the URL's package is not known; the message begins with `where`.
+    """
+    if url is None:
+        return None
+    package = PACKAGE_URL.match(url)
+    if package and not package_map.Contains(package[1]):
+        name = package[1]
+        raise ScenarioError(
+            f"{where}: {shorten(url)}: package {name} is not known; expected its folder in the "
+            f"scenario or in the robot.yaml (packages: {{{name}: FOLDER}}), or the folder that it "
+            f"lies in, in the environment variable {ROS_PATH}"
+        )
+    try:
+        return Path(package_map.ResolveUrl(url)).resolve()
+    except (RuntimeError, ValueError, OSError):
+        return None
+
+
+class _IncludeCheck:
+    """A walk through files that include others.
 
     Attributes:
         open: the files that the walk is within, each included by the one before.
-        counts: how many directives each finished file stands for.
+        counts: how many things each finished file stands for.
     """
 
     def __init__(self, package_map: PackageMap) -> None:
@@ -122,19 +308,35 @@ class _DirectivesCheck:
         self.open: list[Path] = []
         self.counts: dict[Path, int] = {}
 
+    def _count_file(self, path: Path, count: Callable[[Path], int]) -> int:
+        """Returns what a file counts for, by a function that is called once for each file."""
+        if path in self.open:
+            chain = " includes ".join(map(str, [*self.open[self.open.index(path) :], path]))
+            raise ScenarioError(f"directives: {chain}; expected no file that includes itself")
+        if path not in self.counts:
+            self.open.append(path)
+            self.counts[path] = count(path)
+            self.open.pop()
+        return self.counts[path]
+
+
+class _DirectivesCheck(_IncludeCheck):
+    """A walk through files of directives."""
+
     def check(self, named: Sequence[tuple[str | None, str | None]]) -> int:
         """Checks what directives name: a file of directives, or a model.
 
         Returns:
             How many directives there are in all.
         """
+        where = f"directives: {self.open[-1]}" if self.open else "directives"
         total = 0
         for included, model in named:
             total += 1
-            path = self._resolve(included)
+            path = _resolve(included, self._package_map, where)
             if path is not None:
-                total += self._check_file(path)
-            path = self._resolve(model)
+                total += self._count_file(path, self._check_file)
+            path = _resolve(model, self._package_map, where)
             if path is not None:
                 open_file(path, MODEL_FILE, ScenarioError, MAX_TEXT_SIZE).close()
             if total > MAX_DIRECTIVES:
@@ -144,25 +346,11 @@ class _DirectivesCheck:
                 )
         return total
 
-    def _resolve(self, url: str | None) -> Path | None:
-        if url is None:
-            return None
-        try:
-            return Path(self._package_map.ResolveUrl(url)).resolve()
-        except (RuntimeError, ValueError, OSError):
-            return None  # Drake says it better
-
     def _check_file(self, path: Path) -> int:
-        if path in self.open:
-            chain = " includes ".join(map(str, [*self.open[self.open.index(path) :], path]))
-            raise ScenarioError(f"directives: {chain}; expected no file that includes itself")
-        if path not in self.counts:
-            text = read_text(path, DIRECTIVES, ScenarioError, MAX_YAML_SIZE)
-            data = parse_yaml(path, text, DIRECTIVES, ScenarioError, tagged=True)
-            self.open.append(path)
-            self.counts[path] = self.check(_list_named(data))
-            self.open.pop()
-        return self.counts[path]
+        text = read_text(path, DIRECTIVES, ScenarioError, MAX_YAML_SIZE)
+        return self.check(
+            _list_named(parse_yaml(path, text, DIRECTIVES, ScenarioError, tagged=True))
+        )
 
 
 def _list_named(data: Any) -> list[tuple[str | None, str | None]]:
@@ -177,6 +365,85 @@ def _list_named(data: Any) -> list[tuple[str | None, str | None]]:
         return file if isinstance(file, str) else None
 
     return [(find(each, "add_directives"), find(each, "add_model")) for each in directives]
+
+
+class _ModelCheck(_IncludeCheck):
+    """A walk through the files of a model."""
+
+    def __init__(self, package_map: PackageMap, model: Path) -> None:
+        super().__init__(package_map)
+        self._folder = model.parent
+
+    def check(self, path: Path) -> int:
+        """Checks a file of the model; returns how many files it stands for."""
+        if path.is_dir():  # of an SDFormat model; which of its files counts, model.config says
+            return sum(self.check(file) for file in sorted(path.glob("*.sdf")))
+        return self._count_file(path, self._check_file)
+
+    def _check_file(self, path: Path) -> int:
+        """Checks a file that was not seen yet, with all that it names."""
+        with open_file(path, MODEL_FILE, ScenarioError, MAX_TEXT_SIZE) as file:
+            if path.suffix.lower() not in XML_MODELS:
+                return 1
+            named = _list_files(path, file.read())
+        total = 1
+        for includes, url in named:
+            other = self._find(path, url)
+            if other is None:
+                continue
+            if includes:
+                total += self.check(other)
+            elif not other.is_dir():
+                open_file(other, MESH_FILE, ScenarioError, MAX_MESH_SIZE).close()
+            if total > MAX_DIRECTIVES:
+                raise ScenarioError(f"{path}: includes more than {MAX_DIRECTIVES} files")
+        return total
+
+    def _find(self, path: Path, url: str) -> Path | None:
+        """Finds a file that a model's file names; None where Drake says better what is wrong."""
+        if "://" in url:
+            found = _resolve(url, self._package_map, str(path))
+            return found if found is not None and exists(found) else None
+        for folder in (path.parent, self._folder):  # MuJoCo's includes are beside the first file
+            if exists(folder / url):
+                return (folder / url).resolve()
+        return None
+
+
+def _list_files(path: Path, text: bytes) -> list[tuple[bool, str]]:
+    """Lists the files that a model's XML names, and whether each is included in it.
+
+    These are an SDFormat's `<include><uri>` and `<mesh><uri>`, a MuJoCo file's `<include file>` and
+    `<mesh file>`, and a URDF's `<mesh filename>`.
+
+    Raises:
+        ScenarioError: the text is no XML.
+    """
+    named: list[tuple[bool, str]] = []
+    within: list[str] = []
+    uri: list[str] = []
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        within.append(tag)
+        uri.clear()
+        if tag in ("include", "mesh"):
+            files = [attributes[key] for key in ("file", "filename") if key in attributes]
+            named.extend((tag == "include", file) for file in files)
+
+    def end(tag: str) -> None:
+        within.pop()
+        if tag == "uri" and within and within[-1] in ("include", "mesh"):
+            named.append((within[-1] == "include", "".join(uri).strip()))
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = uri.append
+    try:
+        parser.Parse(text, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise ScenarioError(f"{path}: is not valid XML: {error}; expected {MODEL_FILE}") from error
+    return named
 
 
 NETWORK_VARIABLE = "DRAKE_ALLOW_NETWORK"

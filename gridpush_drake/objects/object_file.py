@@ -158,6 +158,11 @@ MAX_NAME = 200
 NAME = f"some text, at most {MAX_NAME} characters, without control characters"
 
 
+def speak_name(name: str) -> str:
+    """Returns an object's name as people say it: claw hammer for claw_hammer."""
+    return name.replace("_", " ")
+
+
 def is_name(text: str) -> bool:
     """Whether an object can have this name, which XML and YAML files must hold on one line."""
     # Unicode's control characters, half characters and ends of lines

@@ -20,7 +20,7 @@ from gridpush_drake.perception.look_alikes import (
 )
 from gridpush_drake.perception.picture_reader import Appearance, Picture, PictureReader
 from gridpush_drake.perception.pose_search import guess_nearby, guess_poses
-from gridpush_drake.perception.registration import Fit, Registration, View
+from gridpush_drake.perception.registration import Fit, Motion, Registration, View
 
 WINDOW_MARGIN = 30
 """Room around the part of the picture that can hold the object in the next frame, pixels."""
@@ -115,6 +115,18 @@ class OutlineFinder:
         """Registers the outline about a pose (3,) in a part of a picture; None if it fails."""
         fit = self._registration.register(view, pose)
         return fit if self._accepts(fit, self._options.lost_share) else None
+
+    def calc_lost(self, view: View, before: Fit, pose: Array) -> float:
+        """Calculates how much is covered of what a fit saw; see `Registration.calc_lost`."""
+        return self._registration.calc_lost(view, before, pose)
+
+    def has_jumped(self, view: View, before: Fit, pose: Array) -> bool:
+        """Says whether a pose (3,) is far from a fit; see `Registration.has_jumped`."""
+        return self._registration.has_jumped(view, before, pose)
+
+    def measure_motion(self, view: View, before: Fit) -> Motion | None:
+        """Measures how the object moved since a fit; see `Registration.measure_motion`."""
+        return self._registration.measure_motion(view, before)
 
     def weigh_look_alikes(self, view: View, fit: Fit, expected: Expectation | None) -> list[Answer]:
         """Weighs a registration against those at which the object looks nearly the same.

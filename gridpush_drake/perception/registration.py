@@ -19,6 +19,14 @@ errors are of two kinds. Where a side is seen below the top, the edge is off by 
 side's width in the picture, on all such edges alike. And light from one side draws all edges its
 way. Either moves the pose, and hardly turns it.
 
+What all of the outline tells well, a part of it may tell wrongly: a dark side over a dark floor, a
+rim that the photograph drew too far out. While something covers a part of an object that hardly
+moves, only the change of each edge is trusted since all of them were seen:
+
+    min_dq  sum_i w_i (d_i - d_i^0 - n_i' J_i dq)^2 / sigma^2 + |dq|^2_R
+
+with d_i^0 the distances then, and R a prior at no motion at all.
+
 Which pixels are object, and which pose is begun with, is decided in `tracking`. The theory is in
 docs/theory/perception.md, section 3.
 """
@@ -31,7 +39,14 @@ from scipy.linalg import eigh
 from scipy.ndimage import uniform_filter1d
 from shapely import Polygon
 
-from gridpush_drake.geometry.se2 import Array, IntArray, rotate, transform, transform_back
+from gridpush_drake.geometry.se2 import (
+    Array,
+    IntArray,
+    rotate,
+    transform,
+    transform_back,
+    wrap_angle,
+)
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.frames import Mask
 from gridpush_drake.perception.pixel_kernels import (
@@ -117,6 +132,29 @@ CLUTTER_COST = 1.0
 """Negative logarithm of an edge's likelihood where something else than the object is seen."""
 
 
+CHANGE_SEARCH = Search(reach=4.0, step=0.25, rounds=8, converged=1e-2, min_spread=0.3)
+"""How edges are looked for where an object that hardly moved is registered by their change."""
+
+CHANGE_PRIOR = np.diag([0.001**-2, 0.001**-2, 0.01**-2])
+"""R, (3, 3): the information of a motion that is measured by the change of edges; standard
+deviations of 1 mm and 0.01 rad. It counts only where what is left in view tells nothing."""
+
+MAX_CHANGE = 1.5
+"""A motion is measured by the change of edges up to this distance of the outline's farthest-moving
+point, pixels: beyond, other errors hold for each edge than in the picture before."""
+
+SAME_CHANGE = 0.75
+"""An edge has moved along with the object if it is at most this far from where the motion would
+have it, pixels."""
+
+MIN_CHANGED = 0.8
+"""Least fraction of the edges in view, of those that were seen before, that must have moved along
+with the object for the motion to count."""
+
+MIN_EDGES = 20
+"""Least number of edges by whose change a motion is measured."""
+
+
 class View(NamedTuple):
     """What is object in a part of the picture.
 
@@ -133,31 +171,7 @@ class View(NamedTuple):
     corner: Array
 
 
-class Fit(NamedTuple):
-    """A registration: the pose, its covariance, and how well it explains the picture.
-
-    Attributes:
-        pose: (3,) (x, y, theta) of the object, W, m and rad.
-        covariance: (3, 3) covariance of the pose, m^2, m rad and rad^2.
-        dilution: how much less sure the pose is than it would be with nothing covered, a ratio of
-            standard deviations in the worst direction.
-        share: share of the visible boundary whose edge was found.
-        inside: share of the points just inside the visible boundary that show the object.
-        rms: root mean square distance of the edges found from the outline, pixels.
-        evidence: logarithm of how much likelier the edges are of an object at this pose than of
-            anything else; each edge that is found adds to it, and each that is missing takes away.
-    """
-
-    pose: Array
-    covariance: Array
-    dilution: float
-    share: float
-    inside: float
-    rms: float
-    evidence: float
-
-
-class _Boundary(NamedTuple):
+class Boundary(NamedTuple):
     """Points of a silhouette's boundary, which move along with the object a little.
 
     Attributes:
@@ -171,6 +185,47 @@ class _Boundary(NamedTuple):
     normals: Array
 
 
+class Fit(NamedTuple):
+    """A registration: the pose, its covariance, and how well it explains the picture.
+
+    Attributes:
+        pose: (3,) (x, y, theta) of the object, W, m and rad.
+        covariance: (3, 3) covariance of the pose, m^2, m rad and rad^2.
+        dilution: how much less sure the pose is than it would be with nothing covered, a ratio of
+            standard deviations in the worst direction.
+        share: share of the visible boundary whose edge was found.
+        inside: share of the points just inside the visible boundary that show the object.
+        rms: root mean square distance of the edges found from the outline, pixels.
+        evidence: logarithm of how much likelier the edges are of an object at this pose than of
+            anything else; each edge that is found adds to it, and each that is missing takes away.
+        boundary: the points at which edges were looked for.
+        offsets: (n,) d_i, how far outward of the boundary at `pose` the edges are, pixels; NaN
+            where none was found.
+    """
+
+    pose: Array
+    covariance: Array
+    dilution: float
+    share: float
+    inside: float
+    rms: float
+    evidence: float
+    boundary: Boundary
+    offsets: Array
+
+
+class Motion(NamedTuple):
+    """How an object moved since another registration, by the change of its edges.
+
+    Attributes:
+        pose: (3,) pose after it, W, m and rad.
+        covariance: (3, 3) covariance of the motion, m^2, m rad and rad^2.
+    """
+
+    pose: Array
+    covariance: Array
+
+
 class _Step(NamedTuple):
     """One step of the least squares.
 
@@ -178,7 +233,7 @@ class _Step(NamedTuple):
         edges: the points at which edges were looked for, in the picture.
         weight: (n,) w_i, their weights; 0 where no edge was found.
         visible: (n,) bool, where an edge was found or should have been.
-        found: (n,) bool, where an edge was found.
+        found: (n,) bool, where an edge was found that counts.
         noise: sigma^2, variance of an edge's place that counts what neighbors share, pixels^2.
         d: (n,) d_i, how far outward the edges are, pixels; 0 where none was found.
         rms: root mean square distance of the edges, pixels.
@@ -246,11 +301,67 @@ class Registration:
                 if np.abs(edges.J @ (pose - boundary.pose)).max() > SAME_SILHOUETTE:
                     boundary = self._trace(pose)
                     edges = self._expect(boundary, pose, view.corner)
-                step = self._improve(view, edges, start - pose, search)
+                step = self._improve(view, edges, start - pose, search, self._prior)
                 pose = pose + step.moved
                 if np.abs(edges.J @ step.moved).max() < search.converged:
                     break
-        return self._judge(view, step, pose)
+        return self._judge(view, boundary, step, pose)
+
+    def calc_lost(self, view: View, before: Fit, pose: Array) -> float:
+        """Calculates how much of what was seen of an object is covered now.
+
+        Args:
+            view: what is object in the picture.
+            before: the registration in an earlier picture.
+            pose: (3,) pose of the object now, W, m and rad.
+
+        Returns:
+            The fraction of the edges found then that are covered now.
+        """
+        # Edges that were not found then cannot be lost now.
+        seen = np.isfinite(before.offsets)
+        edges = self._expect(before.boundary, pose, view.corner)
+        covered = sample_image(view.covered, edges.pixels[seen]) > HALF
+        return float(covered.mean()) if seen.any() else 0.0
+
+    def has_jumped(self, view: View, before: Fit, pose: Array) -> bool:
+        """Says whether a pose (3,) is farther from a registration than edges are compared."""
+        edges = self._expect(before.boundary, before.pose, view.corner)
+        off = pose - before.pose
+        off[2] = wrap_angle(off[2])
+        return bool(np.abs(edges.J @ off).max() > MAX_CHANGE)
+
+    def measure_motion(self, view: View, before: Fit) -> Motion | None:
+        """Measures by the change of its edges how an object moved that hardly moved.
+
+        Args:
+            view: what is object in the picture.
+            before: the registration in an earlier picture.
+
+        Returns:
+            The motion; None where it is too large to be measured so, or too little is in view.
+        """
+        pose = before.pose
+        search = CHANGE_SEARCH
+        for _ in range(search.rounds):
+            edges = self._expect(before.boundary, pose, view.corner)
+            step = self._improve(
+                view, edges, before.pose - pose, search, CHANGE_PRIOR, before.offsets
+            )
+            pose = pose + step.moved
+            if np.abs(edges.J @ step.moved).max() < search.converged:
+                break
+        # An object that moved far takes its edges out of reach, or most of them elsewhere.
+        in_view = step.visible & np.isfinite(before.offsets)
+        along = step.found & (np.abs(step.d - edges.J @ step.moved) < SAME_CHANGE)
+        is_plain = in_view.sum() >= MIN_EDGES and along.sum() >= MIN_CHANGED * in_view.sum()
+        if not is_plain or self.has_jumped(view, before, pose):
+            return None
+
+        # The inverse of the information left; the prior keeps directions that no edge tells.
+        weighted = edges.J * step.weight[:, None]
+        information = weighted.T @ edges.J / step.noise + CHANGE_PRIOR
+        return Motion(pose=pose, covariance=np.linalg.inv(information))
 
     def make_silhouette(self, pose: Array) -> Polygon:
         """Makes the object's silhouette on the table at a pose (3,), W, m."""
@@ -271,16 +382,16 @@ class Registration:
         pixels = self._camera.project(np.concatenate([bottom, top]))
         return np.array([np.nanmin(pixels, axis=0), np.nanmax(pixels, axis=0)])
 
-    def _trace(self, pose: Array) -> _Boundary:
+    def _trace(self, pose: Array) -> Boundary:
         """Samples the boundary of the silhouette at a pose (3,)."""
         points, normals = sample_boundary(self.make_silhouette(pose), self._spacing)
-        return _Boundary(
+        return Boundary(
             pose=pose,
             points=transform_back(pose, points),
             normals=rotate(-pose[2], normals),
         )
 
-    def _expect(self, boundary: _Boundary, pose: Array, corner: Array) -> Points:
+    def _expect(self, boundary: Boundary, pose: Array, corner: Array) -> Points:
         """Projects a boundary at a pose (3,) into the part of the picture at `corner` (2,)."""
         count = len(boundary.points)
         edges = Points(
@@ -302,7 +413,15 @@ class Registration:
         edges.pixels[:] -= corner
         return edges
 
-    def _improve(self, view: View, edges: Points, back: Array, search: Search) -> _Step:
+    def _improve(
+        self,
+        view: View,
+        edges: Points,
+        back: Array,
+        search: Search,
+        prior: Array,
+        expected: Array | None = None,
+    ) -> _Step:
         """Takes one step of the least squares.
 
         Args:
@@ -310,6 +429,9 @@ class Registration:
             edges: the edges that the pose before the step predicts.
             back: (3,) q_before - q, from the pose before the step to the middle of the prior.
             search: how edges are looked for.
+            prior: (3, 3) information of the prior.
+            expected: (n,) how far outward the edges would be found of the right pose, pixels, NaN
+                for edges that are not to be looked at; None for zeros.
 
         Returns:
             The step.
@@ -318,6 +440,8 @@ class Registration:
         offsets, state = measure_edges(
             view.coverage, view.covered, edges.pixels, edges.normals, search.reach, search.step
         )
+        if expected is not None:
+            offsets = offsets - expected
         found = np.isfinite(offsets)
 
         # w_i: Tukey's weights, with the median for the scatter, as outliers do not move it.
@@ -337,8 +461,8 @@ class Registration:
 
         # dq: the normal equations, with the prior about the pose before.
         weighted = edges.J * weight[:, None]
-        information = weighted.T @ edges.J / noise + self._prior
-        gradient = weighted.T @ d / noise + self._prior @ back
+        information = weighted.T @ edges.J / noise + prior
+        gradient = weighted.T @ d / noise + prior @ back
         return _Step(
             edges=edges,
             weight=weight,
@@ -350,11 +474,12 @@ class Registration:
             moved=np.linalg.solve(information, gradient),
         )
 
-    def _judge(self, view: View, step: _Step, pose: Array) -> Fit:
+    def _judge(self, view: View, boundary: Boundary, step: _Step, pose: Array) -> Fit:
         """Tells how well a pose explains the picture, and how sure it is.
 
         Args:
             view: what is object in the picture.
+            boundary: the points at which edges were looked for.
             step: the last step.
             pose: (3,) the pose after it.
 
@@ -388,6 +513,8 @@ class Registration:
             inside=inside,
             rms=step.rms,
             evidence=float(evidence),
+            boundary=boundary,
+            offsets=np.where(step.found, step.d, np.nan) - step.edges.J @ step.moved,
         )
 
     def _calc_covariance(self, edges: Points, weight: Array, noise: float) -> Array:

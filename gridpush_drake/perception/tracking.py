@@ -5,6 +5,10 @@ everywhere (`outline_finder`). To that end the picture is divided into object an
 table looked like in the first one (`picture_reader`), and the outline is moved onto the edges
 between the two (`registration`). Several objects in one picture are followed by `scene_tracking`.
 
+While the arm covers more of the object than before, its pose is corrected by how the edges left in
+view changed since. If they do not show a small motion, and nothing touched the object meanwhile,
+its pose is not told: the object did not jump, but the view of it is poor.
+
 The object's outline and height must be known: `detection` finds them in one photograph. The theory
 is in docs/theory/perception.md, section 3.
 """
@@ -33,6 +37,7 @@ from gridpush_drake.perception.frames import Frame, Mask
 from gridpush_drake.perception.look_alikes import Expectation
 from gridpush_drake.perception.outline_finder import OutlineFinder, TrackerOptions
 from gridpush_drake.perception.picture_reader import Appearance, Picture, PictureReader
+from gridpush_drake.perception.registration import Fit, View
 
 HIDDEN_SPEED = 0.1
 """Speed with which it becomes less sure where an object is that is hidden, m/s."""
@@ -55,6 +60,15 @@ just well enough must not come and go with the noise of each picture."""
 NEW_EVIDENCE = 0.1
 """Part of a picture's evidence that the pictures before it did not give."""
 
+STILL_CLEAR = 0.01
+"""If less than this fraction of an object's edges is newly covered, it is as well in view as
+before: the rim of what covers it comes and goes with the noise of each picture."""
+
+DOUBT_TIME = 4.0
+"""Longest time for which an object is not told that seems to have moved untouched, s. After that
+the poor view of it is all that there is, as where the arm rests before an object that a person
+moved."""
+
 
 @dataclass(frozen=True, eq=False)
 class TrackerState:
@@ -71,6 +85,9 @@ class TrackerState:
         others: other poses that the last frame shows nearly as well, such as that of a wrench
             turned by half a turn; empty where there is no doubt.
         searched: time of the frame that was last searched everywhere, s; None where none was.
+        clear: the registration in the last frame that showed all that was seen of the object in the
+            `clear` frame before; None before there is one.
+        touched: whether something may have touched the object in that frame or since.
     """
 
     pose: Array
@@ -82,6 +99,8 @@ class TrackerState:
     hidden: bool = False
     others: tuple["OtherPose", ...] = ()
     searched: float | None = None
+    clear: Fit | None = None
+    touched: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,6 +252,7 @@ class PoseTracker:
             told=pose,
             told_t=picture.t,
             others=list_others(answers),
+            clear=answers[0].fit._replace(pose=pose),
         )
 
     def track(
@@ -241,6 +261,7 @@ class PoseTracker:
         frame: Frame,
         unseen: Mask | None = None,
         expected: Expectation | None = None,
+        untouched: bool = False,
     ) -> tuple[TrackerState, TrackedPose]:
         """Finds the object in a frame.
 
@@ -251,6 +272,9 @@ class PoseTracker:
                 arm; None where nothing is known to.
             expected: where the object is expected, such as where a model says that a push took it;
                 None where only its last pose is known.
+            untouched: whether the robot surely has not touched the object since the frame before.
+                It is then at rest; it counts as not seen if it seems to have moved where something
+                covers more of it than before.
 
         Returns:
             The state after it, and the pose.
@@ -258,7 +282,8 @@ class PoseTracker:
         Raises:
             ImageError: an image has another size than the camera.
         """
-        return self.track_picture(state, self._reader.read(frame, unseen), expected)
+        picture = self._reader.read(frame, unseen)
+        return self.track_picture(state, picture, expected, untouched=untouched)
 
     def track_picture(
         self,
@@ -267,6 +292,7 @@ class PoseTracker:
         expected: Expectation | None = None,
         start: Array | None = None,
         may_search: bool = True,
+        untouched: bool = False,
     ) -> tuple[TrackerState, TrackedPose]:
         """Finds the object in a picture; `track` does this with the picture of a frame.
 
@@ -277,6 +303,7 @@ class PoseTracker:
             start: (3,) a pose about which it is looked for first, W, m and rad; None for where it
                 is expected.
             may_search: whether the whole picture may be searched if it is not found there.
+            untouched: see `track`.
 
         Returns:
             The state after it, and the pose.
@@ -288,7 +315,7 @@ class PoseTracker:
             starts = [start, *starts]
         if expected is None:
             expected = self._expect(state, picture.t)
-        answers = self._follow(state, picture, starts, expected)
+        view, answers = self._follow(state, picture, starts, expected)
         searched = state.searched
 
         # After it was hidden, edges that are missing in plain view tell of an outline that came to
@@ -301,12 +328,21 @@ class PoseTracker:
             found = self._finder.find_anywhere(state.appearance, picture, expected)
             answers = found or answers
             searched = picture.t
-        state = replace(state, lost=not answers, t=picture.t, searched=searched)
+        touched = state.touched or not untouched
+        state = replace(state, lost=not answers, t=picture.t, searched=searched, touched=touched)
         if not answers:
             return replace(state, hidden=True, others=()), NOT_SEEN
 
+        # What covers a part of the object must not seem to move it.
+        steady = self._compare_with_clear(state, view, answers[0].fit)
+        if steady is None:
+            return replace(state, hidden=True, others=()), NOT_SEEN
+        if steady is answers[0].fit:
+            state = replace(state, clear=steady, touched=not untouched)
+        fit = steady
+        answers = [answers[0]._replace(fit=fit), *answers[1:]]
+
         # The angle goes on from the last one, so that a full turn is no jump.
-        fit = answers[0].fit
         pose = fit.pose.copy()
         before = state.pose[2]
         pose[2] = before + wrap_angle(pose[2] - before)
@@ -335,9 +371,36 @@ class PoseTracker:
         turn = max(self.options.max_turn, min(HIDDEN_SPIN * since, MAX_HIDDEN_TURN))
         return Expectation(pose=state.told, place_deviation=place, turn_deviation=turn)
 
+    def _compare_with_clear(self, state: TrackerState, view: View, fit: Fit) -> Fit | None:
+        """Corrects a registration by the last one with more of the object in view.
+
+        Args:
+            state: after the frame before; `touched` is of this one.
+            view: what is object in the frame.
+            fit: the registration in the frame.
+
+        Returns:
+            `fit` itself where the object is as well in view as before, or moved too far to be
+            compared; None where it seems to have jumped and nothing touched it.
+        """
+        clear = state.clear
+        if clear is None or self._finder.calc_lost(view, clear, fit.pose) < STILL_CLEAR:
+            return fit
+        # The change of the edges says how it moved, if little.
+        motion = self._finder.measure_motion(view, clear)
+        if motion is not None:
+            covariance = clear.covariance + motion.covariance
+            return fit._replace(pose=motion.pose, covariance=covariance)
+        if state.touched or state.t - state.told_t > DOUBT_TIME:
+            return fit
+        # What nothing touched is at rest. A jump of it is not believed.
+        if self._finder.has_jumped(view, clear, fit.pose):
+            return None
+        return fit._replace(pose=clear.pose, covariance=clear.covariance)
+
     def _follow(
         self, state: TrackerState, picture: Picture, starts: list[Array], expected: Expectation
-    ) -> list[Answer]:
+    ) -> tuple[View, list[Answer]]:
         """Finds the object near where it is expected.
 
         Args:
@@ -347,7 +410,8 @@ class PoseTracker:
             expected: how likely it is where.
 
         Returns:
-            The poses that explain the picture, the likeliest first; none where it is not there.
+            What is object near there; and the poses that explain the picture, the likeliest first,
+            none where it is not there.
         """
         for start in starts:
             view, fit = self._finder.find_near(state.appearance, picture, start)
@@ -359,11 +423,11 @@ class PoseTracker:
         if fit is None or fit.share < self.options.found_share:
             fit = self._finder.look_nearby(view, start) or fit
         if fit is None:
-            return []
+            return view, []
 
         # After it was hidden, whatever looks alike may be the right answer.
         if state.hidden:
-            return self._finder.weigh_look_alikes(view, fit, expected)
+            return view, self._finder.weigh_look_alikes(view, fit, expected)
 
         # Else only the answers go on that could not be told apart before. The pictures of a video
         # share most of what is wrong with them, so that each adds a part of its evidence alone.
@@ -373,7 +437,7 @@ class PoseTracker:
             if again is not None:
                 gain = NEW_EVIDENCE * (again.evidence - fit.evidence)
                 answers.append(Answer(again, other.log_odds + gain))
-        return choose_answers(answers)
+        return view, choose_answers(answers)
 
     def _may_search(self, searched: float | None, t: float) -> bool:
         """Says whether the last search everywhere is long enough ago; a clock set back counts."""

@@ -7,7 +7,7 @@ After two surprises in a row, or a clear one (`identification.surprise`), what w
 forgotten: the object's load has changed, and the pushes before that are another object's.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Generic
@@ -27,6 +27,7 @@ from gridpush_drake.planning.robot_status import PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import PushWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.segmentation import UNUSABLE
 
 UNSEEN = np.full(3, np.nan)
 """Pose (3,) of an object that is not seen, and the goal of a loop that is given none."""
@@ -98,6 +99,8 @@ class LoopRun(Generic[L]):
         planning_seconds: wall-clock time of the loop's steps, s.
         learning_seconds: wall-clock time of learning, s.
         surprises: what surprises there were among the pushes.
+        left_out: names of pushes from which nothing could be learned, and why. They are not shown
+            to whoever learns again.
     """
 
     state: L
@@ -106,6 +109,7 @@ class LoopRun(Generic[L]):
     planning_seconds: float = 0.0
     learning_seconds: float = 0.0
     surprises: SurpriseRecord = field(default_factory=SurpriseRecord)
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
 
 def run_loop(
@@ -174,11 +178,18 @@ def run_loop(
         log = replace(run.log, pushes=(*run.log, seen))
         surprises = run.surprises.note(run.identification, log)
         found = run.identification
+        left_out = run.left_out
         if learn is not None:
             # What was learned of another object is no place to begin at.
             start = None if surprises.is_changed else run.identification
-            learned_now = learn(obj, surprises.select(log), start)
-            found = run.identification if learned_now is None else learned_now
+            shown_log = surprises.select(log)
+            kept = [i for i, one in enumerate(shown_log) if one.name not in left_out]
+            try:
+                learned_now = learn(obj, shown_log.subset(kept), start)
+                found = run.identification if learned_now is None else learned_now
+            except UNUSABLE as error:
+                # One push that nothing is learned from ends no task: it goes on with what it had.
+                left_out = {**left_out, seen.name: str(error)}
         learned = found is not run.identification
         learning_seconds = run.learning_seconds + perf_counter() - begin
         run = replace(
@@ -187,6 +198,7 @@ def run_loop(
             identification=found,
             learning_seconds=learning_seconds,
             surprises=surprises,
+            left_out=left_out,
         )
         if progress is not None:
             progress(state, seen, learned)

@@ -72,10 +72,14 @@ TORQUE = ("torque_x", "torque_y")
 STDS = ("force_std", "torque_std")
 """Columns of standard deviations; where they are empty, the defaults hold."""
 
+ROCKING = ("center_shift", "free_way", "rock_force")
+"""Columns of a press: how far its tilt had moved the center of mass, how far the tip went on
+freely, and a smaller force at which the object gave way before; may be empty."""
+
 REQUIRED = (KIND, *POSE, *PLACE, FORCE, *EDGE)
 """Columns that every file has."""
 
-COLUMNS = (*REQUIRED, *TORQUE, *STDS)
+COLUMNS = (*REQUIRED, *TORQUE, *STDS, *ROCKING)
 """All columns that are read."""
 
 UNITS = {
@@ -86,6 +90,7 @@ UNITS = {
     "torque_x": "N m",
     "torque_y": "N m",
     "torque_std": "N m",
+    "rock_force": "N",
 }
 """Unit of each column; m where not listed."""
 
@@ -105,6 +110,13 @@ class EdgePress(Frozen):
         edge_point: (2,) a point of the edge, W, m.
         edge_angle: direction of the edge's outward normal, rad.
         force_std: standard deviation of the force, N.
+        center_shift: how far the tilt had moved the center of mass outwards as the force was
+            measured, m; 0 at the first sign of tilt.
+        free_way: how far the tip went on downwards without a rise of the force, m; None where that
+            is not known. An object that tilts about the edge gives way as far as it is pressed; one
+            that rocks on its feet is stiff again when its underside meets the edge.
+        rock_force: smaller force at which the object gave way before and was stiff again, N, as on
+            its feet; None where it did not.
 
     Raises:
         PushLogError: a value is not as said above.
@@ -116,9 +128,19 @@ class EdgePress(Frozen):
     edge_point: Array
     edge_angle: float
     force_std: float = FORCE_STD
+    center_shift: float = 0.0
+    free_way: float | None = None
+    rock_force: float | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "press", pose=3, place=2, edge_point=2)
+        for name in ROCKING:
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < np.inf:
+                unit = UNITS.get(name, "m")
+                raise PushLogError(
+                    f"press: {name} is {value!r}; expected a number, 0 or more ({unit})"
+                )
         require_positive(PushLogError, "press: ", "N", force=self.force, force_std=self.force_std)
         if not np.isfinite(self.edge_angle):
             raise PushLogError(
@@ -258,13 +280,17 @@ class WeighingLog:
             edge = [*press.edge_point, press.edge_angle]
             where = [*press.pose, *press.place, press.force, *edge]
             # A press has no torque.
-            writer.writerow([PRESS, *_write(where), "", "", *_write([press.force_std]), ""])
+            values = (getattr(press, name) for name in ROCKING)
+            rocking = ["" if one is None else repr(float(one)) for one in values]
+            writer.writerow(
+                [PRESS, *_write(where), "", "", *_write([press.force_std]), "", *rocking]
+            )
         for lift in self.lifts:
             where = [*lift.pose, *lift.place, lift.weight]
             torque = ["", ""] if lift.torque is None else _write(lift.torque)
             # A lift has no edge, and not always a torque.
             stds = _write([lift.weight_std, lift.torque_std])
-            writer.writerow([LIFT, *_write(where), "", "", "", *torque, *stds])
+            writer.writerow([LIFT, *_write(where), "", "", "", *torque, *stds, "", "", ""])
         write_whole(path, text.getvalue(), force)
 
 
@@ -278,7 +304,7 @@ def _freeze(record: EdgePress | Lift, what: str, **sizes: int) -> None:
 
 def _check_header(path: Path, line: int, header: list[str]) -> None:
     """Refuses a header without a column that is needed, or with one twice or misspelled."""
-    known = ",".join((*TORQUE, *STDS))
+    known = ",".join((*TORQUE, *STDS, *ROCKING))
     form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {known}"
     refuse_misspelled(path, line, header, COLUMNS, form)
     for name in REQUIRED:
@@ -313,6 +339,9 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> EdgePress | Lift
     force_std = read_std("force_std", FORCE_STD)
     if kind == PRESS:
         x, y, angle = read(EDGE)
+        center_shift, free_way, rock_force = (
+            None if is_empty(cells.get(name, "")) else read([name])[0] for name in ROCKING
+        )
         return EdgePress(
             pose=pose,
             place=place,
@@ -320,6 +349,9 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> EdgePress | Lift
             edge_point=np.array([x, y]),
             edge_angle=angle,
             force_std=force_std,
+            center_shift=center_shift or 0.0,
+            free_way=free_way,
+            rock_force=rock_force,
         )
     if kind == LIFT:
         felt = not all(is_empty(cells.get(name, "")) for name in TORQUE)

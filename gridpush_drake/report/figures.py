@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.bodies import Scene
 from gridpush_drake.geometry.se2 import Array, transform_back
+from gridpush_drake.identification.absolute import TiltingLine, TiltTest
 from gridpush_drake.identification.result import HistoryEntry, Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -78,6 +79,12 @@ MAX_OVERLAY_HEIGHT = 3.2
 
 MAX_DUMBBELLS = 32
 """Largest number of pushes that are compared line by line. More are a scatter of points."""
+
+TILT_TEST_HEIGHT = 3.4
+"""Height of the figure of presses at the table's edge, inches."""
+
+TILT_TEST_ROOM = 1.15
+"""Factor by which the forces' axis is longer than the greatest force, for its residual above it."""
 
 LINE_HEIGHT = 0.22
 """Height of such a line, inches."""
@@ -171,6 +178,53 @@ def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> 
     ax.set_ylim(bottom=0)
     tidy(ax, "pushes learned from", "mean cell error, mm")
     ax.legend(fontsize=FONT, frameon=False)
+    return figure
+
+
+def draw_tilt_tests(obj: GridObject, tests: Sequence[TiltTest]) -> Figure:
+    """Draws where an object was pressed at the table's edge, and each force beside its expectation.
+
+    Args:
+        obj: the object.
+        tests: how each press was judged.
+    """
+    figure, axes = make_grid(1, 2, PAGE_WIDTH, TILT_TEST_HEIGHT)
+    left, right = axes[0]
+    draw_outline(left, obj)
+    numbers = np.arange(1, len(tests) + 1)
+    for number, one in zip(numbers, tests, strict=True):
+        color = LEARNED if one.line == TiltingLine.EDGE else BEFORE
+        x, y = one.place
+        left.plot(x, y, "o", color=color, markersize=4)
+        left.annotate(str(number), (x, y), (4, 4), textcoords="offset points", fontsize=FONT)
+        # From what is expected to what was measured.
+        right.plot([number, number], [one.expected, one.force], color=FAINT, linewidth=1.6)
+        right.plot(number, one.expected, "o", color=FAINT, markersize=5)
+        right.plot(number, one.force, "o", color=color, markersize=5)
+        top = max(one.expected, one.force)
+        right.annotate(
+            f"{one.residual:+.1f}",
+            (number, top),
+            (0, 5),
+            textcoords="offset points",
+            fontsize=FONT,
+            ha="center",
+        )
+    for color, label in (
+        (LEARNED, "measured, about the edge"),
+        (BEFORE, "measured, does not count as that"),
+        (FAINT, "expected by all others"),
+    ):
+        right.plot([], [], "o", color=color, markersize=5, label=label)
+    hide_axes(left)
+    frame_object(left, obj)
+    add_scale_bar(left, obj)
+    right.set_xticks(numbers)
+    right.set_xlim(0.5, len(tests) + 0.5)
+    highest = max(max(one.force, one.expected) for one in tests)
+    right.set_ylim(0, TILT_TEST_ROOM * highest)
+    tidy(right, "press", "force, N; above it: residual")
+    right.legend(fontsize=FONT, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1)
     return figure
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from gridpush_drake import Model, __version__
 from gridpush_drake.dynamics.physics import GRAVITY
-from gridpush_drake.identification.absolute import AbsoluteEstimate
+from gridpush_drake.identification.absolute import DOUBT, AbsoluteEstimate, TiltingLine
 from gridpush_drake.identification.model_check import doubt_center
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.prediction import (
@@ -23,6 +23,7 @@ from gridpush_drake.identification.prediction import (
 )
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.sight import Sight
 from gridpush_drake.pushes.push_log import PushLog
@@ -39,9 +40,17 @@ from gridpush_drake.report.figures import (
     draw_object,
     draw_overlays,
     draw_pushes,
+    draw_tilt_tests,
     draw_unknown_maps,
 )
 from gridpush_drake.report.progress import Expectation, Progress, draw_progress
+
+LINE_WORDS = {
+    TiltingLine.EDGE: "about the edge",
+    TiltingLine.SUPPORTS: "about a line of supports",
+    TiltingLine.NONE: "left out",
+}
+"""How a table says about which line an object tilted."""
 
 Row = tuple[str, str, str]
 """A quantity's name, its learned value and, where it is known, the true one."""
@@ -109,8 +118,8 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
                 true_friction,
             )
         )
-    if result.absolute is not None:
-        rows += _list_absolute(result.absolute, told, obj)
+    if result.weighed is not None:
+        rows += _list_absolute(result.weighed, told, obj)
     return rows
 
 
@@ -149,8 +158,8 @@ def _list_absolute(
 
 def _describe_mass_source(result: Identification) -> str:
     """Says where the total mass is from; nothing of one that was told."""
-    if result.absolute is not None:
-        low, high = result.absolute.mass_interval
+    if result.weighed is not None:
+        low, high = result.weighed.mass_interval
         return f", weighed: {low:.3g} to {high:.3g} kg with a probability of 95 %"
     if result.obj.prior.total_mass:
         return ""
@@ -159,12 +168,39 @@ def _describe_mass_source(result: Identification) -> str:
     return ", of the measured forces and the friction that was supposed"
 
 
+def list_tilt_tests(absolute: AbsoluteEstimate | None) -> list[tuple[str, ...]]:
+    """Lists the presses at the table's edge: place, force, what was expected, and its judgment."""
+    if absolute is None:
+        return []
+    rows: list[tuple[str, ...]] = []
+    for i, one in enumerate(absolute.tests):
+        x, y = (MM * value for value in one.place)
+        judged = LINE_WORDS[one.line]
+        if one.support_distance is not None:
+            judged += f", {one.support_distance * MM:.0f} mm inside the edge"
+        if one.line == TiltingLine.EDGE and one.support_distance is not None:
+            judged = f"about the edge, after it rocked {one.support_distance * MM:.0f} mm inside it"
+        rows.append(
+            (
+                str(i + 1),
+                f"x {x:.0f} mm, y {y:.0f} mm",
+                f"{one.arm * MM:.0f} mm",
+                f"{one.force:.2f} N",
+                f"{one.expected:.2f} N",
+                f"{one.residual:+.1f}",
+                f"{judged} ({100 * one.probability:.0f} %)",
+            )
+        )
+    return rows
+
+
 def describe_making(result: Identification, log: PushLog, version: str) -> list[tuple[str, str]]:
     """Lists how the model was made."""
     return [
         (
             "object",
-            f"{result.obj.name}, {result.obj.n} cells of {result.obj.cell_size * MM:.1f} mm",
+            f"{speak_name(result.obj.name)}, {result.obj.n} cells of "
+            f"{result.obj.cell_size * MM:.1f} mm",
         ),
         ("pushes", log.source or "given in memory"),
         ("method", result.method),
@@ -316,12 +352,14 @@ def make_report(
     if truth is not None and held_out is not None and learning:
         floor = calc_mean_cell_error(Model(obj, truth, identification.physics), held_out)
 
+    tests = () if identification.absolute is None else identification.absolute.tests
     figures = _draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
     figures |= {
         "learning": embed(draw_learning(learning, floor)) if learning else None,
         "summary": None if summary is None else embed(summary.figure),
         "sight": None if sight is None else embed(draw_sight(sight)),
         "progress": None if progress is None else embed(draw_progress(progress, expectations)),
+        "tilt_tests": embed(draw_tilt_tests(obj, tests)) if tests else None,
     }
     if summary is None:
         headline = _make_headline(identification, judged)
@@ -331,7 +369,7 @@ def make_report(
         facts = summary.facts
     return render(
         TEMPLATE,
-        name=obj.name.replace("_", " "),
+        name=speak_name(obj.name),
         headline=headline,
         message=identification.message,
         doubt=doubt_center(identification) if identification.push_names else None,
@@ -351,6 +389,9 @@ def make_report(
         unused=identification.unused_pushes,
         refused=[outlier.describe() for outlier in identification.outliers],
         statements=identification.identifiability.statements,
+        tilt_tests=list_tilt_tests(identification.absolute),
+        agreement=1.0 if identification.absolute is None else identification.absolute.agreement,
+        doubt_below=DOUBT,
         numbers=list_numbers(identification, truth),
         making=describe_making(identification, log, __version__),
     )
@@ -409,7 +450,7 @@ def _compare(result: Identification, log: PushLog, held_out: bool) -> _Compariso
 def _make_headline(result: Identification, judged: _Comparison) -> str:
     """The first sentence: what came of it, in plain words."""
     before, after = judged.cell
-    name = result.obj.name.replace("_", " ")
+    name = speak_name(result.obj.name)
     if result.status == IdentificationStatus.NO_DATA or not np.isfinite(after):
         return f"Nothing was learned about the {name}: the pusher touched it in none of the pushes."
     which = "pushes it had never seen" if judged.held_out else "the pushes it learned from"

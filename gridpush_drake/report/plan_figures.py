@@ -15,6 +15,7 @@ from shapely import Polygon as Shape
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array, make_direction, transform
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.push_plan import PushPlan
@@ -112,7 +113,9 @@ def draw_plan(
     count = f"{len(pushes)} push{'' if len(pushes) == 1 else 'es'}"
     words = plan.status.replace("_", " ")
     ax.set_title(
-        f"{obj.name}: {words}, {count}, {plan.error * MM:.1f} mm left", fontsize=FONT, color=INK
+        f"{speak_name(obj.name)}: {words}, {count}, {plan.error * MM:.1f} mm left",
+        fontsize=FONT,
+        color=INK,
     )
     return figure
 

@@ -10,6 +10,7 @@ import numpy as np
 from gridpush_drake.display.overlay import Mark, to_css
 from gridpush_drake.notebook import MM
 from gridpush_drake.notebook import count as count_noun
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.report.follow_figure import draw_follow_run
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.station.follow_task import (
@@ -84,7 +85,7 @@ class FollowKind(TaskKind):
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Tells whether the object came to the path's end, and how near it kept to the path."""
-        name = summary["object"].replace("_", " ")
+        name = speak_name(summary["object"])
         pokes = count_noun(summary["pokes"], "poke")
         lines = [f"The {name} after {pokes}: {summary['message']}"]
         if np.isfinite(summary["path_rms"]):

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from gridpush_drake.identification.absolute import SIGMAS, AbsoluteEstimate, describe_sources
 from gridpush_drake.notebook import MM
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp
@@ -57,6 +58,15 @@ PREGRASP_TITLES = {
 """Titles beside the recording for the pre-grasp controller's modes, with its `status`."""
 
 
+HEADLINES = {
+    TaskStatus.FAILED: "The robot gave the object up.",
+    TaskStatus.DROPPED: "The object fell.",
+    TaskStatus.STUCK: "Nothing happened any more.",
+}
+"""One sentence for each end that the controller explains at length. The explanation
+stands below."""
+
+
 class PreGraspKind(TaskKind):
     """A robot pokes an object, learns it, slides it to the table's edge, grasps and lifts it."""
 
@@ -93,9 +103,13 @@ class PreGraspKind(TaskKind):
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Tells whether the object was lifted, and how well its center of mass was known."""
-        name = summary["object"].replace("_", " ")
+        name = speak_name(summary["object"])
         pushes = count_pushes(summary["pokes"], summary["slides"])
-        lines = [f"The {name} after {pushes}: {summary['message']}"]
+        message = summary["message"]
+        headline = HEADLINES.get(summary["status"], message)
+        lines = [f"The {name} after {pushes}: {headline}"]
+        if headline != message:
+            lines.append(f"  {message}")
         if "after" in summary:
             lines.append(
                 compare_errors("error of the center of mass", "center_of_mass_error", summary)
@@ -126,18 +140,22 @@ class PreGraspKind(TaskKind):
     def make_summary(self, record: PreGraspRecord) -> ReportSummary:
         """Shows the object's way to the edge, and how safely it lies there."""
         last = record.last
-        raised = f"{record.raised * MM:.0f} mm" if np.isfinite(record.raised) else "not measured"
+        headline = HEADLINES.get(record.status, record.message)
         facts: list[tuple[str, str]] = []
+        # Of an object that no gripper took, nobody asks how far it was raised.
+        if last.grasps:
+            raised = f"{max(0.0, record.raised) * MM:.0f} mm"
+            known = np.isfinite(record.raised)
+            facts.append(("raised by", raised if known else "not measured"))
         if record.estimates and record.estimates[-1].absolute is not None:
             weighed = summarize_weighed(record.estimates[-1].absolute, record)
-            facts = [(f"{what}, {more}", value) for what, value, more in list_weighed(weighed)]
+            facts += [(f"{what}, {more}", value) for what, value, more in list_weighed(weighed)]
         return ReportSummary(
-            headline=f"{record.message} It took {count_pushes(last.pokes, last.slides)}.",
+            headline=f"{headline} It took {count_pushes(last.pokes, last.slides)}.",
             facts=(
                 ("pokes", str(last.pokes)),
                 ("slides", str(last.slides)),
                 ("simulated", f"{record.duration:.0f} s"),
-                ("raised by", raised),
                 *facts,
             ),
             figure=_draw_pre_grasp(record),

@@ -288,7 +288,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         """Judges whether the gripper that has closed and gone up truly holds the object."""
         if not self.simulated:
             return TaskStatus.HELD, "The gripper lifted the object and holds it."
-        height = f"{MM * record.raised:.0f} mm"
+        height = f"{MM * max(0.0, record.raised):.0f} mm"
         if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
             return TaskStatus.HELD, f"The object was lifted and held, {height} above the table."
         return TaskStatus.NOT_LIFTED, (

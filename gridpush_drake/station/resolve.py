@@ -26,7 +26,7 @@ from gridpush_drake.errors import PlanningError, ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import FindTableOutline
-from gridpush_drake.multibody.grid_object import AddGridObject, GridObjectInPlant
+from gridpush_drake.multibody.grid_object import AddGridObject, Feet, GridObjectInPlant
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -64,8 +64,7 @@ class ResolvedScenario:
         obj: the object that is pushed; its `prior` has the radius and height of the robot's finger.
         others: the other objects on the table, in the scenario's order.
         truth: true masses and frictions of the object's cells, drawn from the scenario's seed.
-        support: (n,) stiffness of the table's support below each of the n cells, kg; None if each
-            cell bears its own weight.
+        support: on what the object stands; None if each cell bears its own weight.
         table_top: the part of the table where things may lie, a polygon in W, m.
         X_WR: pose of the robot's base R in the world.
         home: position p_WP of the finger's tip at the beginning, m.
@@ -81,7 +80,7 @@ class ResolvedScenario:
     obj: GridObject
     others: tuple[GridObject, ...]
     truth: CellParameters
-    support: NDArray[np.float64] | None
+    support: Feet | None
     table_top: BaseGeometry
     X_WR: RigidTransform
     home: tuple[float, float, float]
@@ -196,10 +195,10 @@ def _resolve(scenario: PushScenario, told: GridObject | None) -> ResolvedScenari
         )
 
     # The scene and the robot in it.
-    scene = _MakeScene(scenario, obj, others, truth)
+    robot = find_robot(scenario.directives, scenario.packages)
+    scene = _MakeScene(scenario, robot, obj, others, truth)
     plant = scene.plant
     inspector = scene.scene_graph.model_inspector()
-    robot = find_robot(scenario.directives)
     check_robot(plant, robot)
     tip_radius = robot.finger.tip_radius
     _check_heights(scenario, tip_radius)
@@ -246,12 +245,16 @@ def _push_by(obj: GridObject, scenario: PushScenario, robot: Robot) -> GridObjec
 
 
 def _MakeScene(
-    scenario: PushScenario, obj: GridObject, others: Sequence[GridObject], truth: CellParameters
+    scenario: PushScenario,
+    robot: Robot,
+    obj: GridObject,
+    others: Sequence[GridObject],
+    truth: CellParameters,
 ) -> CheckedScene:
     """Builds the scene that is checked, and photographed by a color and depth camera."""
     builder = DiagramBuilder()
     plant, scene_graph = AddPlantAndSceneGraph(builder, scenario.simulation.time_step)
-    AddScene(MakeParser(plant), scenario)
+    AddScene(MakeParser(plant, robot.packages), scenario)
     object_in_plant = None
     others_in_plant = []
     if scenario.camera.kind == "rgbd":

@@ -8,7 +8,7 @@ frames.
 The fields of these files are in `station.robot_measures`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,13 +16,8 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import (
     AddDirectives,
-    AddWeld,
-    FlattenModelDirectives,
-    GetScopedFrameByName,
     ModelDirective,
-    ModelDirectives,
     PackageMap,
-    ProcessModelDirectives,
 )
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, Joint, ModelInstanceIndex
@@ -30,10 +25,15 @@ from pydrake.multibody.tree import FixedOffsetFrame, Joint, ModelInstanceIndex
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file
 from gridpush_drake.multibody.parser import (
-    AddModelsPackage,
+    NO_PACKAGES,
+    MakePackageMap,
     MakeParser,
-    check_directives,
+    ProcessDirectives,
+    Weld,
+    check_model,
     find_models,
+    flatten_directives,
+    list_world_welds,
 )
 from gridpush_drake.station.robot_measures import (
     GAINS,
@@ -59,6 +59,7 @@ class Robot:
         gripper_model: name of the gripper's model; empty if there is none.
         directives: the scene's directives that add the arm and all that it carries, in the
             scene's order.
+        packages: folders of packages by their names: the scenario's, and the robot.yaml's.
     """
 
     arm: ArmMeasures
@@ -68,6 +69,7 @@ class Robot:
     finger_model: str
     gripper_model: str
     directives: tuple[ModelDirective, ...]
+    packages: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -85,11 +87,14 @@ class RobotInPlant:
     gripper: ModelInstanceIndex | None = None
 
 
-def find_robot(directives: Sequence[ModelDirective]) -> Robot:
+def find_robot(
+    directives: Sequence[ModelDirective], packages: Mapping[str, str] = NO_PACKAGES
+) -> Robot:
     """Finds the robot in a scene, and reads its measures.
 
     Args:
         directives: the directives of the scene.
+        packages: folders of packages by their names, as the scenario has them.
 
     Returns:
         The robot.
@@ -98,7 +103,8 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
         ScenarioError: a directive cannot be carried out, there is no arm with a finger, there are
             several, or a file of measures is not what it should be.
     """
-    flat, folders = _flatten(directives)
+    package_map = MakePackageMap(packages)
+    flat, folders = _flatten(directives, package_map)
     arm_model, arm = _find_measures(folders, "robot.yaml", ArmMeasures)
     finger_model, finger = _find_measures(folders, "finger.yaml", FingerMeasures)
     gripper_model, gripper = _find_measures(folders, "gripper.yaml", GripperMeasures)
@@ -108,6 +114,11 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
             f"directives: there is no {missing}; "
             f"expected a model in whose folder there is a {missing}.yaml"
         )
+    packages = _find_packages(folders[arm_model], arm) | dict(packages)
+    package_map = MakePackageMap(packages)
+    for directive in flat:
+        if directive.add_model:
+            check_model(directive.add_model.file, package_map)
     return Robot(
         arm=arm,
         finger=finger,
@@ -116,7 +127,13 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
         finger_model=finger_model,
         gripper_model=gripper_model,
         directives=_list_carried(flat, arm_model),
+        packages=packages,
     )
+
+
+def _find_packages(folder: Path, arm: ArmMeasures) -> dict[str, str]:
+    """Finds the folders of the packages that a robot.yaml, which stands in a folder, names."""
+    return {name: str((folder / place).resolve()) for name, place in arm.packages.items()}
 
 
 def list_robots(*, grasping: bool = False) -> list[str]:
@@ -154,7 +171,8 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
     if not is_file(path):
         near = suggest(robot, list_robots())
         raise ScenarioError(f"robot {robot} is not known{near}, or the folder of a robot.yaml")
-    scenes = read_measures(path, ArmMeasures).scenes
+    arm = read_measures(path, ArmMeasures)
+    scenes = arm.scenes
     if grasping is None:
         grasping = scenes is not None and scenes.grasp is not None
     scene = scenes and (scenes.grasp if grasping else scenes.push)
@@ -171,11 +189,20 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
     directives = [ModelDirective(add_directives=AddDirectives(file=url))]
     if path is not shipped:
         key = "grasp" if grasping else "push"
-        _refuse_other_robot(path, f"scenes.{key} is {scene}", directives)
+        package_map = MakePackageMap(_find_packages(path.parent, arm))
+        flat, folders = _flatten(directives, package_map)
+        _refuse_other_robot(path, f"scenes.{key} is {scene}", folders)
+        if arm.packages:
+            # Whoever takes the directives does not know the robot.yaml's packages yet.
+            for directive in flat:
+                if directive.add_model:
+                    file = Path(package_map.ResolveUrl(directive.add_model.file))
+                    directive.add_model.file = file.resolve().as_uri()
+            return flat
     return directives
 
 
-def _refuse_other_robot(path: Path, says: str, directives: Sequence[ModelDirective]) -> None:
+def _refuse_other_robot(path: Path, says: str, folders: Mapping[str, Path]) -> None:
     """Refuses a scene with another robot than the one whose robot.yaml names it.
 
     That robot.yaml would be passed over, and the other's be taken.
@@ -183,12 +210,11 @@ def _refuse_other_robot(path: Path, says: str, directives: Sequence[ModelDirecti
     Args:
         path: the robot.yaml.
         says: what it says of the scene, for the message.
-        directives: the scene.
+        folders: folders of the scene's models, by the models' names.
 
     Raises:
-        ScenarioError: the scene has another robot, or a directive cannot be carried out.
+        ScenarioError: the scene has another robot.
     """
-    _, folders = _flatten(directives)
     robots = [folder.resolve() for folder in folders.values() if is_file(folder / path.name)]
     if robots and path.parent.resolve() not in robots:
         raise ScenarioError(
@@ -198,7 +224,7 @@ def _refuse_other_robot(path: Path, says: str, directives: Sequence[ModelDirecti
 
 
 def _flatten(
-    directives: Sequence[ModelDirective],
+    directives: Sequence[ModelDirective], package_map: PackageMap
 ) -> tuple[list[ModelDirective], dict[str, Path]]:
     """Reads the files that directives name, down to the last one.
 
@@ -208,13 +234,8 @@ def _flatten(
     Raises:
         ScenarioError: a directive cannot be carried out.
     """
-    package_map = PackageMap()
-    AddModelsPackage(package_map)
-    check_directives(directives, package_map)
+    flat = flatten_directives(directives, package_map)
     try:
-        flat = FlattenModelDirectives(
-            ModelDirectives(directives=list(directives)), package_map
-        ).directives
         folders = {
             d.add_model.name: Path(package_map.ResolveUrl(d.add_model.file)).parent
             for d in flat
@@ -408,8 +429,10 @@ def AddRobot(
         The robot's model instances.
     """
     kept = [d for d in robot.directives if not _is_of_gripper(d, robot)]
-    ProcessModelDirectives(ModelDirectives(directives=kept), MakeParser(plant))
+    ProcessDirectives(kept, MakeParser(plant, robot.packages))
     arm = plant.GetModelInstanceByName(robot.arm_model)
+    for weld in list_world_welds(plant, arm):  # the model's own, to where it stands in its file
+        plant.RemoveJoint(weld)
     plant.WeldFrames(
         plant.world_frame(),
         plant.GetFrameByName(robot.arm.base_frame, arm),
@@ -433,7 +456,7 @@ def _AddRigidGripper(plant: MultibodyPlant, robot: Robot, measures: GripperMeasu
     # The gripper with its fingers, in a plant of its own, to measure it.
     whole = MultibodyPlant(time_step=0.0)
     (model,) = (d.add_model for d in own if d.add_model)
-    (gripper,) = MakeParser(whole).AddModelsFromUrl(model.file)
+    (gripper,) = MakeParser(whole, robot.packages).AddModelsFromUrl(model.file)
     whole.Finalize()
     context = whole.CreateDefaultContext()
     base = whole.GetFrameByName(measures.mount_frame, gripper).body()
@@ -446,12 +469,4 @@ def _AddRigidGripper(plant: MultibodyPlant, robot: Robot, measures: GripperMeasu
         if not plant.HasFrameNamed(name, instance):  # a body's frame is there from the beginning
             plant.AddFrame(FixedOffsetFrame(name, rigid.body_frame(), X_BF, instance))
     for weld in (d.add_weld for d in own if d.add_weld):
-        _Weld(plant, weld)
-
-
-def _Weld(plant: MultibodyPlant, weld: AddWeld) -> None:
-    """Welds two bodies of a plant as a directive says."""
-    X_PC = RigidTransform() if weld.X_PC is None else weld.X_PC.GetDeterministicValue()
-    plant.WeldFrames(
-        GetScopedFrameByName(plant, weld.parent), GetScopedFrameByName(plant, weld.child), X_PC
-    )
+        Weld(plant, weld)

@@ -27,6 +27,12 @@ Positive = Annotated[float, Field(gt=0, description="a positive number")]
 Name = Annotated[str, Field(pattern=r"\S", description="a name")]
 Numbers = Annotated[tuple[float, ...], Strict(False)]
 
+PACKAGES = "folders of packages by their names"
+"""Description of a field that holds `Packages`."""
+
+Packages = Annotated[dict[Name, Name], Field(description=PACKAGES)]
+"""Where `package://NAME/...` is found, by the package's name."""
+
 GAINS = "a positive number, or one for each joint"
 """Description of a field that holds `Gains`."""
 
@@ -173,6 +179,8 @@ class ArmMeasures(_Measures):
         ros2: what its driver speaks over ROS 2.
         scenes: scenes that have this robot. A command or a scenario may then name the robot
             instead of a scene. null for none.
+        packages: folders of the packages that the model's `package://NAME/...` names, by name; each
+            is a path relative to the robot.yaml.
     """
 
     base_frame: Name
@@ -188,6 +196,7 @@ class ArmMeasures(_Measures):
     ] = None
     ros2: Ros2Measures = Ros2Measures()
     scenes: SceneFiles | None = None
+    packages: Packages = Field(default_factory=dict)
 
 
 class FingerMeasures(_Measures):

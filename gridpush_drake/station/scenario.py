@@ -26,6 +26,7 @@ from gridpush_drake.multibody.ground_truth import (
     FRICTION_RANGE,
     Support,
 )
+from gridpush_drake.station.robot_measures import Packages
 from gridpush_drake.station.scenario_camera import CameraConfig
 from gridpush_drake.station.scenario_fields import (
     MAX_SIZE,
@@ -57,6 +58,10 @@ DEFAULT_SCENE = "package://gridpush_drake/scenes/iiwa_push.dmd.yaml"
 
 MAX_RETREAT = 0.1
 """Greatest distance that a stopped arm may be told to go back, m."""
+
+MAX_RIM_GAP = 0.002
+"""Greatest height of an object's underside above the table, m. Beyond it the object would rock so
+far that no press at the edge tells anything."""
 
 MAX_SEED = 2**63 - 1
 """Greatest seed: seeds are kept as 64-bit integers."""
@@ -208,7 +213,11 @@ class TruthConfig(Config):
             center of mass cannot be learned.
         support: how a free object stands on the table. "own_weight": each cell bears its own
             weight, as the model assumes; "foundation": the object's bottom is compliant, evenly;
-            "three_feet": it stands on three feet, at places that are drawn from the seed.
+            "three_feet": it stands on three feet, at places that are drawn from the seed;
+            "vertices": on uneven feet at the vertices of its outline's hull.
+        rim_gap: height of the underside above the table, m, of an object on three feet or on its
+            vertices; feet at the vertices are uneven by up to as much. An object that is pressed at
+            the table's edge first rocks on its feet, until its underside meets the edge.
         parts: true values that are given instead of drawn. Masses given here are not scaled.
     """
 
@@ -220,6 +229,7 @@ class TruthConfig(Config):
     support: Annotated[Support, Field(description=f"one of {', '.join(get_args(Support))}")] = (
         "own_weight"
     )
+    rim_gap: Annotated[Number, not_negative("m", high=MAX_RIM_GAP)] = 0.0
     parts: Annotated[list[PartTruth], Field(description="a list of parts, each with a label")] = []
 
 
@@ -511,6 +521,8 @@ class PushScenario(Config):
         seed: seed of everything random.
         directives: all models in the scene but the objects, as Drake's model directives: a robot
             with a finger, see `station.robot`, and a model with the name `table`.
+        packages: folders of the packages that `package://NAME/...` in directives and models names,
+            by name; each is a path relative to the scenario's file.
 
     Raises:
         ScenarioError: a field is unknown, or holds what will not do.
@@ -554,6 +566,7 @@ class PushScenario(Config):
             default_factory=_default_directives, description="a list of Drake's model directives"
         ),
     ]
+    packages: Packages = {}
     _names: ObjectNames = PrivateAttr(default_factory=ObjectNames)
 
     def __init__(self, **fields: Any) -> None:

@@ -37,6 +37,10 @@ LINE_LENGTH = 120
 """Greatest length of a line in a written scenario, in characters."""
 
 
+RENAMED = {"grasp_untold": "grasp_unknown_inertia"}
+"""Shipped scenarios by their old names, which are still found."""
+
+
 def list_shipped_scenarios() -> list[str]:
     """Lists the names of the scenarios that come with the package, sorted."""
     return sorted(path.stem for path in _find_shipped().glob("*.yaml"))
@@ -56,8 +60,9 @@ def find_scenario(scenario: Path | str) -> Path:
     if is_path or is_file(path):
         return path
     known = list_shipped_scenarios()
-    if path.name in known:
-        return _find_shipped() / f"{path.name}.yaml"
+    name = RENAMED.get(path.name, path.name)
+    if name in known:
+        return _find_shipped() / f"{name}.yaml"
     near = get_close_matches(path.name, known, n=1)
     guess = f"; did you mean {near[0]}?" if near else "."
     raise ScenarioError(
@@ -84,7 +89,7 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
 
     Returns:
         The scenario. Fields that the file leaves out have the defaults of `PushScenario`. Paths of
-        object files, which are relative to the scenario's file, have become absolute.
+        object files and packages, which are relative to the scenario's file, have become absolute.
 
     Raises:
         ScenarioError: there is no such file or shipped scenario; the file cannot be read, is of
@@ -132,6 +137,9 @@ def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> P
         beside = path.parent / each.object
         if beside.suffix or is_file(beside):
             each.object = str(beside.resolve())
+    scenario.packages = {
+        name: str((path.parent / folder).resolve()) for name, folder in scenario.packages.items()
+    }
     return scenario
 
 

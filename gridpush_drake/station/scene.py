@@ -3,25 +3,21 @@
 `station.resolve` puts them together, once, and checks that the scenario makes sense as a whole.
 """
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import (
-    ModelDirectives,
-    ModelInstanceInfo,
-    Parser,
-    ProcessModelDirectives,
-)
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
 from gridpush_drake.errors import ObjectError, ScenarioError
 from gridpush_drake.files import is_file
 from gridpush_drake.identification.model import Model
+from gridpush_drake.multibody.grid_object import Feet
 from gridpush_drake.multibody.ground_truth import calc_support, sample_ground_truth
+from gridpush_drake.multibody.parser import ProcessDirectives
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -119,32 +115,19 @@ def _bound_friction(obj: GridObject, least: float, greatest: float) -> GridObjec
     return replace(obj, prior=bounded)
 
 
-def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
+def AddScene(parser: Parser, scenario: PushScenario) -> None:
     """Adds all models but the objects (robot, table, posts, whatever else) to the parser's plant.
 
     Args:
-        parser: `MakeParser(plant)`; the plant is not finalised yet.
+        parser: `MakeParser(plant, robot.packages)`; the plant is not finalised yet.
         scenario: a scenario whose `directives` are carried out. `find_robot` has checked their
-            files when the scenario was resolved.
-
-    Returns:
-        One entry for each model that the directives added.
+            files.
 
     Raises:
         ScenarioError: a directive cannot be carried out.
     """
-    directives = ModelDirectives(directives=scenario.directives)
-    try:
-        models: list[ModelInstanceInfo] = ProcessModelDirectives(directives, parser)
-    except (RuntimeError, ValueError) as error:
-        raise ScenarioError(f"directives: {_first_line(str(error).splitlines())}") from error
+    ProcessDirectives(scenario.directives, parser)
     AddPosts(parser.plant(), scenario.posts)
-    return models
-
-
-def _first_line(lines: Iterable[str]) -> str:
-    """Returns the first line that is not blank; Drake's messages go on with lines of C++."""
-    return next((line.strip() for line in lines if line.strip()), "cannot be carried out")
 
 
 def CalcTipReach(
@@ -238,7 +221,7 @@ def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters
 
 def MakeSupport(
     obj: GridObject, truth: CellParameters, scenario: PushScenario, seed: int
-) -> NDArray[np.float64] | None:
+) -> Feet | None:
     """Draws on what the object stands, as its scenario's `truth.support` says.
 
     Args:
@@ -248,15 +231,18 @@ def MakeSupport(
         seed: seed of the draw.
 
     Returns:
-        (n,) stiffness of a foot below each of the n cells, kg, see `calc_support`; None if each
-        cell bears its own weight.
+        A foot below each cell, see `calc_support`; None if each cell bears its own weight.
 
     Raises:
         ScenarioError: no three feet are found on which the object does not tip when it is pushed.
     """
     try:
         return calc_support(
-            Model(obj, truth), scenario.truth.support, seed, scenario.finger.push_height
+            Model(obj, truth),
+            scenario.truth.support,
+            seed,
+            scenario.finger.push_height,
+            scenario.truth.rim_gap,
         )
     except ObjectError as error:
         raise ScenarioError(f"truth.support: {error}") from error

@@ -18,6 +18,7 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception.sight import SceneSight
 from gridpush_drake.planning.closed_loop import LoopOptions
@@ -523,7 +524,7 @@ class FetchTask(SceneTask):
         """Judges whether the gripper that has closed and gone up truly holds the object."""
         if not self.simulated:
             return TaskStatus.HELD, "The gripper lifted the object and holds it."
-        height = f"{MM * record.raised:.0f} mm"
+        height = f"{MM * max(0.0, record.raised):.0f} mm"
         if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
             return TaskStatus.HELD, (
                 f"The {self.names[0]} was lifted and held, {height} above the table; nothing fell."
@@ -535,7 +536,7 @@ class FetchTask(SceneTask):
 
 def name_objects(objects: tuple[GridObject, ...]) -> tuple[str, ...]:
     """Names objects in words; those of one name by their numbers, too."""
-    names = [obj.name.replace("_", " ") for obj in objects]
+    names = [speak_name(obj.name) for obj in objects]
     return tuple(name if names.count(name) == 1 else f"{name} {b}" for b, name in enumerate(names))
 
 

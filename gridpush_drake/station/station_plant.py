@@ -42,7 +42,7 @@ def AddStationScene(
     Returns:
         The robot's model instances, and the table's collision geometries.
     """
-    AddScene(MakeParser(plant), scenario)
+    AddScene(MakeParser(plant, robot.packages), scenario)
     # Not by the plant's own GetCollisionGeometriesForBody: pydrake ties the ids that it returns to
     # the plant, and whoever keeps them keeps the plant alive, unseen by Python's garbage collector.
     inspector = scene_graph.model_inspector()
@@ -174,6 +174,7 @@ def AddWorld(
         table=table,
         height=scenario.object_height,
         support=resolved.support,
+        rim_gap=scenario.truth.rim_gap,
         visual=show_object,
     )
     # In a task with several objects the estimates of all are drawn, in the place of their outlines.

@@ -14,6 +14,7 @@ from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.notebook import MM
+from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.pushes.push_log import PushLog
@@ -164,7 +165,7 @@ class IdentifyKind(TaskKind):
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Tells what was learned, and the errors before and after learning."""
-        name = summary["object"].replace("_", " ")
+        name = speak_name(summary["object"])
         lines = [summary["message"]] if summary["status"] != TaskStatus.FINISHED else []
         if "after" not in summary:
             return [*lines, f"Nothing was learned about the {name}."]
@@ -200,7 +201,7 @@ class PushKind(GoalKind):
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Tells how far from the goal the object ended."""
-        name = summary["object"].replace("_", " ")
+        name = speak_name(summary["object"])
         left = f"{summary['error'] * MM:.1f} mm"
         return [
             f"The {name} after {summary['pushes']} pushes: {summary['message']}",

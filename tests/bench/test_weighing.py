@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
+from gridpush_drake.bench.truth.mujoco_scale import MujocoScale
+from gridpush_drake.bench.truth.sets import make_body
 from gridpush_drake.bench.weighing import (
     STUDY,
     TASK,
     EdgeJob,
     Options,
+    PressCourse,
     WeighingJob,
     WeighingScore,
     draw_truth,
@@ -29,15 +32,16 @@ from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_rests
-from gridpush_drake.planning.weighing.press import PressOptions, PressOutcome
+from gridpush_drake.planning.weighing.press import PressOptions, PressOutcome, has_slid
 from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
 
 
-def plan(world, heading, mass=0.5):
+def plan(world, heading, mass=0.5, params=None, obj=None):
     """A press with the center of mass known to a centimeter, as far over the edge as it goes."""
-    center = world.params.center_of_mass(world.obj)
+    obj = obj or world.obj
+    center = (params or world.params).center_of_mass(obj)
     centers = center + 0.01 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    rests = list_rests(world.obj, centers, heading, EDGE, world.height, PressRules(mass=mass))
+    rests = list_rests(obj, centers, heading, EDGE, world.height, PressRules(mass=mass))
     return min(rests, key=lambda one: one.relative_std)
 
 
@@ -52,7 +56,7 @@ def test_the_force_at_which_it_tilts_is_that_of_the_moments(name, heading):
     before = world.read_pose()
     made = world.press(planned.target)
     assert made.state.outcome == PressOutcome.TILTED
-    assert 0.0 < made.max_tilt < np.radians(1.0)
+    assert 0.0 < made.max_tilt < np.radians(5.0)
     # It is caught: it lies where it lay.
     world.let_pass(0.3)
     assert world.read_tilt() < np.radians(0.02)
@@ -61,10 +65,33 @@ def test_the_force_at_which_it_tilts_is_that_of_the_moments(name, heading):
     assert abs(wrap_angle(off[2])) < 2e-3
     # F a = m g b, with no friction in it.
     weighing = made.state.make_weighing(made.target, world.options, before)
-    b = -transform(before, params.center_of_mass(obj)[None])[0, 0]
-    assert weighing.force * weighing.arm == pytest.approx(
-        params.total_mass * GRAVITY * b, rel=0.006
-    )
+    b = -transform(before, params.center_of_mass(obj)[None])[0, 0] - weighing.center_shift
+    assert weighing.force * weighing.arm == pytest.approx(params.total_mass * GRAVITY * b, rel=0.01)
+
+
+@pytest.mark.parametrize(("bottom", "rim_gap"), [("three_feet", 3e-4), ("flat", 0.0)])
+def test_a_press_measures_the_edge_and_not_the_feet(bottom, rim_gap):
+    """In MuJoCo. On three feet, the object first rocks at less than half the force."""
+    obj = load_object("snack_bag")
+    params = sample_ground_truth(obj, 3, friction_by_part=True)
+    body = make_body(bottom, obj, params, np.random.default_rng(7), 0.012, rim_gap)
+    world = MujocoScale(body, noise=EXACT)
+    planned = plan(world, 3.6, params=params, obj=obj)
+    world.put(planned.pose)
+    world.let_pass(0.3)
+    before = world.read_pose()
+    made = world.press(planned.target)
+    world.let_pass(0.3)
+    assert made.max_tilt < np.radians(5.0)
+    assert not has_slid(before, world.read_pose())
+    weighing = made.state.make_weighing(made.target, world.options, before)
+    b = -transform(before, params.center_of_mass(obj)[None])[0, 0] - weighing.center_shift
+    expected = params.total_mass * GRAVITY * b / weighing.arm
+    assert weighing.force == pytest.approx(expected, rel=0.015)
+    if bottom == "flat":
+        assert weighing.rock_force is None
+    else:
+        assert weighing.rock_force < 0.5 * expected
 
 
 def test_friction_does_not_matter():
@@ -106,15 +133,14 @@ def test_a_press_at_any_edge_tells_the_same_as_at_drakes():
     planned = min(rests, key=lambda one: one.relative_std)
     scale = WeighingWorld(obj, params, noise=EXACT)
     press, made = make_press(scale, planned.target, planned.pose, planned.pose)
-    assert 0.0 < made.max_tilt < np.radians(1.0)
+    assert 0.0 < made.max_tilt < np.radians(5.0)
     assert press.edge_angle == edge.angle
     np.testing.assert_array_equal(press.pose, planned.pose)
-    assert press.arm == pytest.approx(
-        planned.target.calc_arm(np.array(planned.target.place)), abs=1e-3
-    )
-    np.testing.assert_allclose(press.place, planned.target.place, atol=1e-3)
-    b = -edge.calc_beyond(transform(planned.pose, center[None])[0])
-    assert press.force * press.arm == pytest.approx(params.total_mass * GRAVITY * b, rel=0.006)
+    # The top, twice as high as the center of mass, has drawn the tip along.
+    place = planned.target.place + 2 * press.center_shift * edge.normal
+    np.testing.assert_allclose(press.place, place, atol=5e-4)
+    b = -edge.calc_beyond(transform(planned.pose, center[None])[0]) - press.center_shift
+    assert press.force * press.arm == pytest.approx(params.total_mass * GRAVITY * b, rel=0.01)
 
 
 @pytest.mark.slow
@@ -125,7 +151,7 @@ def test_an_object_of_which_nothing_is_told_is_weighed(name):
     assert found.center_error < 0.003
     assert abs(found.friction_error) < 0.03
     assert not found.fell
-    assert found.max_tilt < np.radians(1.0)
+    assert found.max_tilt < np.radians(5.0)
     assert found.time < 60.0
 
 
@@ -137,7 +163,7 @@ def test_where_it_would_give_up_it_weighs_and_goes_on():
     assert weighed.grasped
     assert not weighed.dropped
     assert weighed.presses >= 1
-    assert weighed.max_tilt < np.radians(1.0)
+    assert weighed.max_tilt < np.radians(5.0)
 
 
 def test_scores_are_kept_as_json():
@@ -150,11 +176,7 @@ def test_scores_are_kept_as_json():
             WeighingJob(obj.name, 3),
             known,
             truth,
-            presses=1,
-            withstood=0,
-            time=4.0,
-            tilt=np.float64(0.01),
-            moved=0.0,
+            PressCourse(presses=1, time=4.0, max_tilt=np.float64(0.01)),
         )
         kept = TypeAdapter(WeighingScore).dump_json(scored)
         back = TypeAdapter(WeighingScore).validate_json(kept)

@@ -4,6 +4,8 @@ import pytest
 
 from gridpush_drake.cli.campaign import parse_seeds
 from gridpush_drake.cli.options import OptionError
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.station.scenario_file import format_scenario
 
 SCENARIO = "object: pliers\nbase: planar\npokes: {count: 1, test_count: 0}\n"
 
@@ -140,3 +142,18 @@ def test_refuses_a_cluster_that_does_not_answer(refuses, scenario, tmp_path, mon
             says = ["no cluster at", address]
             refuses("campaign", scenario, *more, "--dask", address, says=says)
     refuses("bench", "grasp", "--quick", "--dask", address, says=["no cluster at", address])
+
+
+def test_takes_the_options_of_the_demo(gridpush, tmp_path, monkeypatch):
+    def take(task, scenario, *_):
+        taken.append(scenario)
+        raise GridPushError("no further")
+
+    taken = []
+    monkeypatch.setattr("gridpush_drake.cli.campaign.run", take)
+    options = ["--camera", "rgbd", "--robot", "xarm6", "--unknown-inertia"]
+    gridpush("campaign", "grasp", "--seeds", "0", "--out", tmp_path / "out", *options)
+    (scenario,) = taken
+    assert scenario.camera.rgbd is not None
+    assert scenario.nothing_told
+    assert "xarm6" in format_scenario(scenario)

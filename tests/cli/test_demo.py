@@ -226,24 +226,25 @@ def test_tells_the_robot_nothing_if_it_is_asked_to(gridpush, refuses, tmp_path, 
 
     taken = []
     monkeypatch.setattr(TaskKind, "run", take)
-    for more in ([], ["--nothing-told"]):
-        gridpush("demo", "--camera", "ideal", "--out", tmp_path / "demo", *more)
-    assert taken == [False, True]
+    for more in ([], ["--unknown-inertia"], ["--nothing-told"]):
+        done = gridpush("demo", "--camera", "ideal", "--out", tmp_path / "demo", *more)
+    assert taken == [False, True, True]
+    assert "warning: --nothing-told is called --unknown-inertia now\n" in done.err
     refuses(
         "demo",
         "--task",
         "push",
-        "--nothing-told",
+        "--unknown-inertia",
         "--out",
         tmp_path / "demo",
-        says=["--nothing-told", "goes with --task pregrasp only", "in --task push nothing"],
+        says=["--unknown-inertia", "goes with --task pregrasp only", "in --task push nothing"],
     )
 
 
 @pytest.mark.slow
 def test_weighs_what_it_is_told_nothing_of_and_lifts_it(gridpush, tmp_path):
     out = tmp_path / "untold"
-    outcome = gridpush("demo", "--nothing-told", "--camera", "ideal", "--out", out, "--json")
+    outcome = gridpush("demo", "--unknown-inertia", "--camera", "ideal", "--out", out, "--json")
     assert outcome.code == 0, outcome.err
     summary = json.loads(outcome.out)
     assert summary["status"] == "held"

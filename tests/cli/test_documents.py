@@ -31,7 +31,11 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.scene_log import SceneLog
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.station.scenario_file import find_scenario, parse_scenario
+from gridpush_drake.station.scenario_file import (
+    find_scenario,
+    list_shipped_scenarios,
+    parse_scenario,
+)
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.made_logs import make_pushed_block
 
@@ -358,3 +362,11 @@ def test_the_links_of_readme_lead_somewhere():
     links = re.findall(r"\]\(([^)#:]+)\)", TEXTS["README.md"])
     assert len(links) > 8
     assert [link for link in links if not (ROOT / link).exists()] == []
+
+
+def test_ros_is_had_by_pip_as_it_is_tested():
+    page = (ROOT / "docs/howto/ros2.md").read_text()
+    packages = re.search(r"pip install (ros-jazzy-\{[\w,-]+\})", page)[1]
+    assert packages in (ROOT / ".ci/run").read_text()
+    scenarios = set(re.findall(r"--scenario (\S+)", page))
+    assert scenarios <= set(list_shipped_scenarios())

@@ -55,7 +55,9 @@ def test_a_terminal_of_80_columns_shows_all_columns_of_a_log(gridpush, command, 
 
 @pytest.mark.parametrize("command", [(), ("import",), ("bench",)], ids=" ".join)
 def test_shows_its_help_where_nothing_is_asked(gridpush, command):
-    assert "Commands" in gridpush(*command).out
+    outcome = gridpush(*command)
+    assert "Commands" in outcome.out
+    assert outcome.code == 0
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -90,3 +91,40 @@ def test_letters_that_the_encoding_lacks_are_escaped(picture, json_wanted):
         assert json.loads(done.stdout)["object"] == "Hämmerchen"
     else:
         assert "H\\xe4mmerchen" in done.stdout
+
+
+@pytest.fixture
+def small_disk():
+    """A disk on which files of more than some bytes are refused, as a full one refuses them."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def limit(size):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+
+    yield limit
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize(
+    ("command", "first", "second"),
+    [
+        (["identify"], ("--out", "new.yaml"), ("--report", "report.html")),
+        (["plan", "--goal", "0.02,0,0"], ("--out", "plan.yaml"), ("--picture", "plan.png")),
+        (
+            ["simulate", "--start", "0,-0.1", "--velocity", "0,0.05", "--duration", "2"],
+            ("--out", "push.csv"),
+            ("--picture", "push.png"),
+        ),
+    ],
+)
+def test_a_full_disk_leaves_all_outputs_or_none(
+    gridpush, block, pushes, tmp_path, small_disk, command, first, second
+):
+    inputs = [block, pushes] if command == ["identify"] else [block]
+    outputs = [first[0], tmp_path / first[1], second[0], tmp_path / second[1]]
+    before = sorted(tmp_path.iterdir())
+    small_disk(65536 if command == ["identify"] else 8192)
+    done = gridpush(command[0], *inputs, *command[1:], *outputs)
+    assert done.code == 2
+    assert done.err.endswith(f"{outputs[3]}: cannot be written: File too large\n")
+    assert sorted(tmp_path.iterdir()) == before

@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -55,6 +56,17 @@ def test_shows_a_model(gridpush, model, tmp_path):
     again = gridpush("view", model, "--rerun", file)
     assert (again.code, "--force" in again.err) == (2, True)
     assert gridpush("view", model, "--rerun", file, "--force").code == 0
+
+
+def test_a_full_disk_leaves_no_file(refuses, model, tmp_path):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    file = tmp_path / "model.rrd"
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, hard))
+    try:
+        refuses("view", model, "--rerun", file, says=[f"{file}: cannot be written: File too large"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_shows_pushes_beside_their_predictions(gridpush, pushes, model, tmp_path):

@@ -1,10 +1,14 @@
 """`gridpush warm-up`, whatever becomes of the second process."""
 
 import json
+import time
+from pathlib import Path
 
 import pytest
 
 from gridpush_drake.cli import kernels
+from gridpush_drake.dynamics.kernels import compiled
+from gridpush_drake.dynamics.kernels.rollout import rollout
 
 
 def test_says_where_the_kernels_are_kept_and_whether_they_were_compiled(gridpush):
@@ -14,6 +18,32 @@ def test_says_where_the_kernels_are_kept_and_whether_they_were_compiled(gridpush
     assert gridpush("warm-up").out.startswith(
         "The simulation was compiled before; the compiled code is"
     )
+
+
+def test_other_processes_compile_while_this_one_does_something_else(monkeypatch, tmp_path):
+    """Both processes run along with the body, are waited for by nothing else, and end with it."""
+    began = [tmp_path / "rest", tmp_path / "apart"]
+    code = "import pathlib, time; pathlib.Path({!r}).touch(); time.sleep(60)"
+    monkeypatch.setattr(kernels, "is_compiled", lambda: False)
+    monkeypatch.setattr(kernels, "compile_all", lambda: pytest.fail("compiled at once"))
+    monkeypatch.setattr(kernels, "REST", code.format(str(began[0])))
+    monkeypatch.setattr(kernels, "APART", code.format(str(began[1])))
+    begin = time.monotonic()
+    with kernels.compiling_meanwhile():
+        while not all(each.exists() for each in began):
+            time.sleep(0.01)
+        others = compiled._OTHERS
+        assert others.at_work()
+        assert Path(rollout.py_func.__code__.co_filename) in others.sources
+    assert not others.at_work()
+    assert compiled._OTHERS is None
+    assert time.monotonic() - begin < 30
+
+
+def test_what_is_compiled_starts_no_other_process(monkeypatch):
+    monkeypatch.setattr(kernels.subprocess, "Popen", lambda *_, **__: pytest.fail("started"))
+    with kernels.compiling_meanwhile():
+        assert not compiled._OTHERS.at_work()
 
 
 @pytest.mark.parametrize("code", ["raise SystemExit(3)", "import time; time.sleep(60)", "1 +"])

@@ -341,3 +341,11 @@ def test_derivatives_by_the_push_alone_are_those_of_the_whole_jacobian(obj, para
         assert getattr(short.jacobian, name) == pytest.approx(expected, rel=1e-12, abs=1e-13)
     if height > 0.0:
         assert short.jacobian.push_height == pytest.approx(whole.jacobian.push_height, rel=1e-12)
+
+
+def test_swapped_arguments_are_named(obj, params):
+    form = r"as in simulate\(obj, params, push\)"
+    with pytest.raises(SimulationError, match=f"obj: is a CellParameters; .* GridObject, {form}"):
+        simulate(Model(params, obj), PUSH)
+    with pytest.raises(SimulationError, match=f"params: is a Push; .* CellParameters, {form}"):
+        simulate(Model(obj, PUSH), params)

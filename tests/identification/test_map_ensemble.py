@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench.protocol import make_case, make_protocol
+from gridpush_drake.bench.truth.random_bodies import PATCHES, draw_body
 from gridpush_drake.identification import fit_average
 from gridpush_drake.identification.center_of_mass import CenterOfMass
 from gridpush_drake.identification.fit_average import (
@@ -30,6 +31,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.result import calc_center_of_friction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
@@ -56,7 +58,36 @@ def test_evidence_chooses_the_amplitude_that_the_pushes_ask_for() -> None:
     prior_variance = [
         np.diag(found.posterior.prior_covariance)[:-1].mean() for found in (even, uneven)
     ]
-    assert prior_variance[0] < 0.5**2 < prior_variance[1]
+    assert prior_variance[0] < 0.25 * prior_variance[1]
+    weight = {one.name: one.weight for one in even.hypotheses}
+    assert weight["smooth field 0.05"] + weight["smooth field 0.3"] > 0.75
+
+
+def test_pushes_left_out_tell_which_of_several_wrong_hypotheses_predicts_best() -> None:
+    # By evidence alone one wrong prior gets nearly all the weight, and the mean error is 1.0 mm.
+    errors = []
+    for seed in (4, 9, 12):
+        body = draw_body(PATCHES, seed, training=5, held_out=5)
+        found = identify(Model(body.obj), body.training)
+        errors.append(
+            calc_mean_cell_error(Model(body.obj, found.params, found.physics), body.held_out)
+        )
+    assert np.mean(errors) < 0.7e-3
+
+
+def test_the_region_holds_what_evidence_says_where_predictions_say_otherwise(monkeypatch) -> None:
+    found = learn(8.0)
+    center, _ = calc_center_of_friction(found)
+
+    # An almost even object, far off, is made out to predict best by far.
+    def favor_even(fits, evidences, noise):
+        return np.where(np.arange(len(fits)) == 0, 300.0, 0.0)
+
+    monkeypatch.setattr(fit_average, "_calc_predictives", favor_even)
+    moved, covariance = calc_center_of_friction(learn(8.0))
+    off = center - moved
+    assert np.linalg.norm(off) > 0.01
+    assert off @ np.linalg.solve(covariance, off) < 5.991
 
 
 def test_average_lies_among_its_fits_and_its_spread_covers_theirs() -> None:

@@ -3,9 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.optimize import least_squares
 
 from gridpush_drake.identification.center_of_mass import FRICTION_STD, CenterOfMass
+from gridpush_drake.identification.linearized_fit import factorize
 from gridpush_drake.identification.load_prior import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_fit import MapFit, fit_map
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
@@ -196,7 +198,7 @@ def test_last_poses_are_judged_by_what_the_other_pushes_say_of_them() -> None:
     problem, _, z0, A = make_problem(4)
     system = fit_map(problem, z0, A, NoiseModel()).linearized
     noise, K = system.noise, len(system.linear.residuals[0]) // 3
-    ratios = system.calc_end_errors(system.linear.residuals)
+    ratios = system.leave_out_ends().ratios
     for i, ratio in enumerate(ratios):
         weighted = [root * W.apply(J) for root, W, J in zip(
             np.sqrt(system.weights), system.whitenings, system.slopes, strict=True)]  # fmt: skip
@@ -212,7 +214,24 @@ def test_last_poses_are_judged_by_what_the_other_pushes_say_of_them() -> None:
         S = one + J[-3:] @ np.linalg.solve(H, J[-3:].T)
         assert ratio == pytest.approx(e @ e / np.trace(S), rel=1e-6)
     worse = [r + 0.01 for r in system.linear.residuals]
-    assert system.calc_end_errors(worse).sum() > 10 * ratios.sum()
+    assert system.leave_out_ends(worse).ratios.sum() > 10 * ratios.sum()
+
+
+def test_the_log_predictive_is_that_of_students_t_as_wide_as_the_errors_are() -> None:
+    problem, _, z0, A = make_problem(4)
+    system = fit_map(problem, z0, A, NoiseModel()).linearized
+    noise = system.noise
+    ends = system.leave_out_ends()
+    f = noise.calc_freedom(len(problem))
+    kappa = noise.calc_discrepancy(ends.ratios)
+    scale = noise.calc_typical_share(len(problem)) * kappa**2
+    exact = [
+        stats.multivariate_t.logpdf(e, shape=scale * C, df=f)
+        for e, C in zip(ends.errors, ends.covariances, strict=True)
+    ]
+    # Both differ by a constant: that of four errors of zero and unit covariance.
+    constant = len(problem) * stats.multivariate_t.logpdf(np.zeros(3), shape=np.eye(3), df=f)
+    assert noise.calc_log_predictive(ends) == pytest.approx(sum(exact) - constant)
 
 
 class SteepOnce(PushProblem):
@@ -237,3 +256,36 @@ def test_a_step_to_where_the_equations_cannot_be_solved_is_shortened() -> None:
     found = fit_map(steep, z0, A, NoiseModel())
     assert steep.asked > 2
     np.testing.assert_allclose(found.z, expected.z, atol=0.05)
+
+
+def test_a_push_whose_end_all_but_jumps_does_not_end_a_fit() -> None:
+    """Its derivatives are so large that round-off takes the smallest eigenvalues, which are 1."""
+    rng = np.random.default_rng(2)
+    J = np.vstack([1e10 * rng.standard_normal((6, 12)), rng.standard_normal((6, 12))])
+    H = np.eye(12) + J.T @ J
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(H)
+    (L, _), ridge = factorize(H)
+    L = np.tril(L)
+    assert 0 < ridge < 1e-10 * H.max()
+    np.testing.assert_allclose(L @ L.T, H, atol=2 * ridge)
+    # A matrix that has a factor gets just that.
+    small = np.eye(3) + 0.2
+    (L, _), ridge = factorize(small)
+    assert ridge == 0.0
+    np.testing.assert_array_equal(np.tril(L), np.linalg.cholesky(small))
+    with pytest.raises(np.linalg.LinAlgError):
+        factorize(np.full((2, 2), np.nan))
+
+
+def test_a_fit_begins_from_a_point_with_derivatives_as_good_as_infinite() -> None:
+    problem, _, z0, A = make_problem(4)
+    jumps = copy(problem)
+    jumps.linearize = lambda z: _make_steep(problem.linearize(z))
+    fit = fit_map(jumps, z0, A, NoiseModel())
+    assert np.isfinite(fit.linearized.calc_covariance()).all()
+
+
+def _make_steep(linear: Linearization) -> Linearization:
+    """The first push's end as good as jumps with any change of the loads."""
+    return replace(linear, by_z=[1e12 * linear.by_z[0], *linear.by_z[1:]])

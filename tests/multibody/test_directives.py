@@ -6,13 +6,25 @@ import pytest
 from pydrake.multibody.parsing import (
     AddDirectives,
     AddModel,
+    AddWeld,
     ModelDirective,
     PackageMap,
 )
+from pydrake.multibody.plant import MultibodyPlant
 
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.multibody.parser import MAX_DIRECTIVES, AddModelsPackage, check_directives
+from gridpush_drake.multibody.parser import (
+    MAX_DIRECTIVES,
+    AddModelsPackage,
+    MakePackageMap,
+    MakeParser,
+    ProcessDirectives,
+    check_directives,
+    check_model,
+)
+from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import find_robot, list_robots, make_robot_directives
+from gridpush_drake.station.scenario import PushScenario
 
 
 def include(path):
@@ -108,8 +120,96 @@ def test_a_pipe_or_a_device_is_not_waited_for(tmp_path, kind):
     assert "is a pipe or a device" in refuse(include(inner))
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (
+            "m.sdf",
+            '<sdf version="1.7"><model name="a"><link name="l"/><include><uri>{url}</uri>'
+            "<name>b</name></include></model></sdf>",
+        ),
+        ("m.xml", '<mujoco><include file="m.xml"/><worldbody/></mujoco>'),
+    ],
+)
+def test_a_model_that_includes_itself_is_named(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_text(text.format(url=path.as_uri()))
+    assert refuse_model(path) == (
+        f"directives: {path} includes {path}; expected no file that includes itself"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        (
+            "m.sdf",
+            '<sdf version="1.7"><model name="a"><include><uri>pipe</uri></include></model></sdf>',
+            "is a pipe or a device, not a file; expected a model",
+        ),
+        (
+            "m.urdf",
+            '<robot name="r"><link name="l"><collision><geometry><mesh filename="pipe"/></geometry>'
+            "</collision></link></robot>",
+            "is a pipe or a device, not a file; expected a mesh",
+        ),
+        ("m.urdf", "<robot", "is not valid XML"),
+        (
+            "m.urdf",
+            '<robot name="r"><mesh filename="package://no_such/a.obj"/></robot>',
+            "package no_such is not known; expected its folder in the scenario or in the robot.yaml"
+            " (packages: {no_such: FOLDER}), or the folder that it lies in, in the environment "
+            "variable ROS_PACKAGE_PATH",
+        ),
+    ],
+)
+def test_the_files_of_a_model_are_checked_before_drake_reads_them(tmp_path, name, text, said):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / name).write_text(text)
+    assert said in refuse_model(tmp_path / name)
+
+
+def refuse_model(path):
+    """What is said of a model, by the check and by whatever adds it to a scene with a robot."""
+    url = path.as_uri()
+    with pytest.raises(ScenarioError) as said:
+        check_model(url, MakePackageMap())
+    model = ModelDirective(add_model=AddModel(file=url, name="m"))
+    scene = make_robot_directives("iiwa14", grasping=False)
+    with pytest.raises(ScenarioError) as read:
+        resolve(PushScenario(directives=[*scene, model]))
+    assert str(read.value) == str(said.value)
+    assert "\n" not in str(said.value)
+    return str(said.value)
+
+
+def test_a_whole_scene_is_checked_before_drake_reads_it(tmp_path):
+    own = tmp_path / "own.dmd.yaml"
+    write(own, own)
+    with pytest.raises(ScenarioError, match="expected no file that includes itself"):
+        resolve(PushScenario(directives=[include(own)]))
+
+
+@pytest.mark.parametrize("told", ["scenario", "environment"])
+def test_packages_are_found_as_the_user_says(tmp_path, monkeypatch, told):
+    folder = tmp_path / "src/cell"
+    folder.mkdir(parents=True)
+    (folder / "package.xml").write_text("<package><name>cell</name></package>")
+    write(folder / "a.dmd.yaml", rest="- add_frame: {name: f, X_PF: {base_frame: world}}\n")
+    directive = ModelDirective(add_directives=AddDirectives(file="package://cell/a.dmd.yaml"))
+    plant = MultibodyPlant(0.0)
+    assert "package cell is not known; expected its folder in the scenario" in refuse(directive)
+    packages = {"cell": str(folder)} if told == "scenario" else {}
+    if told == "environment":
+        monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'src'}")
+    ProcessDirectives([directive], MakeParser(plant, packages))
+    assert plant.HasFrameNamed("f")
+    with pytest.raises(ScenarioError, match=r"packages\.cell is /nowhere, which is no folder"):
+        MakeParser(plant, {"cell": "/nowhere"})
+
+
 def test_what_is_wrong_otherwise_is_drakes_to_say(tmp_path):
-    missing = ModelDirective(add_directives=AddDirectives(file="package://no_such/file.yaml"))
+    missing = ModelDirective(add_weld=AddWeld(parent="world", child="nobody::nothing"))
     check(missing)
-    with pytest.raises(ScenarioError, match="no_such"):
-        find_robot([missing])
+    with pytest.raises(ScenarioError, match="nobody"):
+        ProcessDirectives([missing], MakeParser(MultibodyPlant(0.0)))

@@ -8,6 +8,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.ground_truth import (
     SetGridObjectParameters,
     SetGridObjectPose,
+    calc_rigid_loads,
     calc_support,
     sample_ground_truth,
 )
@@ -35,8 +36,8 @@ def test_loads_are_those_of_how_it_stands(support):
     obj = load_object("claw_hammer")
     params = CellParameters.by_part(obj, {1: 0.002, 2: 0.012}, 0.35)
     weight, center = params.total_mass * 9.81, params.center_of_mass(obj)
-    stiffness = calc_support(Model(obj, params), support, 5, 0.012)
-    scene = make_scene(obj, params, "free", support=stiffness)
+    feet = calc_support(Model(obj, params), support, 5, 0.012)
+    scene = make_scene(obj, params, "free", support=feet)
     SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.1, 0.2, 0.5))
     scene.simulator.AdvanceTo(1.0)
     assert np.abs(scene.pose() - (0.1, 0.2, 0.5)).max() < 1e-5
@@ -44,10 +45,10 @@ def test_loads_are_those_of_how_it_stands(support):
     assert loads.sum() == pytest.approx(weight, rel=1e-4)
     np.testing.assert_allclose(loads @ obj.p_BC / weight, center, atol=1e-4)
     if support == "three_feet":
-        feet = np.argsort(stiffness)[-3:]
-        balance = np.vstack([np.ones(3), obj.p_BC[feet].T])
+        three = np.argsort(feet.stiffness)[-3:]
+        balance = np.vstack([np.ones(3), obj.p_BC[three].T])
         expected = np.linalg.solve(balance, weight * np.array([1.0, *center]))
-        np.testing.assert_allclose(loads[feet], expected, rtol=0.01)
+        np.testing.assert_allclose(loads[three], expected, rtol=0.01)
         return
     assert np.abs(loads / (params.mass * 9.81) - 1).max() > 0.5
     bears = loads > 0
@@ -56,18 +57,37 @@ def test_loads_are_those_of_how_it_stands(support):
     np.testing.assert_allclose(np.maximum(fitted, 0.0), loads, atol=0.01 * loads.max())
 
 
-def test_other_supports_are_set_in_a_context():
+@pytest.mark.parametrize("support", ["three_feet", "vertices"])
+def test_rigid_feet_bear_what_holds_the_body_lowest(support):
+    """Its underside is 0.5 mm above the table, and bears nothing; nor do feet that end higher."""
+    obj = load_object("claw_hammer")
+    params = CellParameters.by_part(obj, {1: 0.002, 2: 0.012}, 0.35)
+    feet = calc_support(Model(obj, params), support, 5, 0.012, rim_gap=5e-4)
+    shares = calc_rigid_loads(obj.p_BC, feet.gap, params.center_of_mass(obj))
+    expected = params.total_mass * shares
+    scene = make_scene(obj, params, "free", support=feet, rim_gap=5e-4)
+    SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.1, 0.2, 0.5))
+    scene.simulator.AdvanceTo(1.0)
+    loads = scene.sphere_forces()[:, 2] / 9.81
+    assert (expected > 1e-9).sum() == 3
+    np.testing.assert_allclose(loads, expected, atol=0.01 * expected.max())
+
+
+@pytest.mark.parametrize("rim_gap", [0.0, 5e-4])
+def test_other_supports_are_set_in_a_context(rim_gap):
     obj = load_object("claw_hammer")
     first, second = (sample_ground_truth(obj, seed) for seed in (3, 4))
-    scene = make_scene(obj, first, "free")
-    support = calc_support(Model(obj, second), "three_feet", 1, 0.012)
+    scene = make_scene(obj, first, "free", rim_gap=rim_gap)
+    support = calc_support(Model(obj, second), "three_feet", 1, 0.012, rim_gap)
     SetGridObjectParameters(
         scene.plant, scene.scene_graph, scene.context, scene.handle, second, support
     )
     SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.0, 0.0, 0.0))
     scene.simulator.AdvanceTo(0.5)
     loads = scene.sphere_forces()[:, 2]
-    assert np.sort(loads)[-3:].sum() == pytest.approx(second.total_mass * 9.81, rel=0.01)
+    feet = np.argsort(support.stiffness)[-3:]
+    assert loads[feet].sum() == pytest.approx(second.total_mass * 9.81, rel=0.01)
+    assert loads.sum() == pytest.approx(second.total_mass * 9.81, rel=1e-3)
 
 
 @pytest.mark.parametrize("spheres_per_cell", [1, 4])

@@ -12,6 +12,7 @@ from gridpush_drake.perception.look_alikes import Expectation, find_look_alikes
 from gridpush_drake.perception.outline_finder import TrackerOptions
 from gridpush_drake.perception.registration import calc_dilution
 from gridpush_drake.perception.silhouette import make_silhouette
+from gridpush_drake.perception.tracking import DOUBT_TIME
 from tests.helpers.pictures import cover, make_camera, paint
 
 L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [
@@ -361,3 +362,50 @@ def test_bad_arguments_are_named():
     state = tracker.start(frame)
     with pytest.raises(ImageError, match="has 640x240 pixels"):
         tracker.track(state, frame._replace(color=frame.color[::2]))
+
+
+HALF_PLATE = np.array([[-0.12, -0.02], [0.12, -0.02], [0.12, 0.02], [-0.12, 0.02]])
+ILL_SEEN = np.array([[-0.12, -0.02], [0.12, -0.02], [0.12, 0.017], [-0.03, 0.02], [-0.12, 0.02]])
+"""The same as a camera sees it that takes a part of a dark side for the floor."""
+
+
+def cover_half(shape, top):
+    """A cover of all but the right half of the plate, and of its lower long side where `top`."""
+    covered = np.zeros(shape[:2], dtype=bool)
+    covered[:, : round(shape[1] / 2)] = True
+    if top:
+        covered[round(shape[0] / 2) :] = True
+    return covered
+
+
+def test_an_object_at_rest_does_not_seem_to_move_where_something_covers_its_better_edges():
+    """By the edges that are left alone, the plate seems to be turned by a degree."""
+    pose = np.zeros(3)
+    tracker = PoseTracker(HALF_PLATE, HEIGHT, make_camera())
+    frames = [look(ILL_SEEN, pose, seed=k, depth=False) for k in range(3)]
+    state, clear = tracker.track(tracker.start(frames[0], pose), frames[0])
+    covered = cover_half(frames[0].color.shape, top=True)
+    for untouched in (True, False):
+        _, seen = tracker.track(state, frames[1], covered, untouched=untouched)
+        assert seen.seen
+        np.testing.assert_allclose(seen.pose[:2], clear.pose[:2], atol=3e-4)
+        assert abs(seen.pose[2] - clear.pose[2]) < np.radians(0.1)
+        assert np.linalg.det(seen.covariance) > np.linalg.det(clear.covariance)
+
+
+def test_a_jump_of_an_object_that_nothing_touched_is_not_told_until_it_is_plainly_seen():
+    moved = np.array([0.004, -0.003, np.radians(3.0)])
+    tracker = PoseTracker(HALF_PLATE, HEIGHT, make_camera())
+    frame = look(HALF_PLATE, np.zeros(3), depth=False)
+    state, _ = tracker.track(tracker.start(frame, np.zeros(3)), frame, untouched=True)
+    after = look(HALF_PLATE, moved, seed=1, t=0.1, depth=False)
+    covered = cover_half(after.color.shape, top=False)
+    doubted, told = tracker.track(state, after, covered, untouched=True)
+    assert not told.seen
+    # What the finger may have touched may have moved.
+    assert tracker.track(state, after, covered)[1].seen
+    # With nothing before it, the object is where it is seen; and a view that stays poor must do.
+    _, plain = tracker.track(doubted, after._replace(t=0.2), untouched=True)
+    np.testing.assert_allclose(plain.pose, moved, atol=1e-3)
+    late = after._replace(t=0.2 + DOUBT_TIME)
+    assert tracker.track(doubted, late, covered, untouched=True)[1].seen

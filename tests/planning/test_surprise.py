@@ -10,6 +10,7 @@ from shapely import Polygon
 from gridpush_drake.bench.pregrasp.world import LEARNER, is_over
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification import surprise
 from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.model import Model
@@ -84,6 +85,26 @@ def push_a_hammer(hammer, changes, seed, ratio=20.0):
 
     run = run_loop(loop, hammer, world, is_over, learn=Learner(), goal=GOAL, progress=note)
     return statuses, run
+
+
+def test_a_push_that_nothing_is_learned_from_ends_no_task(hammer) -> None:
+    """The loop goes on with what it had, and learns from the other pushes."""
+    shown = []
+
+    def learn(obj, log, before):
+        shown.append([seen.name for seen in log])
+        if len(shown) == 2:
+            raise IdentificationError("its equations cannot be solved")
+        return Learner()(obj, log, before)
+
+    world = ChangingWorld(hammer, load_end(hammer, 1), START, seed=0, **NOISE)
+    loop = PushToGoalLoop(Model(hammer), RULES, options=ONE_LOOK)
+    over = lambda state: state.push_id > 3  # noqa: E731
+    run = run_loop(loop, hammer, world, over, learn=learn, goal=GOAL)
+    bad = shown[1][-1]
+    assert run.left_out == {bad: "its equations cannot be solved"}
+    assert bad not in shown[2] and len(shown[2]) == 2
+    assert run.identification is not None and len(run.log) >= 3
 
 
 def test_a_push_is_judged_by_its_predicted_region() -> None:

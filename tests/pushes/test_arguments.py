@@ -58,11 +58,11 @@ def test_swapped_arguments_are_named(obj, log):
         TypeError,
         match=rf"^identify: model is a PushLog and log is a Model: {swapped} identify\(model, log\)$",
     ):
-        identify(Model(log), model)
+        identify(log, model)
     with pytest.raises(TypeError, match=rf"{swapped} identify\(model, log\)"):
-        identify(Model("pushes.csv"), model)
+        identify("pushes.csv", model)
     with pytest.raises(TypeError, match=rf"{swapped} predict\(model, log\)"):
-        predict(Model(log, model))
+        predict(log, model)
     with pytest.raises(TypeError, match=rf"{swapped} predict_spread\(model, log\)"):
         predict_spread(log, make_identification())
 
@@ -72,7 +72,7 @@ def test_other_things_are_named(obj, log):
         TypeError,
         match=r"model is a GridObject; expected for model a Model, such as Model\(obj\)",
     ):
-        identify(Model(obj), log)
+        identify(obj, log)
     with pytest.raises(TypeError, match="objects is a str; expected a GridObject"):
         Model("claw_hammer")
     with pytest.raises(TypeError, match=r"log is a list; .* PushLog\(pushes\) makes a log"):

@@ -1,5 +1,7 @@
 """Weighings: their records and the CSV file that holds them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,6 +26,8 @@ def write(tmp_path):
 
 def test_round_trip_bit_for_bit(tmp_path):
     log = make_problem(Truth(0.68, np.zeros(2), 0.3), np.random.default_rng(0)).log
+    rocked = replace(log.presses[0], center_shift=3e-4, free_way=0.0021, rock_force=1.7)
+    log = replace(log, presses=(rocked, *log.presses[1:]))
     log.write_csv(tmp_path / "log.csv")
     back = WeighingLog.read_csv(tmp_path / "log.csv")
     assert (len(back.presses), len(back.lifts)) == (4, 1)

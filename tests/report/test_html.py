@@ -130,9 +130,9 @@ def test_is_the_same_every_time(experiment):
 def test_names_the_hypotheses_of_the_loads_that_the_estimate_rests_on(experiment):
     result, log, _, _ = experiment
     weighed = (
-        HypothesisEvidence("rigid bottom", -2.0, 0.12),
-        HypothesisEvidence("smooth field 1.5", 0.0, 0.875),
-        HypothesisEvidence("two parts 1", -9.0, 0.005),
+        HypothesisEvidence("rigid bottom", -2.0, -1.0, 0.12),
+        HypothesisEvidence("smooth field 1.5", 0.0, 0.0, 0.875),
+        HypothesisEvidence("two parts 1", -9.0, -2.0, 0.005),
     )
     page = make_report(replace(result, hypotheses=weighed), log)
     assert "smooth field 1.5 (88 %), rigid bottom (12 %)" in page and "two parts 1" not in page

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from drake import lcmt_iiwa_command, lcmt_iiwa_status, lcmt_planar_manipuland_status
+from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.cli import robot as robot_command
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
@@ -14,6 +15,8 @@ from gridpush_drake.station.lcm import hardware_link
 from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.tasks import TASKS
+from gridpush_drake.systems import guard_status
+from gridpush_drake.systems.guard_status import GuardStatus, StopKind
 from gridpush_drake.systems.messages import PushPhase
 from tests.helpers.twin_bench import TwinBench
 
@@ -220,6 +223,44 @@ def fail_in_station(bench, begun):
 
     bench.link._step = failing
     return lambda: delattr(bench.link, "_step")
+
+
+def test_a_slow_computer_is_named_as_the_likely_cause_of_a_stop():
+    link = hardware_link.HardwareLink(DrakeLcm("memq://"), find_robot(PushScenario().directives))
+    link._said = GuardStatus().stop_for(
+        guard_status.Fault(StopKind.FOLLOWING, "joint 1 is astray"), 1.0
+    )
+    for _ in range(99):
+        link.report.note_period(0.005)
+    assert link.explain() == ""
+    for _ in range(11):
+        link.report.note_period(0.084)
+    said = link.explain()
+    assert said.startswith("The likely cause is a slow computer: 10 % of the commands came more ")
+    assert "the latest after 84 ms" in said
+    assert "with a smaller --realtime-rate" in said
+    # a force is none of the computer's
+    link._said = GuardStatus().stop_for(
+        guard_status.Fault(StopKind.FORCE, "the force is 31 N"), 1.0
+    )
+    assert link.explain() == ""
+
+
+def test_a_robot_that_falls_silent_is_given_up_after_a_second(bench):
+    bench.begin()
+    dropped = []
+
+    def drop(time, data):
+        if dropped or bench.task.read("executor.status").phase == PushPhase.PUSHING:
+            dropped.append(time)
+        return [] if dropped else [data]
+
+    bench.spoil[ARM.status] = drop
+    record, _ = run(bench)
+    assert record.status == TaskStatus.STOPPED
+    assert "No usable status of the robot came for 1.00 s" in record.message
+    # it was waited for so long, and after that no longer than to end the run
+    assert 0.95 < dropped[-1] - dropped[0] < 1.2
 
 
 @pytest.mark.slow

@@ -383,6 +383,41 @@ def test_a_folder_of_ones_own_names_its_scene(second_arm):
         make_robot_directives(str(second_arm.parent), grasping=True)
 
 
+@pytest.mark.parametrize("welded", [True, False])
+def test_a_ros_description_that_fixes_itself_to_the_world_stands_where_the_scene_says(
+    tmp_path, welded
+):
+    """A URDF with a link `world` and a mesh in a package that its robot.yaml names."""
+    folder = Path(shutil.copytree(find_models() / "robots/panda", tmp_path / "mine"))
+    scene = find_models() / "scenes/panda_push.dmd.yaml"
+    (folder / "meshes").mkdir()
+    (folder / "meshes/box.obj").write_text("v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 2 3\n")
+    urdf = folder / "panda_primitives.urdf"
+    fixed = (
+        '<link name="world"/><joint name="fixed" type="fixed"><parent link="world"/>'
+        '<child link="panda_link0"/><origin xyz="0.08 0.01 0"/></joint><link name="shown"><visual>'
+        '<geometry><mesh filename="package://mine/meshes/box.obj"/></geometry></visual></link>'
+        '<joint name="shows" type="fixed"><parent link="panda_link0"/><child link="shown"/></joint>'
+    )
+    urdf.write_text(urdf.read_text().replace("</robot>", fixed + "</robot>"))
+    text = scene.read_text().replace("package://gridpush_drake/robots/panda", "package://mine")
+    weld = "- add_weld:\n    parent: world\n    child: panda::panda_link0"
+    place = "\n    X_PC:\n      translation: [0.08, 0.0, 0.0]"
+    assert weld + place in text
+    (folder / "scene.dmd.yaml").write_text(text if welded else text.replace(weld + place, ""))
+    measures = (folder / "robot.yaml").read_text().partition("scenes:")[0]
+    measures += "scenes: {push: scene.dmd.yaml}\npackages: {mine: .}\n"
+    (folder / "robot.yaml").write_text(measures)
+    (tmp_path / "cell.yaml").write_text("robot: mine\nobject_pose: [0.6, 0.0, 0.0]\n")
+
+    resolved = resolve(read_scenario(tmp_path / "cell.yaml"))
+    X_WR = resolved.X_WR.translation()
+    np.testing.assert_allclose(X_WR, [0.08, 0.0 if welded else 0.01, 0.0], atol=1e-12)
+    plant = resolved.control_plant
+    base = plant.GetFrameByName("panda_link0").CalcPoseInWorld(plant.CreateDefaultContext())
+    np.testing.assert_allclose(base.translation(), X_WR, atol=1e-12)
+
+
 def test_a_copied_folder_whose_scene_has_the_robot_it_was_copied_from_is_refused(tmp_path):
     # The copy's own measures would be passed over.
     copied = Path(shutil.copytree(find_models() / "robots/ur5e", tmp_path / "mine"))

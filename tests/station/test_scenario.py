@@ -25,6 +25,7 @@ from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.scenario import PartTruth, PushScenario, TruthConfig
 from gridpush_drake.station.scenario_file import (
+    find_scenario,
     format_scenario,
     list_shipped_scenarios,
     read_scenario,
@@ -260,6 +261,10 @@ def test_a_robot_stands_for_the_scene_that_it_names(tmp_path):
             read(tmp_path, text)
 
 
+def test_a_shipped_scenario_is_found_by_its_old_name():
+    assert find_scenario("grasp_untold") == find_scenario("grasp_unknown_inertia")
+
+
 def test_a_shipped_scenario_goes_by_its_name(tmp_path, monkeypatch):
     shipped = [
         "default",
@@ -268,7 +273,7 @@ def test_a_shipped_scenario_goes_by_its_name(tmp_path, monkeypatch):
         "fetch_two",
         "grasp",
         "grasp_heavy",
-        "grasp_untold",
+        "grasp_unknown_inertia",
         "planar",
         "rearrange",
         "round_table",

@@ -30,7 +30,11 @@ from gridpush_drake.systems.object_watch import ObjectWatch
 
 PERIOD = 0.005
 LIMITS = GuardLimits(
-    speed=np.array([1.0, 2.0]), acceleration=np.array([10.0, 5.0]), torque=np.array([30.0, 4.0])
+    speed=np.array([1.0, 2.0]),
+    acceleration=np.array([10.0, 5.0]),
+    torque=np.array([30.0, 4.0]),
+    position_lower=np.array([-2.4, -2.2]),
+    position_upper=np.array([2.4, 2.2]),
 )
 BEGIN = np.array([0.3, -0.7])
 POSE = np.array([0.6, 0.1, 0.2])
@@ -211,6 +215,75 @@ def test_what_keeps_the_limits_is_passed_on_as_it_is():
         desired = BEGIN + np.array([0.2, -0.3]) * (1 - np.cos(2 * t)) / 2
         bench.step(position_desired=desired)
         np.testing.assert_allclose(bench.positions[-1], desired, atol=1e-12)
+
+
+def begin_near_limit(**limits):
+    """A guard whose first joint stands 0.2 rad before its upper limit, 2.4 rad."""
+    bench = Bench(limits=replace(LIMITS, **limits))
+    bench.place = np.array([2.2, 0.0])
+    while bench.step(position_desired=bench.place).mode == GuardMode.WAITING:
+        pass
+    return bench
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.4, 1.0, 100.0])
+def test_a_joint_that_is_desired_beyond_its_limits_stops_within_them(speed):
+    bench = begin_near_limit()
+    desired = bench.place
+    for _ in range(500):
+        desired = np.minimum(desired + [PERIOD * speed, 0.0], [2.5, 0.0])
+        if bench.step(position_desired=desired).stopped:
+            break
+    assert desired[0] > LIMITS.position_upper[0]
+    check_stopped(bench, "joint 1 is wanted at 2.")
+    assert "; its limits are -2.400 and 2.400 rad" in bench.status.reason
+    assert np.max(bench.positions, axis=0)[0] <= LIMITS.position_upper[0]
+
+
+def test_braking_in_a_straight_line_ends_within_the_limits_of_each_joint():
+    """Joint 2 needs 0.4 s to brake, joint 1 alone 0.05 s: together they would go 2.45 rad far."""
+    bench = begin_near_limit()
+    speed = np.zeros(2)
+    while bench.positions[-1][0] < 2.35:
+        speed = np.minimum(speed + LIMITS.acceleration * PERIOD, [0.5, 2.0])
+        desired = bench.inputs["position_desired"] + PERIOD * speed
+        assert bench.step(position_desired=desired).mode == GuardMode.FOLLOWING
+    assert bench.velocity[1] / LIMITS.acceleration[1] > 0.25
+    assert bench.step(stop=[BY_USER]).mode == GuardMode.STOPPING
+    assert bench.rest().mode == GuardMode.HOLDING
+    assert np.max(bench.positions, axis=0)[0] <= LIMITS.position_upper[0]
+    bench.check_limits()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "kind"),
+    [
+        ({"stop": [BY_USER]}, StopKind.USER),
+        ({"force": [0.0, 0.0, 31.0]}, StopKind.FORCE),
+        ({"torque_external": [31.0, 0.0]}, StopKind.TORQUE),
+        ({"force": [np.nan, 0.0, 0.0]}, StopKind.NOT_FINITE),
+        ({"position_desired": [2.5, 0.0]}, StopKind.JOINT_LIMIT),
+    ],
+)
+def test_what_is_wrong_in_the_period_in_which_it_begins_to_follow_stops_the_arm(wrong, kind):
+    bench = Bench()
+    assert bench.step().mode == GuardMode.WAITING
+    assert bench.step(**wrong).mode == GuardMode.STOPPING
+    assert bench.status.kinds == (kind,)
+    healthy = {"stop": [0.0], "force": np.zeros(3), "torque_external": np.zeros(2)}
+    bench.run(40, position_desired=BEGIN + 0.1, **healthy)
+    assert bench.status.mode == GuardMode.HOLDING
+    np.testing.assert_array_equal(np.array(bench.positions), np.tile(BEGIN, (41, 1)))
+
+
+@pytest.mark.parametrize(("stop", "kind"), [(BY_USER, StopKind.USER), (DONE, StopKind.DONE)])
+def test_a_stop_while_it_waits_for_the_robot_is_kept(stop, kind):
+    bench = Bench()
+    status = bench.step(position_measured=[np.nan, np.nan], stop=[stop])
+    assert (status.mode, status.kinds, status.ended) == (GuardMode.WAITING, (kind,), True)
+    bench.run(40, stop=[0.0], position_desired=BEGIN + 0.1)
+    assert (bench.status.mode, bench.status.kinds) == (GuardMode.HOLDING, (kind,))
+    np.testing.assert_array_equal(np.ptp(bench.positions, axis=0), [0.0, 0.0])
 
 
 def test_an_old_status_stops_the_arm_no_sooner_than_is_allowed():
@@ -399,7 +472,8 @@ def test_joints_that_stay_behind_their_commands_stop_the_arm():
         noise = 1e-5 * rng.normal(size=2)
         bench.step(position_desired=desired, position_measured=place + noise)
     assert (
-        "from where it was told to be, for more than 50 ms; 0.020 is allowed" in bench.status.reason
+        "rad from where it was told to be, for more than 50 ms; 0.020 rad is allowed"
+        in bench.status.reason
     )
     assert bench.status.kinds == (StopKind.FOLLOWING,)
     assert bench.time - begun < 2 * 0.05 + 0.02 / 0.4 + 2 * PERIOD
@@ -439,8 +513,8 @@ def test_a_joint_that_is_measured_to_move_faster_than_it_can_stops_the_arm():
     bench = Bench()
     bench.follow_ramp()
     assert bench.step(position_measured=bench.place + [0.0, 0.05]).mode == GuardMode.STOPPING
-    assert "between two statuses; it can move at 2.00" in bench.status.reason
-    check_stopped(bench, "joint 2 was measured to move at 10.00 per second")
+    assert "between two statuses; it can move at 2.00 rad/s" in bench.status.reason
+    check_stopped(bench, "joint 2 was measured to move at 10.00 rad/s")
 
 
 @pytest.mark.parametrize(
@@ -733,8 +807,10 @@ class Story:
         assert len(positions) == count + (status.mode != GuardMode.WAITING)
         if count == 0:
             return
-        # commands: finite, and within the limits of speed and acceleration
+        # commands: finite, and within the limits of position, speed and acceleration
         assert np.isfinite(positions[-1]).all()
+        assert (positions[-1] >= LIMITS.position_lower - 1e-12).all()
+        assert (positions[-1] <= LIMITS.position_upper + 1e-12).all()
         velocity = (positions[-1] - positions[-2]) / PERIOD
         assert (np.abs(velocity) <= LIMITS.speed * (1 + 1e-9) + 1e-9).all()
         before = (positions[-2] - positions[-3]) / PERIOD if count > 1 else np.zeros(2)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridpush_drake.systems.arm_path import ArmPath, brake, follow
+from gridpush_drake.systems.arm_path import ArmPath, brake, calc_stop_distance, follow
 
 PERIOD = 0.005
 SPEED, ACCELERATION = np.array([1.0, 2.0]), np.array([10.0, 5.0])
@@ -31,6 +31,25 @@ def test_whatever_is_wanted_the_limits_are_kept_and_rest_is_reached(targets, hol
     np.testing.assert_allclose(np.diff(q, axis=0), v[1:] * PERIOD, atol=1e-12)
     np.testing.assert_allclose(q[-1], targets[-1], atol=1e-9)
     np.testing.assert_allclose(v[-1], 0.0, atol=1e-9)
+
+
+def test_a_target_that_keeps_the_limits_is_not_overshot():
+    """Joints that begin at rest anywhere, behind targets that speed up, brake and turn at random."""
+    rng = np.random.default_rng(3)
+    n = 500
+    speed, acceleration = rng.uniform(0.3, 2.0, n), rng.uniform(2.0, 10.0, n)
+    unit = acceleration * PERIOD
+    q, v, target, w, change = rng.uniform(-1, 1, n), *np.zeros((4, n))
+    lower, upper = np.minimum(q, target), np.maximum(q, target)
+    for _ in range(1000):
+        change = np.where(rng.random(n) < 0.03, rng.choice([-1.0, -0.5, 0.0, 0.5, 1.0], n), change)
+        w = np.clip(w + change * unit, -speed, speed)
+        before, target = target, target + PERIOD * w
+        q, v = follow(q, v, before, target, speed, acceleration, PERIOD)
+        left = calc_stop_distance(np.abs(w), unit, PERIOD) - PERIOD * np.abs(w)
+        lower = np.minimum(lower, target + np.sign(w) * left)
+        upper = np.maximum(upper, target + np.sign(w) * left)
+        assert np.maximum(q - upper, lower - q).max() < 1e-12
 
 
 def test_braking_keeps_the_direction_and_takes_as_long_as_the_slowest_joint_needs():

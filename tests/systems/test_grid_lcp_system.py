@@ -85,7 +85,7 @@ def test_steps_exactly_as_the_core_does(name, seeds, regime):
     """Jams in the pliers' jaw and a push that is not solved (8) included: there the solver's memory decides."""
     obj = GridObject.from_yaml(find_shipped_object(name))
     for seed in seeds:
-        params, push = make_params(obj, seed), draw_push(Model(obj, seed))
+        params, push = make_params(obj, seed), draw_push(obj, seed)
         core = simulate(Model(obj, params), push, dt=DT, regime=regime)
         world = World(GridLcpSystem(Model(obj, params), DT, regime, RADIUS), make_trajectory(push))
         world.simulator.AdvanceTo(push.duration)

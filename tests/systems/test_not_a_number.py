@@ -154,14 +154,14 @@ def simulate(system, seed):
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_nothing_is_raised(name, seed):
     system = SYSTEMS[name]()
-    context = simulate(Model(system, seed)).get_context()
+    context = simulate(system, seed).get_context()
     if name == "lcp":
         assert np.isfinite(system.GetOutputPort("pose").Eval(context)).all()
 
 
 def test_the_picture_is_drawn_all_the_same():
     meshcat = Meshcat()
-    simulate(Model(EstimateVisualizer([ShownObject(OBJ, 0.03, body=1)], meshcat, path="seen"), 0))
+    simulate(EstimateVisualizer([ShownObject(OBJ, 0.03, body=1)], meshcat, path="seen"), 0)
     assert meshcat.HasPath("seen")
 
 

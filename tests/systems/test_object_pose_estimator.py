@@ -11,7 +11,10 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 
 from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.pose_prediction import PushModel, Tip
 from gridpush_drake.perception.tracking import PoseTracker
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.rgbd_noise import RgbdNoise
@@ -172,3 +175,31 @@ def test_an_object_of_another_outline_is_not_taken_for_it():
 def test_output_ports_depend_on_state_and_time_alone(name):
     run = Run()
     assert not run.estimator.HasDirectFeedthrough(run.estimator.GetOutputPort(name).get_index())
+
+
+@pytest.mark.parametrize(("tip", "seen"), [((0.3, 0.0, 0.2), False), ((0.04, 0.02, 0.01), True)])
+def test_an_object_that_seems_to_jump_where_the_finger_is_not_is_not_seen(tip, seen):
+    """The block is at rest but for its last picture, in which an arm covers a part of it."""
+    obj = GridObject.from_outline(np.array(OUTLINE.exterior.coords)[:-1], max_cells=20, name="L")
+    tracker = PoseTracker(OUTLINE, THICKNESS, CAMERA)
+    model = PushModel(obj, top=THICKNESS, radius=0.008)
+    estimator = ObjectPoseEstimator(tracker, WIDTH, HEIGHT, model=model)
+    place = Tip(0.0, np.array(tip))
+
+    def take(time: float, covered) -> None:
+        nonlocal state, found
+        share = find_block(time)[..., None]
+        color = np.rint(share * (120, 30, 30) + (1 - share) * (200, 170, 130)).astype(np.uint8)
+        frame = Frame(color, None, time)
+        state = state or tracker.start(frame, calc_pose(0.0))
+        state, (found,) = estimator._track(state, frame, covered, None, place)
+
+    state, found = None, None
+    take(0.0, None)
+    assert found.seen
+    covered = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    covered[:, : WIDTH // 2 - 60] = True
+    take(0.2, covered)
+    assert found.seen == seen
+    take(0.3, None)
+    check(found.pose, 0.3)

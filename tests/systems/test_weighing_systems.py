@@ -188,7 +188,8 @@ def test_an_object_that_is_seen_to_move_away_is_let_go():
     presser = Presser()
     assert presser.ask(1).step == "approaching"
     assert presser.follow(5.0).step == "pressing"
-    presser.fix("object_pose", (0.02, 0.0, 0.0))
+    # Nothing has touched it yet: a smaller motion than that of an object that is pressed is enough.
+    presser.fix("object_pose", (0.004, 0.0, 0.0))
     presser.simulator.AdvanceTo(presser.context.get_time() + 0.01)
     presser.fix("object_pose", POSE)
     end = presser.context.get_time() + 6.0
@@ -199,6 +200,44 @@ def test_an_object_that_is_seen_to_move_away_is_let_go():
     assert status.reason == "the object was seen to move away"
     # The pose of the other executors is passed on again.
     np.testing.assert_allclose(presser.read("tip_pose").translation(), [0.0, 0.1, 0.12], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("after", "weighed"),
+    [
+        ((0.0005, 0.0, np.radians(0.1)), True),
+        ((0.0, 0.0, np.radians(0.4)), False),
+        ((0.002, 0.0, 0.0), False),
+        ((np.nan, np.nan, np.nan), True),
+    ],
+    ids=["at_rest", "turned", "shifted", "not_seen_again"],
+)
+def test_a_press_by_which_the_object_slid_weighs_nothing(after, weighed):
+    presser = Presser()
+    presser.ask(1)
+    assert presser.follow(5.0).step == "pressing"
+    # The object lies still up to 4 N, and then gives way.
+    height = TARGET.hover[2]
+    stiffness = 4000.0
+    for _ in range(2000):
+        presser.simulator.AdvanceTo(presser.context.get_time() + 0.005)
+        status = presser.read("status")
+        if status.step != "pressing":
+            break
+        place = presser.read("tip_pose").translation().copy()
+        force = min(stiffness * max(height - place[2], 0.0), 4.0)
+        place[2] += force / stiffness
+        presser.fix("pusher_state", np.concatenate([place, np.zeros(3)]))
+        presser.fix("force", [0.0, 0.0, force])
+    assert status.step == "returning"
+    presser.fix("object_pose", after)
+    presser.simulator.AdvanceTo(presser.context.get_time() + 6.0)
+    status = presser.read("status")
+    assert status.ready
+    assert status.weighed == weighed
+    assert len(presser.read("weighing_log")) == weighed
+    assert status.outcome == (PressOutcome.TILTED if weighed else PressOutcome.SLID)
+    assert weighed or "the object slid by" in status.reason
 
 
 def test_a_lifted_object_is_weighed_by_what_is_felt_beyond_the_empty_gripper():

@@ -420,7 +420,7 @@ def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) 
   <worldbody>
     <geom name="table" type="box" pos="{(left + right) / 2} {(low + high) / 2} -0.5"
      size="{(right - left) / 2} {(high - low) / 2} 0.5"/>{rims}
-    <body><freejoint/>{_describe_inertia(body)}{_describe_geoms(body)}</body>
+    <body><freejoint/>{describe_inertia(body)}{_describe_geoms(body)}</body>
     <body gravcomp="1">
       <inertial pos="0 0 0" mass="{PUSHER_MASS}" diaginertia="1 1 1"/>
       <joint type="slide" axis="1 0 0" armature="{PUSHER_INERTIA}"/>
@@ -441,7 +441,7 @@ def _find_edges(table: Bounds) -> list[Edge]:
     return [(a, b) for a, b in sides if max(abs(a[0] + b[0]), abs(a[1] + b[1])) < 2 * TABLE_HALF]
 
 
-def _describe_inertia(body: TruthBody) -> str:
+def describe_inertia(body: TruthBody) -> str:
     """Describes mass, center of mass and inertia: each cell is a block of the body's height."""
     mass = body.params.mass
     x, y = body.params.center_of_mass(body.obj)
@@ -510,12 +510,12 @@ def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
     feet = [names.index(f"foot_table_f{i}") for i in range(len(body.load))]
     walls = [i for i, name in enumerate(names) if name.startswith("wall")]
     edges = [i for i, name in enumerate(names) if name.startswith("edge")]
-    _set_springs(model, feet, body.load, body.sinkage, foot)
-    _set_springs(model, walls, weight, PUSHER_SINKAGE, foot + pusher)
-    _set_springs(model, edges, weight / EDGE_BEARING, body.sinkage, foot)
+    set_springs(model, feet, body.load, body.sinkage, foot)
+    set_springs(model, walls, weight, PUSHER_SINKAGE, foot + pusher)
+    set_springs(model, edges, weight / EDGE_BEARING, body.sinkage, foot)
 
 
-def _set_springs(
+def set_springs(
     model: "mujoco.MjModel", rows: list[int], load: Array, sinkage: float, inverse: float
 ) -> None:
     """Lets pairs of geoms give way by `sinkage` (m) under a load (N); see `calc_springs`."""

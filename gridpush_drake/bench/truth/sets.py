@@ -47,6 +47,10 @@ VERTICES = "vertices"
 THREE_FEET = "three_feet"
 """Kind of a body that stands on three rigid feet."""
 
+FLAT = "flat"
+"""Kind of a rigid body whose bottom is flat: it bears at the vertices of its hull, which all end at
+one height, and at the table's edge. It is for presses at that edge only."""
+
 KINDS = (OWN_WEIGHT, HALF_HEIGHT, FOUNDATION, VERTICES, THREE_FEET)
 """Kinds of truth; see `bench.truth.mujoco_world`."""
 
@@ -252,15 +256,18 @@ def make_body(
     params: CellParameters,
     rng: np.random.Generator,
     height: float = BODY_HEIGHT / 2,
+    rim_gap: float = FOOT_HEIGHT,
 ) -> TruthBody:
     """Puts an object of given masses on feet.
 
     Args:
-        kind: one of KINDS.
+        kind: one of KINDS, or FLAT.
         obj: the object.
         params: its masses and frictions.
         rng: draws what is random about the feet.
         height: height at which it is pushed, m; an OWN_WEIGHT is pushed at the table's height.
+        rim_gap: height of the underside of a body on rigid feet above the table, m. Those at the
+            vertices are uneven by as much, but by no more than UNEVENNESS.
 
     Raises:
         GridPushError: the kind is not known.
@@ -289,16 +296,21 @@ def make_body(
     if kind == VERTICES:
         feet = rim
         cell = rim_cell
-        gap = rng.uniform(0, UNEVENNESS, len(rim))
+        gap = rng.uniform(0, min(UNEVENNESS, rim_gap), len(rim))
     elif kind == THREE_FEET:
         three = draw_feet(
             Model(obj, params), float(params.friction.max()) * height + FEET_SLACK, rng
         )
         feet = np.concatenate([obj.p_BC[three], rim])
         cell = np.concatenate([three, rim_cell])
-        gap = np.concatenate([np.zeros(len(three)), np.full(len(rim), FOOT_HEIGHT)])
+        gap = np.concatenate([np.zeros(len(three)), np.full(len(rim), rim_gap)])
+    elif kind == FLAT:
+        feet = rim
+        cell = rim_cell
+        gap = np.zeros(len(rim))
+        rim_gap = 0.0
     else:
-        raise GridPushError(f"kind: {kind!r}; expected one of {', '.join(KINDS)}")
+        raise GridPushError(f"kind: {kind!r}; expected one of {', '.join((*KINDS, FLAT))}")
     return replace(
         soft,
         feet=feet,
@@ -306,7 +318,7 @@ def make_body(
         load=np.full(len(feet), weight / BEARING_FEET),
         sinkage=RIGID_SINKAGE,
         gap=gap,
-        bottom=FOOT_HEIGHT,
+        bottom=rim_gap,
         time_step=RIGID_TIME_STEP,
     )
 

@@ -53,6 +53,11 @@ BENCHES: dict[str, LazyCommand] = {
         "Learn bodies that do not obey the model: MuJoCo pushes them, on feet, foundations "
         "and uneven bottoms.",
     ),
+    "hypotheses": LazyCommand(
+        "gridpush_drake.bench.truth.hypotheses:STUDY",
+        "Learn bodies of many kinds with all load hypotheses and without each of them: which ones "
+        "pay?",
+    ),
     "feedback": LazyCommand(
         "gridpush_drake.bench.feedback:STUDY",
         "Push learned objects with feedback, along paths, to goals and back after shoves: in the "

@@ -30,8 +30,9 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -68,8 +69,47 @@ KERNELS = Path(__file__).parent
 _THIS_PROCESS = secrets.token_hex(8)
 """A word that no other process has."""
 
+POLL_TIME = 0.02
+"""Time between two looks for a file that another process is to write, s."""
+
 NOTICE = "gridpush: compiling kernels (once a machine, takes up to a minute) ..."
 """Said on standard error by the first call that compiles."""
+
+
+@dataclass(frozen=True)
+class Others:
+    """Other processes that are filling the cache.
+
+    Attributes:
+        sources: the files whose kernels they compile.
+        at_work: tells whether any of them is still at work.
+    """
+
+    sources: frozenset[Path]
+    at_work: Callable[[], bool]
+
+
+_OTHERS: Others | None = None
+"""Other processes that are filling the cache for this one; None where there are none.
+
+It is of the whole process, as a kernel may first be called in any of its threads.
+"""
+
+
+@contextmanager
+def filled_by(others: Others) -> Iterator[None]:
+    """Lets this process wait for kernels that others are compiling, instead of compiling them too.
+
+    It waits for a kernel until that is in the cache, or all others have ended. What they did not
+    compile it compiles itself.
+    """
+    global _OTHERS
+    before = _OTHERS
+    _OTHERS = others
+    try:
+        yield
+    finally:
+        _OTHERS = before
 
 
 def kernel(
@@ -295,6 +335,7 @@ class KernelCache(NumbaCache):
         file = self.find_file(signature, codegen)
         compiled = None
         if file is not None:
+            self._wait_for_others(file)
             try:
                 data = _read(file)
                 if data is not None:
@@ -311,6 +352,14 @@ class KernelCache(NumbaCache):
         if compiled is None:
             _say_once(NOTICE)
         return compiled
+
+    def _wait_for_others(self, file: Path) -> None:
+        """Waits for a file that another process is to write, see `filled_by`."""
+        if _OTHERS is None or self._source not in _OTHERS.sources:
+            return
+        while not file.exists() and _OTHERS.at_work():
+            _say_once(NOTICE)
+            time.sleep(POLL_TIME)
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Keeps what was compiled, where that can be."""

@@ -233,10 +233,11 @@ class UncertainModel:
         evidence: the pushes learned from, which judge the draws; None where they are not at hand.
         noise: of what pushes show, before `noise_scale`.
         belief: what is held of mass and center of mass; None where the parameters are taken for
-            granted.
+            granted. Weighings that contradict each other are not in it.
         found: what was learned, with which learning from a further push begins; None where the
             parameters are taken for granted.
         log: the pushes learned from; empty where they are not at hand.
+        presses: number of presses at the table's edge so far, whether they agree or not.
         physics: by which motions are predicted. Slides and pokes are planned slow enough to end at
             rest, so that it is always quasi-static, whatever pushes were learned from.
     """
@@ -255,6 +256,7 @@ class UncertainModel:
     belief: AbsoluteEstimate | None = None
     found: Identification | None = None
     log: PushLog = field(default_factory=lambda: PushLog(()))
+    presses: int = 0
     physics: Physics = QUASI_STATIC
 
     @classmethod
@@ -292,9 +294,10 @@ class UncertainModel:
             force=found.force,
             evidence=evidence,
             noise=found.noise,
-            belief=found.absolute or believe_before(found),
+            belief=found.weighed or believe_before(found),
             found=found,
             log=PushLog(()) if log is None else select_learned(found, log),
+            presses=0 if found.absolute is None else found.absolute.presses,
             physics=found.physics.with_regime("quasi_static"),
         )
 

@@ -136,10 +136,12 @@ class WeighingPlanner(PreGraspPlanner):
         weighing: when and how it weighs.
         mass_factor: factor on the mass that is believed, for a planner that supposes another one,
             as after a press that the object withstood.
+        is_narrow: whether it presses on parts that are narrower than the finger, too.
     """
 
     weighing: WeighingOptions = WeighingOptions()
     mass_factor: float = 1.0
+    is_narrow: bool = False
 
     # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
     @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -176,7 +178,7 @@ class WeighingPlanner(PreGraspPlanner):
         # The first pokes tell how friction is spread. After that a press tells more than a poke.
         if pokes < self.options.min_pokes or slides >= self.options.max_slides:
             return False
-        if model.belief.presses >= self.weighing.max_presses:
+        if model.presses >= self.weighing.max_presses:
             return False
         return calc_open(model.belief.covariance, self.weighing.sequence) > ENOUGH
 
@@ -203,7 +205,11 @@ class WeighingPlanner(PreGraspPlanner):
         # there is no other press, one is made that tilts it with the center where it is expected;
         # and if there is none of these, one that tilts it if it is lighter than it is expected.
         lighter = self._suppose_lighter(belief)
-        for planner, surely in ((self, True), (self, False), (lighter, False)):
+        tried = ((self, True), (self, False), (lighter, False))
+        # The whole finger is to press on the object. Where no such press is left, a part that is
+        # too narrow for it is pressed.
+        narrow = ((planner._allow_narrow(), surely) for planner, surely in tried)
+        for planner, surely in (*tried, *narrow):
             here = planner._find_press(pose, model, belief, surely)
             # Slides end only nearly where they should, and the press should be possible all the
             # same.
@@ -257,6 +263,12 @@ class WeighingPlanner(PreGraspPlanner):
         std = float(np.sqrt(belief.covariance[LOG_MASS, LOG_MASS]))
         return self._suppose(float(np.exp(-std)))
 
+    def _allow_narrow(self) -> "WeighingPlanner":
+        """Makes a planner that presses on parts that are narrower than the finger, too."""
+        other = copy(self)
+        other.is_narrow = True
+        return other
+
     def _suppose(self, factor: float) -> "WeighingPlanner":
         """Makes a planner that supposes a mass which is another one by a factor."""
         other = copy(self)
@@ -268,7 +280,7 @@ class WeighingPlanner(PreGraspPlanner):
         rules = self.weighing.sequence.rules
         known = belief.presses or belief.pushes
         mass = belief.total_mass if known else rules.mass
-        return replace(rules, mass=mass * self.mass_factor)
+        return replace(rules, mass=mass * self.mass_factor, is_narrow=self.is_narrow)
 
     def _calc_gain(self, belief: AbsoluteEstimate, planned: PlannedPress) -> float:
         """Calculates the share of what is open that a press is expected to take away."""

@@ -3,7 +3,8 @@
 The object lies with its plausible centers of mass in a convex region C, body frame. Pressing at P,
 a beyond the edge, tilts it about the edge as the force reaches m g b / a, with b how far c is
 inside.
-Two things must hold for each c in C, whatever the mass:
+The whole tip must be over the object, seen from above; on objects whose parts are too narrow for
+that, the middle of the tip. Two more things must hold for each c in C, whatever the mass:
 
     b > h tan(t) + error        tilted by the angle t at which the press stops, an object of height
                                 h still has its center of mass inside the edge, and comes back
@@ -54,7 +55,10 @@ class PressRules:
         pose_error: how far the object may be from where it was seen, m.
         min_arm: least distance of the tip from the edge, m.
         tip_radius: radius of the tip's sphere, m.
-        rim: least distance of the tip's middle from the object's outline, m.
+        rim_margin: least distance of the whole tip, seen from above, from the object's outline, m:
+            how far off outline and place may be.
+        is_narrow: whether the object's parts are too narrow for that. Then only the tip's middle
+            must be over the object, wherever the object may be: `pose_error` from its outline.
         spacing: distance of the places that are tried, m.
         overhang_step: distance of the overhangs that are tried, m.
         mass: mass that is supposed in comparing places, kg. No place is taken at which it would
@@ -63,11 +67,12 @@ class PressRules:
         force_std: standard deviation of the force at the tilt, N.
     """
 
-    max_tilt: float = radians(1.0)
+    max_tilt: float = radians(5.0)
     pose_error: float = 0.004
     min_arm: float = 0.02
     tip_radius: float = 0.008
-    rim: float = 0.0025
+    rim_margin: float = 0.001
+    is_narrow: bool = False
     spacing: float = 0.003
     overhang_step: float = 0.006
     mass: float = 0.5
@@ -75,7 +80,13 @@ class PressRules:
     force_std: float = 0.05
 
     def __post_init__(self) -> None:
-        require_positive(PlanningError, "press: ", **vars(self))
+        numbers = {name: value for name, value in vars(self).items() if name != "is_narrow"}
+        require_positive(PlanningError, "press: ", **numbers)
+
+    @property
+    def rim(self) -> float:
+        """Least distance of the tip's middle from the object's outline, m."""
+        return self.pose_error if self.is_narrow else self.tip_radius + self.rim_margin
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,41 @@
-"""How a fingertip presses on a part that hangs over the table's edge, up to the first sign of tilt.
+"""How a fingertip presses on a part that hangs over the table's edge, until the object tilts there.
 
-    hovering --> taring --> pressing --> dwelling --> retreating --> done
+    hovering --> taring --> pressing --> dwelling --> following --> retreating --> done
+                               ^                          |
+                               +---- stiff again ---------+
 
 The tip hovers over the place, and the force's offset is noted. Then it goes down slowly. While the
 object lies still, an arm that is held by springs lets its tip stop and the force grow. As soon as
 the object begins to tilt, the tip goes on as fast as it is commanded, and the force grows no more:
-it is said to give way. The tip stops at once, the force is averaged for a moment, and the tip lets
-go and goes up again: the object comes back, since its center of mass is still inside the edge.
+it is said to give way. The tip stops, and the force is averaged for a moment: that is a plateau of
+the force over the way.
+
+An object with a flat bottom tilts about the edge. One that stands on feet first rocks about the
+line of two of them, at a smaller force, until its underside meets the edge. So the tip follows on
+downwards. If the force rises again, the object was only rocking: the next plateau is looked for. If
+it does not up to the greatest tilt that is safe, the last plateau is taken for that about the edge;
+how far the tip went on freely is noted with it, and what that says is judged in
+`identification.absolute`. Then the tip goes up, slowly while it still touches, and the object comes
+back, since its center of mass is still inside the edge.
 
 An object that tilts needs less and less force, and a soft arm that is bent by the force would
-follow it down. So at the tilt the tip's height is held: what is commanded is corrected, sample by
-sample, by a share of how far the tip is off. And to let go, the tip is commanded to where it is,
-so that the arm does not press any more at once.
+follow it down. So while the force is averaged, the tip's height is held: what is commanded is
+corrected, sample by sample, by a share of how far the tip is off. A press that is ended early is
+commanded to where the tip is, so that the arm does not press any more at once.
 
 What balances the weight is the moment about the edge. With the force f on the object, n the edge's
 outward normal, a the tip's distance from the edge and h the height of the contact,
 
     F = -f_z + f·n h / a
 
-is the force that would do the same straight down. As the object tilts, its top draws the tip along
-by friction. A tip that is held against that presses with f·n, too, and may jam: so the place that
-is commanded follows the tip sideways, as far from where it touched as a tilt draws the top,
-h tan(t) at the greatest tilt t. There it is held, as its height is: an arm that is pushed sideways
-by its own pressing would else creep on, and take the object along.
+is the force that would do the same straight down. (On a top that is tilted by t, a tip of radius r
+touches r sin t nearer to the edge than its center is, which counts as well.) As the object tilts,
+its top draws the tip along by friction. A tip that is held against that presses with f·n, too, and
+may jam: so the place that is commanded follows the tip sideways, as far from where it touched as a
+tilt draws the top, h tan(t) at the greatest tilt t. There it is held, as its height is: an arm that
+is pushed sideways by its own pressing would else creep on, and take the object along. A tip that is
+drawn farther than the tilt says slides on the object, or the object on the table: the press has
+ended as slid, and tells nothing of the weight.
 
 `advance_press` is a pure function from state and sample to state. `systems.edge_presser` puts it
 between ports. Where it is safe to press is worked out in `plan`.
@@ -31,18 +44,40 @@ between ports. Where it is safe to press is worked out in `plan`.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import cos, isfinite, radians, sin, sqrt, tan
+from math import cos, inf, isfinite, radians, sin, sqrt, tan
 
 import numpy as np
 
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.frozen import Unchanging
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.pushes.weighings import FORCE_STD, EdgePress
 
 HOVER_TOLERANCE = 0.0005
 """Distance from the hovering place, m, within which the tip has arrived there."""
 
+
+SLID_DISTANCE = 0.004
+"""Distance, m, from where an object was seen before a press to where it is seen afterwards, beyond
+which it slid: four standard deviations of a seen position."""
+
+SLID_ANGLE = radians(1.5)
+"""Change of an object's seen heading by a press, rad, beyond which it slid: five standard
+deviations of a seen heading."""
+
+CENTER_HEIGHT = 0.5
+"""Height of a center of mass as a fraction of the object's, as it is supposed: it says how far a
+tilt moves the center outwards."""
+
+RATE_GAIN = 0.3
+"""Fraction of a new sample in the smoothed speed of the tip."""
+
+BRAKING = 4.0
+"""Factor on the speed of a tip that still goes down while it lets an object come back, with which
+it is commanded upwards besides."""
+
+RISE_PARTS = 3
+"""Number of parts of a plateau of the force; the first and the last one are compared."""
 
 ROUND_OFF = 0.002
 """Time by which a window of samples may be too short, s, for round-off in the times of samples."""
@@ -55,6 +90,7 @@ class PressPhase(StrEnum):
     TARING = "taring"
     PRESSING = "pressing"
     DWELLING = "dwelling"
+    FOLLOWING = "following"
     RETREATING = "retreating"
     DONE = "done"
 
@@ -71,6 +107,8 @@ class PressOutcome(StrEnum):
     """A force or a place that was measured was not finite."""
     MOVED = "moved"
     """The object was seen to move away while it was pressed."""
+    SLID = "slid"
+    """The tip slid on the object, or the object shifted or yawed under it."""
     BROKEN_OFF = "broken_off"
     """Whoever asked for the press took it back."""
     REFUSED = "refused"
@@ -93,8 +131,8 @@ class PressOptions:
         sure_speedup: factor on the speed while the force is less than the target's `sure_force`.
         notice_tilt: tilt within which giving way is noticed, rad.
         gives_way: share of the commanded descent that the tip must make for the object to give way.
-        sink_share: share of the greatest tilt by which the tip may go down since it touched; from
-            there on the object counts as giving way, too.
+        sink_tilt: tilt up to which the tip may go down while the object is stiff, rad; from there
+            on the object counts as giving way, too.
         touch_time: how long the force is averaged to see whether the tip touches, s.
         touch_force: mean force straight down from which the tip counts as touching, N.
         dwell_tilt: how much further than noticed the object is tilted while the force is averaged,
@@ -102,7 +140,20 @@ class PressOptions:
         hold_gain: share of the error of the tip's height, and of its place where it is held
             sideways, by which the command is corrected in each sample.
         dwell_time: how long the force is averaged at the tilt, s.
-        max_tilt: greatest tilt; the tip goes up at once if the object tilts further, rad.
+        max_tilt: tilt about the edge up to which the tip follows an object that gives way, rad. It
+            is what the tip's descent over its distance from the edge says; an object that rocks
+            about a line farther inside tilts by less.
+        spare_tilt: further tilt in which a plateau of the force that began before may end, rad.
+        look_ahead: time by which the tilt is foreseen, s.
+        stiff_share: share of a plateau's force by which the force must rise for the object to be
+            stiff again.
+        stiff_force: least such rise, N.
+        max_plateaus: greatest number of forces at which the object may give way; then it is let
+            come back.
+        follow_time: how long the force is averaged to see whether it rises, s.
+        lowering_rate: rate at which an object is let come back, rad/s.
+        slide_room: how much farther sideways the tip may be drawn than a tilt draws it, m. Beyond
+            it, something slid.
         max_force: greatest force, N. If the object does not tilt with it, the press ends.
         force_time: how long the force is averaged to see whether it is as great as that, s. A stiff
             arm's force grows fast.
@@ -120,13 +171,21 @@ class PressOptions:
     sure_speedup: float = 3.0
     notice_tilt: float = radians(0.2)
     gives_way: float = 0.4
-    sink_share: float = 0.6
+    sink_tilt: float = radians(0.6)
     touch_time: float = 0.1
     touch_force: float = 0.35
     dwell_tilt: float = radians(0.15)
     hold_gain: float = 0.25
     dwell_time: float = 0.5
-    max_tilt: float = radians(1.0)
+    max_tilt: float = radians(4.0)
+    spare_tilt: float = radians(1.0)
+    look_ahead: float = 0.1
+    stiff_share: float = 0.04
+    stiff_force: float = 0.3
+    follow_time: float = 0.15
+    max_plateaus: int = 6
+    lowering_rate: float = radians(10.0)
+    slide_room: float = 0.002
     max_force: float = 50.0
     force_time: float = 0.02
     max_depth: float = 0.004
@@ -194,6 +253,25 @@ class PressSample:
 
 
 @dataclass(frozen=True, eq=False)
+class Plateau:
+    """A force at which an object gave way.
+
+    Attributes:
+        force: mean of F, N.
+        place: (2,) mean place of the tip, W, m.
+        samples: number of samples in both.
+        height: height of the tip as the object began to give way, m.
+        tilt: mean tilt that the tip's descent says, rad.
+    """
+
+    force: float
+    place: Array
+    samples: int
+    height: float
+    tilt: float
+
+
+@dataclass(frozen=True, eq=False)
 class PressState(Unchanging):
     """All that a press remembers; never changed, only replaced.
 
@@ -208,9 +286,15 @@ class PressState(Unchanging):
         window: the latest samples, each with the height commanded then, m.
         touched: when the tip began to touch, s; None before.
         start_height: height of the tip as it began to touch, m.
+        stiff_height: height of the tip as the object was last found stiff, m.
+        lowest: least height of the tip so far, m.
+        sink_rate: how fast the tip goes down, smoothed over some samples, m/s.
+        last_height: height of the tip in the last sample, m; None before.
         hold: (3,) place about which the tip is held, m: where it touched and, at the tilt, lower.
-        forces: straight-down forces F of the samples at the tilt, N.
-        places: (x, y) of the tip at these, m.
+        forces: straight-down forces F of the samples since the object gave way, N.
+        places: (x, y, z) of the tip at these, m.
+        plateaus: the forces at which the object gave way so far. All but the last one were followed
+            by a rise of the force.
         tilt: greatest tilt that the tip's descent says, rad.
     """
 
@@ -224,9 +308,14 @@ class PressState(Unchanging):
     window: tuple[tuple[PressSample, float], ...] = ()
     touched: float | None = None
     start_height: float = 0.0
+    stiff_height: float = 0.0
+    lowest: float = inf
+    sink_rate: float = 0.0
+    last_height: float | None = None
     hold: Array = field(default_factory=lambda: np.zeros(3))
     forces: tuple[float, ...] = ()
-    places: tuple[tuple[float, float], ...] = ()
+    places: tuple[tuple[float, float, float], ...] = ()
+    plateaus: tuple[Plateau, ...] = ()
     tilt: float = 0.0
 
     @property
@@ -244,23 +333,25 @@ class PressState(Unchanging):
             options: how.
             pose: (3,) X_WB of the object, as it was seen, m and rad.
         """
-        if self.outcome != PressOutcome.TILTED or not self.forces:
+        if self.outcome != PressOutcome.TILTED or not self.plateaus:
             return None
-        force = float(np.mean(self.forces))
-        if force < options.touch_force:
+        last = self.plateaus[-1]
+        if last.force < options.touch_force:
             return None
-        place = np.mean(self.places, axis=0)
         # Forces along the normal count by h / a.
-        share = target.top / target.calc_arm(place)
-        samples = 1 / len(self.forces) + 1 / max(self.tare[1], 1)
+        share = target.top / target.calc_arm(last.place)
+        samples = 1 / last.samples + 1 / max(self.tare[1], 1)
         variance = options.force_std**2 * (1 + share**2) * samples + options.force_floor**2
         return EdgePress(
             pose=pose,
-            place=place,
-            force=force,
+            place=last.place,
+            force=last.force,
             edge_point=np.array(target.edge_point),
             edge_angle=target.edge_angle,
             force_std=sqrt(variance),
+            center_shift=CENTER_HEIGHT * target.top * tan(last.tilt),
+            free_way=max(last.height - self.lowest, 0.0),
+            rock_force=self.plateaus[0].force if len(self.plateaus) > 1 else None,
         )
 
 
@@ -288,8 +379,27 @@ def advance_press(
         if now.phase == PressPhase.RETREATING:
             return replace(now, last=sample.time)
         return _retreat(now, sample, PressOutcome.NO_FORCE)
+    now = _note_rate(now, sample)
     after = PHASES[now.phase](target, options, now, sample)
+    if now.phase in SLIDABLE and _is_drawn_away(target, options, after, sample):
+        after = _retreat(after, sample, PressOutcome.SLID)
     return replace(after, last=sample.time)
+
+
+def has_slid(
+    before: Array, after: Array, distance: float = SLID_DISTANCE, angle: float = SLID_ANGLE
+) -> bool:
+    """Says whether an object was shifted or turned by a press.
+
+    Args:
+        before: (3,) X_WB as it was seen at rest before the press, m and rad.
+        after: (3,) X_WB as it is seen at rest afterwards; NaN where it is not seen.
+        distance: how far it may seem to be shifted by the noise of the poses, m.
+        angle: how far it may seem to be turned, rad.
+    """
+    off = after - before
+    turn = wrap_angle(off[2])
+    return bool(np.linalg.norm(off[:2]) > distance or abs(turn) > angle)
 
 
 def break_off(now: PressState, sample: PressSample, outcome: PressOutcome) -> PressState:
@@ -356,33 +466,21 @@ def _press(
     # Is the tip where something should have been met?
     is_full = sample.time - window[0][0].time >= options.touch_time - ROUND_OFF
     touches = is_full and force >= options.touch_force
-    if not touches and sample.tip[2] < target.hover[2] - options.max_depth:
+    too_low = sample.tip[2] < target.hover[2] - options.max_depth
+    if now.touched is None and not touches and too_low:
         return _retreat(moved, sample, PressOutcome.NO_CONTACT)
     latest = [one.force[2] for one, _ in window if sample.time - one.time <= options.force_time]
     if float(np.mean(latest)) - float(now.tare[0][2]) >= options.max_force:
         return _retreat(moved, sample, PressOutcome.TOO_HEAVY)
-
-    # It gives way if the tip goes on as it is commanded, and did not just come through the air.
-    touched = now.touched
-    height_then = now.start_height
-    if touches and touched is None:
-        touched = sample.time
-        height_then = float(sample.tip[2])
-        moved = replace(moved, hold=sample.tip)
-    moved = replace(moved, window=window, touched=touched, start_height=height_then)
-    if touched is None or sample.time - touched < options.window:
+    moved = replace(moved, window=window)
+    if touches and now.touched is None:
+        height = float(sample.tip[2])
+        moved = replace(
+            moved, touched=sample.time, start_height=height, stiff_height=height, hold=sample.tip
+        )
+    if not _gives_way(target, options, moved, sample):
         return moved
-    first, height = next(
-        pair
-        for pair in reversed(window)
-        if sample.time - pair[0].time >= options.window - ROUND_OFF
-    )
-    wanted = height - float(now.command[2])
-    made = float(first.tip[2] - sample.tip[2])
     arm = target.calc_arm(sample.tip)
-    sank = height_then - float(sample.tip[2]) > options.sink_share * options.max_tilt * arm
-    if made < options.gives_way * wanted and not sank:
-        return moved
     return replace(
         now,
         phase=PressPhase.DWELLING,
@@ -390,6 +488,27 @@ def _press(
         since=sample.time,
         hold=np.array([*moved.hold[:2], sample.tip[2] - options.dwell_tilt * arm]),
         window=(),
+        forces=(),
+        places=(),
+    )
+
+
+def _gives_way(
+    target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
+) -> bool:
+    """Says whether the tip goes on as it is commanded, and did not just come through the air."""
+    if now.touched is None or sample.time - now.touched < options.window:
+        return False
+    old = [pair for pair in now.window if sample.time - pair[0].time >= options.window - ROUND_OFF]
+    if not old:
+        return False
+    first, height = old[-1]
+    # The last height in the window is what was commanded for this sample.
+    wanted = height - now.window[-1][1]
+    made = float(first.tip[2] - sample.tip[2])
+    sunk = now.stiff_height - float(sample.tip[2])
+    return made >= options.gives_way * wanted or sunk > options.sink_tilt * target.calc_arm(
+        sample.tip
     )
 
 
@@ -397,24 +516,146 @@ def _dwell(
     target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
 ) -> PressState:
     """Averages the force at the tilt, and watches that the object does not tilt further."""
-    tilt = (now.start_height - float(sample.tip[2])) / target.calc_arm(sample.tip)
+    tilt = _calc_tilt(target, now, sample)
     after = replace(
         _hold(target, options, now, sample),
         forces=(*now.forces, _calc_force(target, now, sample)),
-        places=(*now.places, (float(sample.tip[0]), float(sample.tip[1]))),
+        places=(*now.places, (float(sample.tip[0]), float(sample.tip[1]), float(sample.tip[2]))),
         tilt=max(now.tilt, tilt),
+        lowest=min(now.lowest, float(sample.tip[2])),
     )
-    if tilt > options.max_tilt or sample.time - now.since >= options.dwell_time:
-        return _retreat(after, sample, PressOutcome.TILTED)
-    return after
+    too_far = _foresee_tilt(target, options, now, sample) > options.max_tilt + options.spare_tilt
+    if not too_far and sample.time - now.since < options.dwell_time:
+        return after
+    if not too_far and _has_risen(options, np.array(after.forces)):
+        # The underside met the edge meanwhile: this was no plateau.
+        return _press_on(after, sample)
+    height = float(now.hold[2]) + options.dwell_tilt * target.calc_arm(sample.tip)
+    plateau = _average(target, after, height, len(after.forces))
+    after = replace(after, plateaus=(*now.plateaus, plateau))
+    if tilt > options.max_tilt:
+        return _lower(after, sample)
+    return replace(
+        after, phase=PressPhase.FOLLOWING, since=sample.time, window=(), forces=(), places=()
+    )
+
+
+def _follow(
+    target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
+) -> PressState:
+    """Goes on downwards with an object that gave way, until it is stiff again or tilted enough."""
+    now = _give_sideways(target, options, now, sample)
+    assert now.command is not None
+    speed = options.tilt_rate * target.calc_arm(sample.tip)
+    moved = _move(now, sample, now.command - np.array([0.0, 0.0, 1.0]), speed)
+    tilt = _calc_tilt(target, now, sample)
+    after = replace(
+        moved,
+        forces=(*now.forces, _calc_force(target, now, sample)),
+        places=(*now.places, (float(sample.tip[0]), float(sample.tip[1]), float(sample.tip[2]))),
+        tilt=max(now.tilt, tilt),
+        lowest=min(now.lowest, float(sample.tip[2])),
+    )
+    # The force of the last moment, in a window of as many samples as that time has.
+    plateau = now.plateaus[-1]
+    period = max(sample.time - now.last, ROUND_OFF)
+    count = round(options.follow_time / period)
+    force = float(np.mean(after.forces[-count:]))
+    rise = max(options.stiff_force, options.stiff_share * plateau.force)
+    stiff = len(after.forces) >= count and force - plateau.force > rise
+    if stiff and len(now.plateaus) < options.max_plateaus:
+        return _press_on(after, sample)
+    # A heavy object on a soft arm swings on.
+    if _foresee_tilt(target, options, now, sample) <= options.max_tilt and not stiff:
+        return after
+    # While the object began to tilt, other feet than the edge may still have borne a little. The
+    # force is that of the end, if there are samples enough.
+    if len(after.forces) >= count:
+        last = _average(target, after, plateau.height, round(options.dwell_time / period))
+        after = replace(after, plateaus=(*now.plateaus[:-1], last))
+    return _lower(after, sample)
+
+
+def _average(target: PressTarget, now: PressState, height: float, count: int) -> Plateau:
+    """Averages the last samples, as many as `count`, of a plateau that began at a height, m."""
+    places = np.array(now.places[-count:])
+    place = places[:, :2].mean(axis=0)
+    sunk = now.start_height - float(places[:, 2].mean())
+    return Plateau(
+        force=float(np.mean(now.forces[-count:])),
+        place=place,
+        samples=len(places),
+        height=height,
+        tilt=max(sunk / target.calc_arm(place), 0.0),
+    )
+
+
+def _press_on(now: PressState, sample: PressSample) -> PressState:
+    """Presses on an object that is stiff again."""
+    return replace(
+        now,
+        phase=PressPhase.PRESSING,
+        since=sample.time,
+        stiff_height=float(sample.tip[2]),
+        window=(),
+        velocity=np.zeros(3),
+    )
+
+
+def _has_risen(options: PressOptions, forces: Array) -> bool:
+    """Says whether the force rose while it was averaged, as where an object gets stiff again."""
+    part = len(forces) // RISE_PARTS
+    if part == 0:
+        return False
+    first = float(forces[:part].mean())
+    rise = max(options.stiff_force, options.stiff_share * first)
+    return float(forces[-part:].mean()) - first > rise
+
+
+def _calc_tilt(target: PressTarget, now: PressState, sample: PressSample) -> float:
+    """Calculates the tilt about the edge that the tip's descent says, rad."""
+    return (now.start_height - float(sample.tip[2])) / target.calc_arm(sample.tip)
+
+
+def _foresee_tilt(
+    target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
+) -> float:
+    """Calculates the tilt, rad, that is reached a little later if the tip goes on as fast."""
+    tilt = _calc_tilt(target, now, sample)
+    return tilt + options.look_ahead * max(now.sink_rate, 0.0) / target.calc_arm(sample.tip)
+
+
+def _note_rate(now: PressState, sample: PressSample) -> PressState:
+    """Notes how fast the tip goes down."""
+    height = float(sample.tip[2])
+    rate = now.sink_rate
+    if now.last_height is not None and sample.time > now.last:
+        latest = (now.last_height - height) / (sample.time - now.last)
+        rate += RATE_GAIN * (latest - rate)
+    return replace(now, sink_rate=rate, last_height=height)
+
+
+def _is_drawn_away(
+    target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
+) -> bool:
+    """Says whether the tip was drawn farther sideways than a tilt of the object draws it."""
+    if now.touched is None:
+        return False
+    drawn = target.top * tan(max(_calc_tilt(target, now, sample), 0.0))
+    off = float(np.linalg.norm(sample.tip[:2] - now.hold[:2]))
+    return off > drawn + options.slide_room
 
 
 def _go_up(
     target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
 ) -> PressState:
-    """Moves the tip up again."""
+    """Moves the tip up again, slowly as long as it lets an object come back that tilted."""
     goal = target.hover + np.array([0.0, 0.0, options.clearance])
-    after = _move(now, sample, goal, options.approach_speed)
+    speed = options.approach_speed
+    if now.outcome == PressOutcome.TILTED and sample.tip[2] < now.start_height:
+        speed = min(speed, options.lowering_rate * target.calc_arm(sample.tip))
+        speed += BRAKING * max(now.sink_rate, 0.0)
+    after = _move(now, sample, goal, speed)
     if sample.tip[2] > goal[2] - HOVER_TOLERANCE:
         return replace(after, phase=PressPhase.DONE, velocity=np.zeros(3))
     return after
@@ -427,17 +668,25 @@ PHASES: dict[
     PressPhase.TARING: _tare,
     PressPhase.PRESSING: _press,
     PressPhase.DWELLING: _dwell,
+    PressPhase.FOLLOWING: _follow,
     PressPhase.RETREATING: _go_up,
 }
 """How each phase but the last is carried on."""
 
+SLIDABLE = (PressPhase.PRESSING, PressPhase.DWELLING, PressPhase.FOLLOWING)
+"""Phases in which the tip touches, and may slide."""
+
 
 def _calc_force(target: PressTarget, now: PressState, sample: PressSample) -> float:
     """Calculates F, the force straight down that has the same moment about the edge, N."""
-    # What the object feels is the opposite of what the tip does.
+    # What the object feels is the opposite of what the tip does. On a top that is tilted by t, a
+    # tip of radius r touches r sin t nearer to the edge than its center is.
     f = now.tare[0] - sample.force
-    height = float(sample.tip[2]) - target.tip_radius
-    return float(-f[2] + f[:2] @ target.normal * height / target.calc_arm(sample.tip))
+    tilt = 0.0 if now.touched is None else max(_calc_tilt(target, now, sample), 0.0)
+    arm = target.calc_arm(sample.tip)
+    height = float(sample.tip[2]) - target.tip_radius * cos(tilt)
+    moment = -f[2] * (arm - target.tip_radius * sin(tilt)) + f[:2] @ target.normal * height
+    return float(moment / arm)
 
 
 def _move(now: PressState, sample: PressSample, goal: Array, speed: float) -> PressState:
@@ -475,6 +724,17 @@ def _hold(
     assert followed.command is not None
     rise = options.hold_gain * float(now.hold[2] - sample.tip[2])
     return replace(followed, command=followed.command + np.array([0.0, 0.0, rise]))
+
+
+def _lower(now: PressState, sample: PressSample) -> PressState:
+    """Lets an object that tilted come back: the tip goes up from where it is commanded."""
+    return replace(
+        now,
+        phase=PressPhase.RETREATING,
+        outcome=PressOutcome.TILTED,
+        since=sample.time,
+        velocity=np.zeros(3),
+    )
 
 
 def _retreat(now: PressState, sample: PressSample, outcome: PressOutcome) -> PressState:

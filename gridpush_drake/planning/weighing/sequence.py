@@ -17,7 +17,9 @@ with the errors of force, edge and pose, and what is made small is
     S'(log m) / (what is enough of it)² + trace S'(c) / (what is enough of it)²
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 import shapely
@@ -120,8 +122,8 @@ def plan_next_press(
         return None
     rules = options.rules
     region = centers
-    belief = found.absolute or believe_before(found)
-    if found.absolute is not None:
+    belief = found.weighed or believe_before(found)
+    if found.weighed is not None:
         region = cut_to_ellipse(
             centers, belief.center_of_mass, belief.center_covariance, options.sigmas
         )
@@ -129,21 +131,38 @@ def plan_next_press(
         rules = replace(rules, mass=belief.total_mass)
     rules = replace(rules, mass=rules.mass * HEAVIER**withstood)
 
-    best: PlannedPress | None = None
-    least = (1 - options.min_gain) * calc_open(belief.covariance, options)
-    # A heavy object may lie still wherever its center of mass is farthest from the edge. If there
-    # is no other press, one is made that tilts it with the center where it is expected.
-    for surely in (True, False):
-        for heading in calc_headings(found.obj, edge).tolist():
-            rests = list_rests(found.obj, region, heading, edge, top, rules, surely=surely)
-            for planned in rests:
-                left = calc_left_open(belief, planned, rules, options)
-                if left < least:
-                    best = planned
-                    least = left
+    # The whole finger is to press on the object; only where no such press is left, a press is made
+    # on a part that is too narrow for that. A heavy object may lie still wherever its center of
+    # mass is farthest from the edge. If there is no other press, one is made that tilts it with the
+    # center where it is expected.
+    for is_narrow, surely in product((False, True), (True, False)):
+        rules = replace(rules, is_narrow=is_narrow)
+        rests = [
+            planned
+            for heading in calc_headings(found.obj, edge).tolist()
+            for planned in list_rests(found.obj, region, heading, edge, top, rules, surely=surely)
+        ]
+        best = _choose_most_telling(belief, rests, rules, options)
         if best is not None:
             return with_sure_force(best, belief, rules)
     return None
+
+
+def _choose_most_telling(
+    belief: AbsoluteEstimate,
+    rests: Sequence[PlannedPress],
+    rules: PressRules,
+    options: SequenceOptions,
+) -> PlannedPress | None:
+    """Chooses the press that is expected to leave least open; None where none tells enough."""
+    least = (1 - options.min_gain) * calc_open(belief.covariance, options)
+    best: PlannedPress | None = None
+    for planned in rests:
+        left = calc_left_open(belief, planned, rules, options)
+        if left < least:
+            best = planned
+            least = left
+    return best
 
 
 def with_sure_force(
@@ -217,7 +236,7 @@ def calc_open(S: Array, options: SequenceOptions) -> float:
 
 def is_known(found: Identification, options: SequenceOptions) -> bool:
     """Whether mass and center of mass are known well enough."""
-    absolute = found.absolute
+    absolute = found.weighed
     if absolute is None:
         return False
     mass_std = float(np.sqrt(absolute.covariance[LOG_MASS, LOG_MASS]))

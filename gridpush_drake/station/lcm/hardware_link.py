@@ -46,7 +46,14 @@ from gridpush_drake.station.lcm.robot_messages import (
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import SafetyConfig
 from gridpush_drake.systems.arm_path import brake
-from gridpush_drake.systems.guard_status import BY_SILENCE, BY_USER, DONE, GuardMode, GuardStatus
+from gridpush_drake.systems.guard_status import (
+    BY_SILENCE,
+    BY_USER,
+    DONE,
+    GuardMode,
+    GuardStatus,
+    StopKind,
+)
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 
 PATIENCE = 5.0
@@ -70,6 +77,9 @@ SILENCE = 1.0
 STOPPING_TIME = 2.0
 """Time within which any arm has braked, and was measured at rest or not, s; beside the time for
 which it goes back after a collision."""
+
+BY_LATENESS = (StopKind.SILENCE, StopKind.JOINT_SPEED, StopKind.FOLLOWING, StopKind.OBJECT)
+"""Kinds of stops that a slow computer can cause."""
 
 ROUNDING = 1e-9
 """Times that differ by less than this are the same, s."""
@@ -282,7 +292,11 @@ class HardwareLink:
 
     def explain(self) -> str:
         """Says in sentences what went wrong beside what the guard says; see `Drive`."""
-        return " ".join(f"{cause.rstrip('.')}." for cause in self.report.causes)
+        sentences = [f"{cause.rstrip('.')}." for cause in self.report.causes]
+        # A twin in the same process moves only when it is told to: it cannot be late.
+        if self._robot is None and self._said.kinds[:1] and self._said.kinds[0] in BY_LATENESS:
+            sentences.append(self.report.describe_slowness())
+        return " ".join(filter(None, sentences))
 
     def note(self, text: str) -> None:
         """Adds to the log, at the station's time."""

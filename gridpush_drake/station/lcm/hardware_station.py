@@ -13,7 +13,7 @@ from pydrake.lcm import DrakeLcmInterface
 from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import DifferentialInverseKinematicsIntegrator
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JointActuatorIndex
+from pydrake.multibody.tree import JointActuatorIndex, PrismaticJoint
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import Multiplexer
 from shapely.geometry.base import BaseGeometry
@@ -119,6 +119,8 @@ def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardL
         speed=control_plant.GetVelocityUpperLimits(),
         acceleration=np.full(control_plant.num_positions(), safety.acceleration),
         torque=safety.torque_share * effort,
+        position_lower=control_plant.GetPositionLowerLimits(),
+        position_upper=control_plant.GetPositionUpperLimits(),
         force=safety.force,
         status_age=safety.status_age,
         pose_jump=safety.pose_jump,
@@ -126,6 +128,11 @@ def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardL
         retreat=safety.retreat,
         following_error=safety.following_error,
         following_time=safety.following_time,
+        sliding=tuple(
+            joint.position_start()
+            for joint in map(control_plant.get_joint, control_plant.GetJointIndices())
+            if joint.type_name() == PrismaticJoint.kTypeName
+        ),
     )
 
 

@@ -8,6 +8,10 @@ from gridpush_drake.station.lcm.robot_messages import MILLISECONDS
 LATE_PERIOD = 0.01
 """A command that goes out longer than this after the last one counts as late, s."""
 
+SLOW_SHARE = 0.05
+"""If more than this share of the commands came late, or the controller paused, the computer was too
+slow."""
+
 NOTED = 10
 """The log tells when a pause happened for the first so many of each kind; all are counted."""
 
@@ -44,6 +48,22 @@ class LinkReport:
     def late_share(self) -> float:
         """The share of the commands that came late, 0 to 1."""
         return self.late / max(self.steps, 1)
+
+    @property
+    def slow(self) -> bool:
+        """Whether this computer was too slow for the control loop."""
+        return self.pauses > 0 or self.late_share > SLOW_SHARE
+
+    def describe_slowness(self) -> str:
+        """Says how late the control loop was and what helps; "" if it was in time."""
+        if not self.slow:
+            return ""
+        return (
+            f"The likely cause is a slow computer: {100 * self.late_share:.0f} % of the commands "
+            f"came more than {MILLISECONDS * LATE_PERIOD:.0f} ms after the last one, the latest "
+            f"after {MILLISECONDS * self.worst_period:.0f} ms. Close other programs; with a twin, "
+            "start it and gridpush robot again with a smaller --realtime-rate."
+        )
 
     def note_period(self, period: float) -> None:
         """Counts a command that came a period, s, after the last one."""

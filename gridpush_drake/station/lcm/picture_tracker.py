@@ -81,7 +81,7 @@ class RobotSilhouette:
         scenario = resolved.scenario
         builder = DiagramBuilder()
         self.plant, scene_graph = AddPlantAndSceneGraph(builder, scenario.simulation.time_step)
-        AddScene(MakeParser(self.plant), scenario)
+        AddScene(MakeParser(self.plant, resolved.robot.packages), scenario)
         self.plant.Finalize()
         self.table_top = resolved.table_top
         rgbd = AddRgbdCamera(builder, self.plant, scene_graph, scenario, [])

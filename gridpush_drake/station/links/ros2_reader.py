@@ -30,7 +30,7 @@ from gridpush_drake.station.links.ros2_pictures import (
     read_color,
     read_depth,
 )
-from gridpush_drake.station.links.ros2_robot import RosRobot
+from gridpush_drake.station.links.ros2_robot import GripperJoints, RosRobot
 from gridpush_drake.station.links.ros2_topics import (
     ARM_TRAJECTORY,
     GRIPPER_POSITIONS,
@@ -45,8 +45,10 @@ from gridpush_drake.station.links.ros2_topics import (
 )
 
 MAX_WRENCH_AGE = 0.1
-"""If the last wrench was measured longer than this before the joints, s, the load is not known any
-more. The status then cannot be used, and the arm is stopped if no better one comes."""
+"""If the last wrench was measured longer than this before the joints, or after them, s, the load is
+not known any more. The status then cannot be used, and the arm is stopped if no better one comes.
+A wrench stamped ahead would otherwise be believed until the joints come to its time, though its
+sensor may have died."""
 
 MAX_DEVIATION = 0.02
 """Largest standard deviation, m, with which a pose of the object can be used, by its covariance.
@@ -87,7 +89,6 @@ class Ros2Reader:
         self._received: list[LinkMessage] = []
         self._wrench: tuple[float, Array, Array] | None = None
         self._last: tuple[float, Array] | None = None
-        self._orders: dict[tuple[str, ...], NDArray[np.intp] | None] = {}
         self._images: dict[str, dict[tuple[int, int], Any]] = {COLOR: {}, DEPTH: {}}
         self._camera_fault = ""
 
@@ -100,19 +101,40 @@ class Ros2Reader:
     def take_joints(self, message: Any) -> None:
         """Takes a `JointState` of the arm, the gripper, or both; other joints say nothing here."""
         time = _read_time(message.header.stamp)
-        order = self._find_order(tuple(message.name), self._robot.joints)
+        gripper = self._robot.gripper
+        order = _find_order(message.name, self._robot.joints)
+        gripper_order = None if gripper is None else _find_order(message.name, gripper.names)
+        if order is None and gripper_order is None:
+            return
+        fault = self._find_joints_fault(message)
+        if fault:
+            self._leave_out(f"{JOINT_STATES}{fault}")
+            return
         if order is not None:
             self._take_arm(message, order, time)
-        gripper = self._robot.gripper
-        if gripper is None:
-            return
-        order = self._find_order(tuple(message.name), gripper.names)
-        if order is None:
-            return
+        if gripper is not None and gripper_order is not None:
+            self._take_gripper_joints(message, gripper, gripper_order, time)
+
+    def _find_joints_fault(self, message: Any) -> str:
+        """Says why it is not clear which number of a `JointState` is which joint's; "" if it is."""
+        names = list(message.name)
+        wanted = self._robot.joints
+        if self._robot.gripper is not None:
+            wanted += self._robot.gripper.names
+        if any(names.count(name) > 1 for name in wanted):
+            return " names a joint twice"
+        if len(message.position) != len(names):
+            return ": position has not one number for each name"
+        for field in ("velocity", "effort"):
+            if len(getattr(message, field)) not in (0, len(names)):
+                return f": {field} has not one number for each name"
+        return ""
+
+    def _take_gripper_joints(
+        self, message: Any, gripper: GripperJoints, order: NDArray[np.intp], time: float
+    ) -> None:
         position = _pick(message.position, order)
-        if position is None:
-            self._leave_out(f"{JOINT_STATES}: position has not one number for each name")
-            return
+        assert position is not None
         velocity, effort = _pick(message.velocity, order), _pick(message.effort, order)
         share = gripper.calc_share(position)
         speed = 0.0
@@ -123,9 +145,7 @@ class Ros2Reader:
 
     def _take_arm(self, message: Any, order: NDArray[np.intp], time: float) -> None:
         position = _pick(message.position, order)
-        if position is None:
-            self._leave_out(f"{JOINT_STATES}: position has not one number for each name")
-            return
+        assert position is not None
         velocity = _pick(message.velocity, order)
         if velocity is None:
             velocity = self._calc_velocity(time, position)
@@ -134,16 +154,6 @@ class Ros2Reader:
         if torque is None:
             return
         self._received.append(ArmStatus(time, position, velocity, torque))
-
-    def _find_order(
-        self, names: tuple[str, ...], wanted: tuple[str, ...]
-    ) -> NDArray[np.intp] | None:
-        """Where the wanted joints are among a message's; None where not all are there."""
-        key = (*names, "", *wanted)
-        if key not in self._orders:
-            there = all(name in names for name in wanted)
-            self._orders[key] = np.array([names.index(n) for n in wanted]) if there else None
-        return self._orders[key]
 
     def _calc_velocity(self, time: float, position: Array) -> Array:
         """From the status before, where a driver says no velocities, rad/s."""
@@ -163,8 +173,11 @@ class Ros2Reader:
         if self._wrench is None or not np.isfinite(position).all():
             return np.zeros(len(position))
         came, force, torque = self._wrench
-        if time - came > MAX_WRENCH_AGE:
-            self._leave_out(f"{WRENCH} is more than {MAX_WRENCH_AGE:g} s older than {JOINT_STATES}")
+        if abs(time - came) > MAX_WRENCH_AGE:
+            which = "older" if came < time else "newer"
+            self._leave_out(
+                f"{WRENCH} is more than {MAX_WRENCH_AGE:g} s {which} than {JOINT_STATES}"
+            )
             return None
         return self._robot.tip_load.calc_torque(position, force, torque)
 
@@ -263,18 +276,23 @@ class Ros2Reader:
         self, topic: str, message: Any, joints: tuple[str, ...]
     ) -> tuple[Array, Array | None] | None:
         """Reads positions and any efforts of a trajectory's only point; None if it will not do."""
-        order = self._find_order(tuple(message.joint_names), joints)
+        names = list(message.joint_names)
+        order = _find_order(names, joints)
         if order is None:
             self._leave_out(f"{topic} names not all joints; expected {', '.join(joints)}")
             return None
         if len(message.points) != 1:
             self._leave_out(f"{topic} has {len(message.points)} points; expected one at a time")
             return None
-        position = _pick(message.points[0].positions, order)
-        if position is None:
+        if any(names.count(name) > 1 for name in joints):
+            self._leave_out(f"{topic} names a joint twice")
+            return None
+        point = message.points[0]
+        position = _pick(point.positions, order)
+        if position is None or len(point.positions) != len(names):
             self._leave_out(f"{topic}: positions has not one number for each joint")
             return None
-        return position, _pick(message.points[0].effort, order)
+        return position, _pick(point.effort, order)
 
     def take_color(self, message: Any) -> None:
         """Takes a color `Image`."""
@@ -332,6 +350,13 @@ def find_orientation_fault(q: Any) -> str:
 
 def _read_time(stamp: Any) -> float:
     return float(stamp.sec) + float(stamp.nanosec) / NANOSECONDS
+
+
+def _find_order(names: Sequence[str], wanted: Sequence[str]) -> NDArray[np.intp] | None:
+    """Where the wanted joints are among a message's; None where not all are there."""
+    names = list(names)
+    there = all(name in names for name in wanted)
+    return np.array([names.index(name) for name in wanted]) if there else None
 
 
 def _pick(numbers: Sequence[float], order: NDArray[np.intp]) -> Array | None:

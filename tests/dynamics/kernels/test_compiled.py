@@ -120,13 +120,14 @@ class User:
     """A kernel that doubles a number, and its filled cache.
 
     Attributes:
+        source: the file of the kernel's source.
         cache: the folder that NUMBA_CACHE_DIR names.
         file: the one compiled kernel in it.
     """
 
     def __init__(self, folder, monkeypatch, capsys):
-        self._source, self._capsys, self._monkeypatch = folder / "user.py", capsys, monkeypatch
-        self._source.write_text(SOURCE.format(factor=2.0))
+        self.source, self._capsys, self._monkeypatch = folder / "user.py", capsys, monkeypatch
+        self.source.write_text(SOURCE.format(factor=2.0))
         self.cache = folder / "cache"
         self.call()
         (self.file,) = self.cache.glob("*/*.nbc")
@@ -135,7 +136,7 @@ class User:
         """Calls the kernel as a new process does; returns value, hits, and the lines on standard error."""
         forget()
         self._monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache or self.cache))
-        specification = spec_from_file_location("user", self._source)
+        specification = spec_from_file_location("user", self.source)
         module = module_from_spec(specification)
         specification.loader.exec_module(module)
         self._capsys.readouterr()
@@ -159,6 +160,29 @@ def test_the_first_call_that_compiles_says_so_and_one_that_finds_all_compiled_sa
     assert user.call() == (4.0, 1, [])
     user.file.unlink()
     assert user.call() == (4.0, 0, [compiled.NOTICE])
+
+
+@pytest.mark.parametrize(("arrives", "hits"), [(True, 1), (False, 0)])
+def test_a_kernel_that_another_process_compiles_is_waited_for(user, tmp_path, arrives, hits):
+    """The file comes at the third look, or the other process ends without it."""
+    kept = user.file.rename(tmp_path / "kept.nbc")
+    looks = []
+
+    def is_at_work():
+        looks.append(user.file.exists())
+        if len(looks) < 3:
+            return True
+        if arrives:
+            kept.rename(user.file)
+        return arrives
+
+    with compiled.filled_by(compiled.Others(frozenset({user.source}), is_at_work)):
+        assert user.call() == (4.0, hits, [compiled.NOTICE])
+    assert looks == [False] * 3
+    user.file.unlink()
+    with compiled.filled_by(compiled.Others(frozenset(), is_at_work)):
+        user.call()
+    assert len(looks) == 3
 
 
 def spoil(content, how, seed):

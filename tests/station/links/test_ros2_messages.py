@@ -1,5 +1,6 @@
 """Messages of ROS 2 are read as they are written; neither needs ROS, but only its types' fields."""
 
+import tracemalloc
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -151,6 +152,54 @@ def test_an_arms_load_comes_as_a_wrench_where_its_joints_have_none(robot):
     (refused,) = reader.take_all()
     assert isinstance(refused, Unusable)
     assert "s older than joint_states" in refused.why
+
+    # nor does one that is stamped ahead, whose sensor may have died since
+    ahead = replace(status, time=status.time + 3600.0)
+    reader.take_wrench(write(robot, "send_arm_status", ahead)[WRENCH])
+    reader.take_joints(published[JOINT_STATES])
+    (refused,) = reader.take_all()
+    assert isinstance(refused, Unusable)
+    assert "s newer than joint_states" in refused.why
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (lambda m: m.name.append(m.name[0]), "joint_states names a joint twice"),
+        (lambda m: m.name.append("another"), "joint_states: position has not one number"),
+        (lambda m: m.position.append(0.0), "joint_states: position has not one number"),
+        (lambda m: m.velocity.pop(), "joint_states: velocity has not one number for each name"),
+        (lambda m: m.effort.append(0.0), "joint_states: effort has not one number for each name"),
+    ],
+)
+def test_joints_whose_numbers_are_not_clear_are_left_out(robot, spoil, why):
+    reader = make_reader(robot)
+    message = write(robot, "send_arm_status", make_status(robot))[JOINT_STATES]
+    for field in ("name", "position", "velocity", "effort"):
+        setattr(message, field, list(getattr(message, field)))
+    if why.endswith("twice"):
+        for field in ("position", "velocity", "effort"):
+            setattr(message, field, [*getattr(message, field), 0.0])
+    spoil(message)
+    reader.take_joints(message)
+    (refused,) = reader.take_all()
+    assert isinstance(refused, Unusable)
+    assert refused.why.startswith(why)
+
+
+def test_names_in_ever_new_orders_take_no_memory(robot):
+    reader = make_reader(robot)
+    message = write(robot, "send_arm_status", make_status(robot))[JOINT_STATES]
+    tracemalloc.start()
+    for number in range(500):
+        message.name = [*robot.joints, f"{number:0>2000}"]
+        message.position = np.zeros(len(message.name))
+        message.velocity = message.effort = np.zeros(len(message.name))
+        reader.take_joints(message)
+        assert isinstance(reader.take_all()[0], ArmStatus)
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 200_000  # the names alone are 1 MB
 
 
 def test_a_driver_without_velocities_is_read_by_differences(robot):

@@ -1,4 +1,4 @@
-"""`--nothing-told`, as `gridpush demo` and `gridpush robot` have it."""
+"""`--unknown-inertia`, as `gridpush demo`, `gridpush robot` and `gridpush campaign` have it."""
 
 from typing import Annotated
 
@@ -8,19 +8,19 @@ from gridpush_drake.cli import options
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.tasks import TaskName
 
-NothingTold = Annotated[
+UnknownInertia = Annotated[
     bool,
     typer.Option(
-        "--nothing-told",
+        "--unknown-inertia",
         help="Tell the robot neither the object's mass nor bounds of its friction. It then weighs "
         "the object on the way: its finger presses on what hangs over the table's edge, up to the "
         "first sign of tilt. Only with --task pregrasp.",
     ),
 ]
-"""`--nothing-told`, see `tell_nothing`."""
+"""`--unknown-inertia`, see `hide_inertia`."""
 
 
-def tell_nothing(scenario: PushScenario, task: TaskName) -> None:
+def hide_inertia(scenario: PushScenario, task: TaskName) -> None:
     """Changes a scenario so that the robot is told nothing of the object.
 
     Raises:
@@ -28,6 +28,7 @@ def tell_nothing(scenario: PushScenario, task: TaskName) -> None:
     """
     if task is not TaskName.pregrasp:
         raise options.OptionError(
-            f"--nothing-told: goes with --task pregrasp only; in --task {task} nothing is weighed"
+            f"--unknown-inertia: goes with --task pregrasp only; in --task {task} nothing "
+            "is weighed"
         )
     scenario.nothing_told = True
