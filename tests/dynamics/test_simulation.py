@@ -344,8 +344,8 @@ def test_derivatives_by_the_push_alone_are_those_of_the_whole_jacobian(obj, para
 
 
 def test_swapped_arguments_are_named(obj, params):
-    form = r"as in simulate\(obj, params, push\)"
-    with pytest.raises(SimulationError, match=f"obj: is a CellParameters; .* GridObject, {form}"):
-        simulate(Model(params, obj), PUSH)
-    with pytest.raises(SimulationError, match=f"params: is a Push; .* CellParameters, {form}"):
-        simulate(Model(obj, PUSH), params)
+    form = r"as in simulate\(Model\(obj, params\), push\)"
+    with pytest.raises(SimulationError, match=f"model: is a Push; expected a Bodies, {form}"):
+        simulate(PUSH, Model(obj, params))
+    with pytest.raises(SimulationError, match=f"push: is a CellParameters; .*, {form}"):
+        simulate(Model(obj), params)
