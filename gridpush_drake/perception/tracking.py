@@ -355,7 +355,9 @@ class PoseTracker:
         if not state.hidden:
             limit *= STILL_SEEN
         if fit.dilution > limit:
-            return replace(state, hidden=True), NOT_SEEN
+            # Nor is it one that later pictures are to be compared with.
+            clear = None if state.clear is fit else state.clear
+            return replace(state, hidden=True, clear=clear), NOT_SEEN
         state = replace(state, told=pose, told_t=picture.t, hidden=False)
         covariance = mix_covariances(answers)
         return state, TrackedPose(pose=pose, covariance=covariance, seen=True, residual=fit.rms)
@@ -380,8 +382,8 @@ class PoseTracker:
             fit: the registration in the frame.
 
         Returns:
-            `fit` itself where the object is as well in view as before, or moved too far to be
-            compared; None where it seems to have jumped and nothing touched it.
+            `fit` itself where the object is as well in view as before, or may have moved too far to
+            be compared; None where it seems to have jumped in a poorer view and nothing touched it.
         """
         clear = state.clear
         if clear is None or self._finder.calc_lost(view, clear, fit.pose) < STILL_CLEAR:
@@ -391,7 +393,8 @@ class PoseTracker:
         if motion is not None:
             covariance = clear.covariance + motion.covariance
             return fit._replace(pose=motion.pose, covariance=covariance)
-        if state.touched or state.t - state.told_t > DOUBT_TIME:
+        is_better = fit.dilution <= clear.dilution
+        if state.touched or is_better or state.t - state.told_t > DOUBT_TIME:
             return fit
         # What nothing touched is at rest. A jump of it is not believed.
         if self._finder.has_jumped(view, clear, fit.pose):

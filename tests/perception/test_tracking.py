@@ -409,3 +409,21 @@ def test_a_jump_of_an_object_that_nothing_touched_is_not_told_until_it_is_plainl
     np.testing.assert_allclose(plain.pose, moved, atol=1e-3)
     late = after._replace(t=0.2 + DOUBT_TIME)
     assert tracker.track(doubted, late, covered, untouched=True)[1].seen
+
+
+def test_an_object_that_was_hidden_is_not_compared_with_what_hardly_showed_it():
+    moved = np.array([0.01, 0.012, 0.05])
+    tracker = PoseTracker(HALF_PLATE, HEIGHT, make_camera())
+    frame = look(HALF_PLATE, np.zeros(3), depth=False)
+    state, _ = tracker.track(tracker.start(frame, np.zeros(3)), frame)
+    # Two parallel edges do not tell how far it was pushed along them.
+    after = look(HALF_PLATE, moved, seed=1, t=0.1, depth=False)
+    strip = np.ones(frame.color.shape[:2], dtype=bool)
+    strip[:, 290:350] = False
+    for untouched in (False, True):
+        state, hidden = tracker.track(state, after, strip, untouched=untouched)
+        assert not hidden.seen
+    half = cover_half(frame.color.shape, top=False)
+    _, told = tracker.track(state, after, half, untouched=True)
+    assert told.seen
+    np.testing.assert_allclose(told.pose, moved, atol=1e-3)
