@@ -12,7 +12,7 @@ import gridpush_drake
 
 PUBLIC = """
 AddGridObject CellParameters ContactPointController ForcePush GraspCommand GridIdentifier GridLcpSystem GridObject
-GridPushError Identification MakePushStation Motion ObservedPush PhysicalPrior Physics PlanarPoseSensor
+GridPushError Identification MakePushStation Model Motion ObservedPush PhysicalPrior Physics PlanarPoseSensor
 PokePolicy PreGraspController Push PushCommand PushConstraints PushExecutor PushLog PushScenario SetPartner
 SupportSurface WriteSdf
 identify list_shipped_objects optimize_contact plan_pregrasp plan_pushes predict read_model read_scenario simulate

@@ -259,7 +259,7 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
         # What is compiled or loaded for the first identification is not timed.
         identify(Model(obj), log.subset(range(min(2, pushes))))
         repetitions = IDENTIFY_REPETITIONS if pushes < FEW else 1
-        whole = measure(partial(identify, obj, log), repetitions, 0, process_time)
+        whole = measure(partial(identify, Model(obj), log), repetitions, 0, process_time)
         found = identify(Model(obj), log)
         problem = PushProblem(obj, log, found.params, QUASI_STATIC)
         timed = [TimedPush.of(seen, QUASI_STATIC.regime) for seen in log]
@@ -306,7 +306,7 @@ def _measure_decisions(obj: GridObject, draws: int, announce: Announce) -> Table
     still = np.zeros(3)
     optimize_contact(Model(obj, params), still, goals[0])
     times = [
-        measure(partial(optimize_contact, obj, params, still, goal), 1, 0, process_time).median
+        measure(partial(optimize_contact, Model(obj, params), still, goal), 1, 0, process_time).median
         for goal in goals
     ]
     low, median, high = np.quantile(times, [0.25, 0.5, 0.75])

@@ -255,6 +255,7 @@ class Options(StudyOptions):
         "On what objects of the part scale stand. own_weight: each cell bears its own weight, in "
         "Drake; flat, three_feet, vertices: rigid bodies in MuJoCo, with gaps below their "
         "undersides of 0.02 to 1 mm where they are not flat.",
+        metavar="BOTTOM",
     )
 
     @property

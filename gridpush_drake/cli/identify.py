@@ -13,6 +13,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.learning import identify as search
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_check import calc_training_errors, doubt_center, doubt_fit
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.result import Identification, IdentificationStatus
@@ -149,7 +150,7 @@ def identify(
             friction: HeldFriction | None = None,
         ) -> Identification:
             return search(
-                obj,
+                Model(obj),
                 log,
                 method=method,
                 seed=seed,
