@@ -597,6 +597,5 @@ add_core_forms(_Dumper)
 _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)
 _Dumper.add_representer(str, _represent_text)
-_Dumper.add_representer(
-    IdentificationStatus, lambda dumper, value: _represent_text(dumper, str(value))
-)
+for _words in (IdentificationStatus, TiltingLine):
+    _Dumper.add_representer(_words, lambda dumper, value: _represent_text(dumper, str(value)))

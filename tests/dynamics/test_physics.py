@@ -19,9 +19,9 @@ G = 9.81
 NO_PUSH = {"point": (0.0, 0.0), "force": (0.0, 0.0)}
 
 
-def slide(obj, params, nu, duration, dt, pose=(0.0, 0.0, 0.0), **options):
+def slide(obj, params, nu, duration, dt, pose=(0.0, 0.0, 0.0), physics=None, **options):
     return simulate(
-        Model(obj, params),
+        Model(obj, params, physics),
         ForcePush(**NO_PUSH, duration=duration),
         pose,
         dt,

@@ -26,9 +26,10 @@ ROUND_OFF = 1e-12
 class PushCase:
     """A push along a sampled path, as a function of everything that its poses depend on."""
 
-    def __init__(self, obj, params, pose, push, **options):
+    def __init__(self, obj, params, pose, push, physics=None, **options):
         self.obj, self.params, self.pose = obj, params, pose
         self.t, self.path, self.radius = push.t, push.xy, push.radius
+        self.physics = physics
         self.options = {"times": np.linspace(0, push.duration, STEPS + 1), **options}
         self.result = self.run(gradients=True)
         self.switched = False
@@ -56,7 +57,11 @@ class PushCase:
         params = CellParameters(values["mass"], values["friction"], contact_friction, push_height)
         push = Push.along(self.t, xy, self.radius)
         result = simulate(
-            Model(self.obj, params), push, values["pose"], gradients=gradients, **self.options
+            Model(self.obj, params, self.physics),
+            push,
+            values["pose"],
+            gradients=gradients,
+            **self.options,
         )
         if not gradients:
             self.switched |= bool((result.modes != self.result.modes).any())

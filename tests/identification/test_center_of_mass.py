@@ -59,10 +59,10 @@ def test_a_center_of_mass_that_is_told_is_where_it_is_told_and_the_center_of_fri
     log = make_pokes(obj, truth, 6, 3, noise=(5e-4, 3e-3))
     for std in (1e-12, 0.0005, 0.002):
         told = replace(obj.prior, center_of_mass=(at[0], at[1]), center_of_mass_std=std)
-        found = identify(Model(obj), log, told)
+        found = identify(Model(replace(obj, prior=told)), log)
         np.testing.assert_array_equal(calc_center_of_mass(found)[0], at)
         np.testing.assert_allclose(found.identifiability.center_of_friction, at, atol=2e-3)
         assert doubt_fit(found) is None
     wrong = replace(told, center_of_mass=(at[0] - 0.03, at[1]))
-    doubt = doubt_fit(identify(Model(obj), log, wrong))
+    doubt = doubt_fit(identify(Model(replace(obj, prior=wrong)), log))
     assert doubt is not None and "center_of_mass.at" in doubt

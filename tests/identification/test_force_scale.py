@@ -153,9 +153,9 @@ def test_a_push_that_is_too_short_to_become_steady_says_nothing() -> None:
         force=0.5 * force,
     )
     params = identify(Model(obj), log)
-    alone = calc_force_scale(Model(obj, truth), params.posterior, log, params.physics)
+    alone = calc_force_scale(Model(obj, truth, params.physics), params.posterior, log)
     more = PushLog((*log, short, replace(short, name="again")))
-    with_short = calc_force_scale(Model(obj, truth), params.posterior, more, params.physics)
+    with_short = calc_force_scale(Model(obj, truth, params.physics), params.posterior, more)
     assert with_short.pushes == alone.pushes == 4
     assert with_short.friction == pytest.approx(alone.friction, rel=1e-9)
 

@@ -94,10 +94,8 @@ def test_a_center_may_be_elsewhere_than_that_of_friction(learned):
     np.testing.assert_allclose(center, learned.params.center_of_mass(learned.obj), atol=1e-9)
     alone = calc_center_of_mass(learned)[1]
     assert (np.diag(covariance) > np.diag(alone)).all()
-    even = replace(
-        learned, obj=replace(learned.obj, prior=replace(learned.obj.prior, friction_max=0.3501,
-        friction_min=0.3499))
-    )  # fmt: skip
+    known = replace(learned.obj.prior, friction_max=0.3501, friction_min=0.3499)
+    even = replace(learned, objects=(replace(learned.obj, prior=known),))
     np.testing.assert_allclose(calc_center_prior(even)[1], alone, rtol=1e-2)
 
 

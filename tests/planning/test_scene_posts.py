@@ -18,6 +18,7 @@ from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 from gridpush_drake.planning.scene.separation import SeparatePlanner
 from gridpush_drake.planning.scene.world import SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from tests.helpers.random_pushes import make_random_contents
 from tests.helpers.scene_cases import make_row
 from tests.helpers.shapes import make_shape
@@ -32,7 +33,9 @@ def make_post(x, y):
 
 
 def make_rules(*posts):
-    region = shapely.box(-0.6, -0.6, 0.6, 0.6) - shapely.union_all(posts).buffer(QUICK.radius)
+    region = shapely.box(-0.6, -0.6, 0.6, 0.6) - shapely.union_all(posts).buffer(
+        DEFAULT_PUSHER_RADIUS
+    )
     return SceneRules(TABLE, finger_region=region, posts=posts)
 
 
@@ -66,7 +69,7 @@ def test_a_push_stops_before_an_object_comes_to_a_post(bar):
     assert gap[1] > POST_MARGIN - 1e-5
     assert kept.poses[0, 0] > 0.02  # and yet it was pushed there
     # the tip does not touch it either
-    assert post.distance(shapely.LineString(kept.push.xy)) > QUICK.radius - 1e-5
+    assert post.distance(shapely.LineString(kept.push.xy)) > DEFAULT_PUSHER_RADIUS - 1e-5
 
 
 def test_what_lies_at_a_post_is_pushed_away_from_it(bar):

@@ -146,4 +146,5 @@ def test_without_a_pusher_it_stays_and_at_rest_it_has_derivatives():
 )
 def test_what_will_not_do_is_refused(more, message):
     with pytest.raises(SimulationError, match=message):
-        GridLcpStep(Model(OBJ, PARAMS), DT, **more)
+        options = {name: value for name, value in more.items() if name != "physics"}
+        GridLcpStep(Model(OBJ, PARAMS, more.get("physics")), DT, **options)

@@ -243,9 +243,10 @@ def test_paper_gradient_of_the_midpoint_step_with_isotropic_friction(spin):
     """A spinning, sliding body's step is differentiated in the frame that the step itself used."""
     obj, params, pose, nu, push = make_paper_case(5)
     dt = 1e-4  # so short that the friction's direction before the step is that within it
-    options = {"velocity": nu, "physics": Physics(spin=spin), "record": [1]}
-    result = simulate(Model(obj, params), push, pose, dt, "paper", **options)
-    exact = simulate(Model(obj, params), push, pose, dt, True, **options)
+    options = {"velocity": nu, "record": [1]}
+    model = Model(obj, params, Physics(spin=spin))
+    result = simulate(model, push, pose, dt, "paper", **options)
+    exact = simulate(model, push, pose, dt, True, **options)
     for name in ("mass", "friction"):
         one, other = getattr(result.jacobian, name)[0], getattr(exact.jacobian, name)[0]
         np.testing.assert_allclose(one, other, rtol=0, atol=3e-3 * np.abs(other).max())
