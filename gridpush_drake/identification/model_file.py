@@ -108,7 +108,7 @@ class TiltTestSchema(StrictSchema):
     force: Positive
     expected: float
     residual: float
-    line: TiltingLine
+    line: Annotated[TiltingLine, Strict(False)]
     probability: Annotated[float, Field(ge=0, le=1)]
     support_distance: float | None = None
 
@@ -131,7 +131,7 @@ class AbsoluteSchema(StrictSchema):
     agreement: Annotated[float, Field(ge=0, le=1)] = 1.0
     gyration: NotNegative = 0.0
     gyration_std: NotNegative = 0.0
-    tests: tuple[TiltTestSchema, ...] = ()
+    tests: Annotated[list[TiltTestSchema], Field(default_factory=list)]
     mean: Annotated[list[float], Field(min_length=ABSOLUTE, max_length=ABSOLUTE)]
     covariance: str
 
@@ -463,9 +463,9 @@ def _describe_absolute(absolute: AbsoluteEstimate) -> AbsoluteSchema:
         agreement=absolute.agreement,
         gyration=absolute.gyration,
         gyration_std=absolute.gyration_std,
-        tests=tuple(
+        tests=[
             TiltTestSchema(**(asdict(one) | {"place": list(one.place)})) for one in absolute.tests
-        ),
+        ],
         mean=absolute.mean.tolist(),
         covariance=pack_symmetric(absolute.covariance),
         **told,

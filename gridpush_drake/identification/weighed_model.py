@@ -98,19 +98,19 @@ def weigh_model(
     try:
         estimate = _add_gyration(found, estimate_absolute(problem), seed)
     except np.linalg.LinAlgError as error:
-        source = log.source or "weighings"
         raise IdentificationError(
-            f"{source}: no mass and center of mass are found that explain them; are force and "
+            f"{log.source or 'weighings'}: no mass and center of mass are found that explain them; are force and "
             "force_std in N, and torque_x, torque_y and torque_std in N m?"
         ) from error
+    source = log.source or "weighings"
     if estimate.contradictory:
-        return _add_estimate(found, estimate)
+        return _note_center_outside(_add_estimate(found, estimate), source)
     # As much as weighings leave open of the center of mass, they leave open of the gradient of the
     # friction.
     left = float(np.trace(estimate.center_covariance) / np.trace(covariance))
     gradient = calc_gradient_std(found.obj.prior) * min(1.0, float(np.sqrt(left)))
     found = replace(found, noise=replace(found.noise, friction_gradient=gradient))
-    return _note_center_outside(apply_absolute(found, estimate), log.source or "weighings")
+    return _note_center_outside(apply_absolute(found, estimate), source)
 
 
 def _note_center_outside(found: Identification, source: str) -> Identification:
