@@ -312,12 +312,13 @@ def test_weighings_that_cannot_be_true_are_never_learned_from(
         weighings.write_text(good.replace(told, instead))
         refuses(*arguments, says=[weighings, f"press 1, column {column}"])
     assert not model.exists()
-    # Forces by which it balances where there is nothing of it: the model says so.
+    # Forces by which it balances where there is nothing of it: the presses are left out, and the
+    # weight is that of the lift.
     header, press, _, lift = good.splitlines()
-    weighings.write_text("\n".join([header, press.replace("10.0", "35.0"), lift]))
-    outcome = gridpush(*arguments, "--report", tmp_path / "report.html", "--json")
-    found = json.loads(outcome.out)
-    assert outcome.code == 3 and found["status"] == "explains_little"
-    assert "outside the outline" in found["message"] and found["doubt"] == found["message"]
-    report = (tmp_path / "report.html").read_text()
-    assert "should not be used" in report and "outside the outline" in report
+    nearer = press.replace("0.03,0,10.0", "0.025,0,42.0")
+    weighings.write_text("\n".join([header, press.replace("10.0", "35.0"), nearer, lift]))
+    found = json.loads(gridpush(*arguments, "--json").out)["absolute"]
+    assert [test["line"] for test in found["tests"]] == ["none", "none"]
+    assert all(abs(test["residual"]) > 5 for test in found["tests"])
+    assert found["total_mass"] == pytest.approx(7.5 / 9.81, rel=0.02)
+    assert abs(found["center_of_mass"][0]) < 0.02

@@ -7,12 +7,16 @@ import pytest
 
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.absolute import LOG_FRICTION
+from gridpush_drake.identification.absolute import CENTER, LOG_FRICTION
 from gridpush_drake.identification.absolute_masses import tilt_to_center
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.identification.weighed_learning import learn_with_weighings
-from gridpush_drake.identification.weighed_model import calc_center_prior, weigh_model
+from gridpush_drake.identification.weighed_model import (
+    _note_center_outside,
+    calc_center_prior,
+    weigh_model,
+)
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
 from gridpush_drake.report.page import list_numbers
@@ -208,3 +212,14 @@ def test_a_center_that_no_loads_have_is_come_near_to():
     p = np.array([[-0.1, 0.0], [0.1, 0.0], [0.0, 0.05]])
     a = tilt_to_center(np.full(3, 1 / 3), p, np.array([0.2, 0.0]))
     assert np.isfinite(a).all() and (a > 0).all() and a[1] > 0.9
+
+
+def test_a_center_of_mass_outside_the_object_is_never_called_learned(weighed):
+    mean = weighed.absolute.mean.copy()
+    mean[CENTER] = (1.0, 0.0)
+    noted = _note_center_outside(
+        replace(weighed, absolute=replace(weighed.absolute, mean=mean)), "weighings.csv"
+    )
+    assert noted.status == "explains_little"
+    assert noted.message.startswith("weighings.csv: they put the center of mass at [1, 0] m, ")
+    assert _note_center_outside(weighed, "weighings.csv") is weighed
