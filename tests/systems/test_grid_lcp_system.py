@@ -287,7 +287,7 @@ def test_bad_arguments_are_refused():
     ):
         with pytest.raises(SimulationError, match=message):
             GridLcpSystem(Model(obj), **options)
-    with pytest.raises(ParameterError, match="expected 25"):
+    with pytest.raises(SimulationError, match="expected 25"):
         GridLcpSystem(Model(obj, CellParameters.uniform(make_shape("disc", 20))))
     system = GridLcpSystem(Model(obj))
     with pytest.raises(ParameterError, match="expected 25"):

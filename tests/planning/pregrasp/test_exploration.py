@@ -139,7 +139,7 @@ def test_pokes_keep_the_object_on_the_table_and_the_places_apart(model):
     free = make_pokes(model, pose, options)
     assert 0 < len(kept) < len(free)
     for push in kept:
-        motion = simulate(model, push, pose, regime="quasi_static")
+        motion = simulate(Model(model.obj, model.params), push, pose, regime="quasi_static")
         assert table.contains_cells(model.obj, motion.poses, 0.009).all()
     log = PushLog((ObservedPush("poke", free[0], pose, np.array([free[0].duration]), pose[None]),))
     found = identify(Model(model.obj), log, regime="quasi_static")
