@@ -304,9 +304,10 @@ def _measure_decisions(obj: GridObject, draws: int, announce: Announce) -> Table
     params = CellParameters.random(obj, seed=0)
     goals = rng.uniform(-1.0, 1.0, (GOALS, 3)) * GOAL_REACH
     still = np.zeros(3)
-    optimize_contact(Model(obj, params), still, goals[0])
+    model = Model(obj, params)
+    optimize_contact(model, still, goals[0])
     times = [
-        measure(partial(optimize_contact, Model(obj, params), still, goal), 1, 0, process_time).median
+        measure(partial(optimize_contact, model, still, goal), 1, 0, process_time).median
         for goal in goals
     ]
     low, median, high = np.quantile(times, [0.25, 0.5, 0.75])

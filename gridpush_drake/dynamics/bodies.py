@@ -53,6 +53,7 @@ class Bodies(Frozen):
             SimulationError: there is no object, or parameters belong to another object.
             TypeError: an argument is of another type, or they are swapped.
         """
+        # One object may be given as it is, and so may its parameters.
         many = _make_tuple("objects", objects, GridObject)
         object.__setattr__(self, "objects", many)
         if parameters is None:
@@ -64,6 +65,7 @@ class Bodies(Frozen):
         self.__post_init__()
 
     def __post_init__(self) -> None:
+        # Of each kind there is one for each object, and they fit.
         if not isinstance(self.physics, Physics):
             raise TypeError(f"physics is a {type(self.physics).__name__}; expected a Physics")
         if not self.objects:
@@ -117,11 +119,11 @@ class Bodies(Frozen):
         return float(sum(params.total_mass for params in self.parameters))
 
     def with_params(self, *parameters: CellParameters) -> Self:
-        """The same objects with other masses and frictions, one set of parameters for each."""
+        """Makes a model of these objects with other masses and frictions, one set for each."""
         return self._with(parameters=parameters)
 
     def with_physics(self, physics: Physics) -> Self:
-        """The same objects by another physics."""
+        """Makes a model of these objects that slide by another physics."""
         return self._with(physics=physics)
 
     def resolve(self, speed: float, regime: Regime | None = None) -> Self:
@@ -131,6 +133,7 @@ class Bodies(Frozen):
             speed: mean speed of the fastest push, m/s.
             regime: takes the place of the one in `physics`, unless None.
         """
+        # All objects slide by one regime, that of the first one.
         physics = self.physics.with_regime(regime)
         if physics.regime != "auto":
             return self.with_physics(physics)

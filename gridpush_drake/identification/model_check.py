@@ -1,4 +1,4 @@
-"""Whether a learned model may be trusted: against the pushes it was learned from, and what was known.
+"""Whether a learned model may be trusted, by the pushes it was learned from and what was known.
 
 `doubt_fit` says in sentences what speaks against it. How far off predictions may be is in `spread`.
 """

@@ -85,8 +85,8 @@ def predict(
     Args:
         bodies: one object, with its parameters and physics.
         log: pushes, with or without later observations, or the name of their CSV file.
-        regime: takes the place of the one in the physics. "auto", the default, is the one that suits
-            the log's fastest push, for all of them.
+        regime: takes the place of the one in the physics. "auto", the default, is the one that
+            suits the log's fastest push, for all of them.
 
     Returns:
         One prediction a push.

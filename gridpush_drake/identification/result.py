@@ -97,8 +97,8 @@ class Identification(Model):
         objects: the object; `obj` is it, too.
         parameters: the estimate of its cells' masses and frictions; `params` is it, too.
         physics: physics of the simulations; its regime is never "auto".
-        std: the estimate's standard deviations, in the same shape and units: mass (n,), friction (n,),
-            contact_friction.
+        std: the estimate's standard deviations, in the same shape and units: mass (n,), friction
+            (n,), contact_friction.
         posterior: the spread of the relative support friction and the contact friction.
         identifiability: what these data say and what they cannot say.
         method: the method that found it.

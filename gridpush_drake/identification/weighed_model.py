@@ -99,8 +99,8 @@ def weigh_model(
         estimate = _add_gyration(found, estimate_absolute(problem), seed)
     except np.linalg.LinAlgError as error:
         raise IdentificationError(
-            f"{log.source or 'weighings'}: no mass and center of mass are found that explain them; are force and "
-            "force_std in N, and torque_x, torque_y and torque_std in N m?"
+            f"{log.source or 'weighings'}: no mass and center of mass are found that explain them; "
+            "are force and force_std in N, and torque_x, torque_y and torque_std in N m?"
         ) from error
     source = log.source or "weighings"
     if estimate.contradictory:

@@ -50,9 +50,9 @@ def check_types(function: str, **arguments: tuple[Any, tuple[type, ...]]) -> Non
                 f"{function}({', '.join(names)})"
             )
     first = arguments[wrong[0]][1][0]
+    expected = HINTS.get(first.__name__, f"a {first.__name__}")
     raise TypeError(
-        f"{function}: {found}; expected for {wrong[0]} {HINTS.get(first.__name__, f'a {first.__name__}')}"
-        + _suggest(wrong[0], arguments)
+        f"{function}: {found}; expected for {wrong[0]} {expected}" + _suggest(wrong[0], arguments)
     )
 
 
