@@ -11,7 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 from shapely import Point, Polygon, unary_union
 
 from gridpush_drake.bench.plant import PlantWorld
-from gridpush_drake.errors import ObjectError, ParameterError
+from gridpush_drake.errors import ObjectError, ParameterError, SimulationError
 from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import (
@@ -224,7 +224,7 @@ def test_refuses_friction_that_drake_cannot_combine(obj):
     sticky = CellParameters(np.full(obj.n, 0.01), np.full(obj.n, 0.2), 2.5)
     with pytest.raises(ParameterError, match="contact_friction"):
         make_scene(obj, sticky)
-    with pytest.raises(ParameterError, match="cells"):
+    with pytest.raises(SimulationError, match="cells"):
         make_scene(obj, CellParameters(np.ones(3), np.ones(3)))
 
 
