@@ -96,7 +96,8 @@ class Bodies(Frozen):
         Raises:
             SimulationError: there are several.
         """
-        return self.objects[self._find_only("obj")]
+        self._require_one("obj")
+        return self.objects[0]
 
     @property
     def params(self) -> CellParameters:
@@ -105,7 +106,8 @@ class Bodies(Frozen):
         Raises:
             SimulationError: there are several objects.
         """
-        return self.parameters[self._find_only("params")]
+        self._require_one("params")
+        return self.parameters[0]
 
     @property
     def center_of_mass(self) -> Array:
@@ -149,14 +151,13 @@ class Bodies(Frozen):
         made.__dict__.update(changes)
         return made
 
-    def _find_only(self, name: str) -> int:
-        """The place of the only object, for the property of that name."""
+    def _require_one(self, name: str) -> None:
+        """Raises SimulationError, for the property of that name, unless there is one object."""
         if len(self.objects) != 1:
             names = ", ".join(obj.name for obj in self.objects)
             raise SimulationError(
                 f"{name}: there are {len(self.objects)} objects ({names}); expected one"
             )
-        return 0
 
 
 def _make_tuple(name: str, given: Any, kind: type[T]) -> tuple[T, ...]:
