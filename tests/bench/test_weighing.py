@@ -72,6 +72,7 @@ def test_the_force_at_which_it_tilts_is_that_of_the_moments(name, heading):
 @pytest.mark.parametrize(("bottom", "rim_gap"), [("three_feet", 3e-4), ("flat", 0.0)])
 def test_a_press_measures_the_edge_and_not_the_feet(bottom, rim_gap):
     """In MuJoCo. On three feet, the object first rocks at less than half the force."""
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
     obj = load_object("snack_bag")
     params = sample_ground_truth(obj, 3, friction_by_part=True)
     body = make_body(bottom, obj, params, np.random.default_rng(7), 0.012, rim_gap)

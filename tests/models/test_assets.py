@@ -1,5 +1,7 @@
 """Every file in models/ is read, and says what its comments say; new files are found by themselves."""
 
+from pathlib import PurePath
+
 import numpy as np
 import pytest
 from pydrake.geometry import Box, Capsule, Cylinder, Role, Sphere
@@ -16,6 +18,8 @@ from gridpush_drake.multibody.contact_material import (
 )
 from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import list_shipped_objects
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario, write_scenario
@@ -31,6 +35,7 @@ OBJECTS = [file for file in FILES if file.startswith("objects/")]
 MEASURES = [
     file for file in FILES if file.endswith(("/robot.yaml", "/finger.yaml", "/gripper.yaml"))
 ]
+LOGS = [file for file in FILES if file.startswith("logs/")]
 MODELS = [file for file in FILES if file.endswith((".sdf", ".urdf"))]
 ARMS = ("iiwa", "panda", "gantry", "ur5e", "xarm6")
 ROBOTS = [file for file in MODELS if file.startswith("robots/")]
@@ -60,7 +65,7 @@ def half_size(shape):
 
 
 def test_every_file_is_of_a_kind_that_is_tested():
-    known = {"package.xml", *SCENES, *SCENARIOS, *OBJECTS, *MODELS, *MEASURES}
+    known = {"package.xml", *SCENES, *SCENARIOS, *OBJECTS, *MODELS, *MEASURES, *LOGS}
     assert set(FILES) == known
     assert all(file.endswith(".dmd.yaml") for file in SCENES)
     assert min(map(len, (SCENES, SCENARIOS, OBJECTS, MODELS))) > 1
@@ -201,6 +206,13 @@ def test_table_top_is_a_stiff_partner_for_feet(file):
         friction = properties.GetProperty("material", "coulomb_friction")
         assert friction.static_friction() == friction.dynamic_friction() == PARTNER_FRICTION
         assert properties.GetProperty("material", "point_contact_stiffness") == PARTNER_STIFFNESS
+
+
+@pytest.mark.parametrize("file", LOGS)
+def test_log_is_of_a_shipped_object_that_was_moved(file):
+    log = PushLog.read_csv(find_models() / file)
+    assert PurePath(file).stem in list_shipped_objects()
+    assert all(np.abs(seen.final_pose - seen.pose).max() > 1e-3 for seen in log)
 
 
 @pytest.mark.parametrize("file", SCENARIOS)
