@@ -1,4 +1,4 @@
-"""`GridSceneSystem`: several grid objects under a pusher; `simulate_scene` as a Drake system.
+"""`GridSceneSystem`: several grid objects under a pusher, as a Drake system.
 
 With q the poses X_WB of all N bodies and xi their twists in the last step,
 
@@ -18,6 +18,7 @@ from pydrake.systems.framework import (
     LeafSystem,
 )
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.scene.records import (
     IDENTITY,
     Contacts,
@@ -25,16 +26,15 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     SceneState,
 )
 from gridpush_drake.dynamics.kernels.step import CONVERGED
-from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import DEFAULT_DT
-from gridpush_drake.dynamics.scene.bodies import Scene, check_overlap
+from gridpush_drake.dynamics.scene.cores import check_overlap
 from gridpush_drake.dynamics.scene.kernel_call import (
     make_bodies,
     make_scene_contacts,
     make_scene_state,
     run_scene_kernel,
 )
-from gridpush_drake.dynamics.scene.simulation import check_scene_physics
+from gridpush_drake.dynamics.scene.simulation import check_together
 from gridpush_drake.errors import SimulationError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
@@ -65,12 +65,12 @@ class GridSceneSystem(LeafSystem):
     * pusher_state: vector of 4, x and y of the disc's center p_WP, m, and its velocity v_WP, m/s.
       If it is not connected, or NaN, there is no pusher, and nothing moves.
     * pose_0, pose_1, ...: vector of 3 each, q = (x, y, theta) of each body in W, m and rad; as many
-      ports as there are bodies, in the order of the scene.
+      ports as there are bodies, in the order of the objects.
     * poses: vector of 3N, all of them in turn.
     * contact_force: vector of 2, force of the pusher on all bodies together in W during the last
       step, N.
     * unsolved_steps: vector of 1, number of steps that the solver did not solve to its tolerance.
-      As in `simulate_scene`, the motion goes on from what the solver had.
+      As in `simulate`, the motion goes on from what the solver had.
 
     * Discrete state: the poses; the solver's memory of motion and of contacts; the last contact
       force; the unsolved steps.
@@ -80,19 +80,18 @@ class GridSceneSystem(LeafSystem):
 
     def __init__(
         self,
-        scene: Scene,
+        bodies: Bodies,
+        poses: ArrayLike,
         dt: float = DEFAULT_DT,
         pusher_radius: float = DEFAULT_PUSHER_RADIUS,
-        *,
-        physics: Physics | None = None,
     ) -> None:
         """Declares the system.
 
         Args:
-            scene: the objects, with their parameters, and where they lie at the beginning.
+            bodies: the objects, with their parameters and physics.
+            poses: (N, 3) where they lie at the beginning, X_WB, m and rad.
             dt: step, s. At 0.01 s a pusher of 0.1 m/s moves 1 mm a step.
             pusher_radius: of the disc, m.
-            physics: as of `simulate_scene`.
 
         Raises:
             SimulationError: an argument is out of range, or something is asked for that scenes do
@@ -101,14 +100,13 @@ class GridSceneSystem(LeafSystem):
         super().__init__()
         require_positive(SimulationError, unit="s", dt=dt)
         require_positive(SimulationError, unit="m", pusher_radius=pusher_radius)
-        self.scene = scene
+        self.bodies = check_together(bodies)
         self.dt = float(dt)
         self.pusher_radius = float(pusher_radius)
-        self.physics = check_scene_physics(physics, scene)
-        self._bodies = make_bodies(scene, self.physics)
-        n = len(scene)
+        self._bodies = make_bodies(self.bodies)
+        n = len(bodies)
         self._room = len(make_scene_contacts(n).modes)
-        self.DeclareDiscreteState(scene.poses.ravel())
+        self.DeclareDiscreteState(self._check_poses(poses))
         self.DeclareDiscreteState(_MOTION * n)
         # a row for each contact of the last step, identity and mode; and their number at the end
         self.DeclareDiscreteState((IDENTITY + 1) * self._room + 1)
@@ -129,16 +127,20 @@ class GridSceneSystem(LeafSystem):
         Raises:
             SimulationError: they are not N poses of finite numbers, or two objects overlap.
         """
-        n = len(self.scene)
+        context.SetDiscreteState(_POSES, self._check_poses(poses))
+        for index in (_MEMORY, _CONTACTS, _FORCE, _UNSOLVED):
+            size = context.get_discrete_state(index).size()
+            context.SetDiscreteState(index, np.zeros(size))
+
+    def _check_poses(self, poses: ArrayLike) -> Array:
+        """Makes poses (N, 3) of objects that do not overlap a vector (3 N,)."""
+        n = len(self.bodies)
         given = np.asarray(poses, dtype=np.float64)
         if given.shape != (n, 3):
             raise SimulationError(f"poses of shape {given.shape}; expected ({n}, 3)")
         q = check_vector(SimulationError, "poses", given.ravel(), 3 * n)
-        check_overlap(self.scene.objects, q.reshape(n, 3))
-        context.SetDiscreteState(_POSES, q)
-        for index in (_MEMORY, _CONTACTS, _FORCE, _UNSOLVED):
-            size = context.get_discrete_state(index).size()
-            context.SetDiscreteState(index, np.zeros(size))
+        check_overlap(self.bodies.objects, q.reshape(n, 3))
+        return q
 
     def _calc_pose(self, context: Context, output: BasicVector, body: int) -> None:
         poses = context.get_discrete_state(_POSES).value()
@@ -158,10 +160,10 @@ class GridSceneSystem(LeafSystem):
                 next_state.set_value(index, np.zeros(size))
             return
         path = pusher[2:] * self.dt
-        n = len(self.scene)
+        n = len(self.bodies)
         record = run_scene_kernel(
             self._bodies,
-            self.physics,
+            self.bodies.physics,
             pusher=Pusher(
                 tip=np.array([pusher[:2], pusher[:2] + path]),
                 path_length=float(np.hypot(*path)),
@@ -188,7 +190,7 @@ class GridSceneSystem(LeafSystem):
 
     def _read_state(self, context: Context) -> SceneState:
         """Reads poses and memory of motion from a Context."""
-        n = len(self.scene)
+        n = len(self.bodies)
         state = make_scene_state(_get(context, _POSES).reshape(n, 3))
         twist, before, moved = np.split(_get(context, _MEMORY), [3 * n, 6 * n])
         state.twist[:] = twist.reshape(n, 3)
@@ -198,7 +200,7 @@ class GridSceneSystem(LeafSystem):
 
     def _read_contacts(self, context: Context) -> Contacts:
         """Reads the contacts of the last step from a Context."""
-        contacts = make_scene_contacts(len(self.scene))
+        contacts = make_scene_contacts(len(self.bodies))
         values = _get(context, _CONTACTS)
         rows = values[:-1].reshape(self._room, IDENTITY + 1)
         contacts.ids[:] = rows[:, :IDENTITY]

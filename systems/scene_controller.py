@@ -1,4 +1,4 @@
-"""`SceneController`: a task with several objects; `planning.scene.scene_loop` between ports."""
+"""`SceneController`: a task with several objects; `planning.scene.joint_loop` between ports."""
 
 from collections.abc import Callable
 
@@ -10,8 +10,10 @@ from pydrake.systems.framework import Context
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
+from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.robot_status import GraspStatus, PushStatus
-from gridpush_drake.planning.scene.scene_loop import SceneLoop, SceneLoopState, SceneObservation
+from gridpush_drake.planning.scene.joint_loop import JointLoop, JointState
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, GraspCommand, PushCommand
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
@@ -19,8 +21,12 @@ GRASP_COMMAND_SIZE = len(GraspCommand().to_vector())
 """Length of a `GraspCommand` as a vector."""
 
 
-class SceneController(AbstractStateSystem[SceneLoopState]):
-    """Pushes several objects, and at last may grasp one, as a `SceneLoop` decides.
+NO_LOG = PushLog(())
+"""What is shown to the loop of pushes: it keeps its own log."""
+
+
+class SceneController(AbstractStateSystem[JointState]):
+    """Pushes several objects, and at last may grasp one, as a `JointLoop` decides.
 
     One push at a time is commanded, when the executor is ready and all objects lie still. The
     simulation waits for each decision.
@@ -61,12 +67,12 @@ class SceneController(AbstractStateSystem[SceneLoopState]):
     * predicted_poses: vector of 3 N, X_WB that each object is expected to have after the commanded
       push, m and rad; NaN while no push is under way.
 
-    Abstract state: one `SceneLoopState`.
+    Abstract state: one `JointState`.
     """
 
     __slots__ = NO_SLOTS
 
-    def __init__(self, loop: SceneLoop, *, grasp_height: float = 0.0, lift: float = 0.0) -> None:
+    def __init__(self, loop: JointLoop, *, grasp_height: float = 0.0, lift: float = 0.0) -> None:
         """Declares the system.
 
         Args:
@@ -100,7 +106,7 @@ class SceneController(AbstractStateSystem[SceneLoopState]):
 
         self._declare_estimates(loop)
 
-    def _declare_estimates(self, loop: SceneLoop) -> None:
+    def _declare_estimates(self, loop: JointLoop) -> None:
         """Declares the ports that show what is believed of the objects, and expected of a push."""
         count = len(loop.belief.objects)
         cells = sum(obj.n for obj in loop.belief.objects)
@@ -121,26 +127,27 @@ class SceneController(AbstractStateSystem[SceneLoopState]):
         declare("center_of_mass_covariance", 4 * count, lambda found: calc_center_of_mass(found)[1])
         self._declare_vector("predicted_poses", 3 * count, _list_expected)
 
-    def GetState(self, context: Context) -> SceneLoopState:
+    def GetState(self, context: Context) -> JointState:
         """Returns what the loop remembers in a Context of this system."""
         return self._get_state(context)
 
-    def _go_on(self, context: Context, now: SceneLoopState) -> SceneLoopState:
+    def _go_on(self, context: Context, now: JointState) -> JointState:
         gripper = GraspStatus()
         if self._grasp_status is not None:
             gripper = self._grasp_status.Eval(context)
         return self.loop.step(
             now,
-            SceneObservation(
+            Observation(
                 time=context.get_time(),
-                poses=np.reshape(self._object_poses.Eval(context), (-1, 3)),
+                pose=np.reshape(self._object_poses.Eval(context), (-1, 3)),
                 robot=self._push_status.Eval(context),
+                log=NO_LOG,
                 gripper=gripper,
             ),
         )
 
 
-def _list_expected(now: SceneLoopState) -> Array:
+def _list_expected(now: JointState) -> Array:
     """Lists where the push under way is expected to leave the objects, (3 N,); NaN for unknown."""
     asked = now.asked
     if asked is None or asked.decision.expected is None:
@@ -148,7 +155,7 @@ def _list_expected(now: SceneLoopState) -> Array:
     return asked.decision.expected.ravel()
 
 
-def _make_grasp_command(now: SceneLoopState, height: float, lift: float) -> GraspCommand:
+def _make_grasp_command(now: JointState, height: float, lift: float) -> GraspCommand:
     """Makes the command of the grasp that a state asks for."""
     if now.grasp is None:
         return GraspCommand()

@@ -314,8 +314,7 @@ def run_strokes(job: Job, case: Case, pose: Array, goal: Array, tip: Array) -> F
     learned = case.learned
     assert learned is not None
     world = SimulatedWorld(
-        obj,
-        case.truth,
+        Model(obj, case.truth),
         pose,
         position_std=SIGHT.position_std,
         angle_std=SIGHT.angle_std,

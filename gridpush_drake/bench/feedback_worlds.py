@@ -124,8 +124,7 @@ def make_case(world: str, name: str, seed: int, *, learns: bool) -> Case:
     pokes_world: TrackedWorld
     if world == LCP:
         pokes_world = SimulatedWorld(
-            obj,
-            truth,
+            Model(obj, truth),
             np.zeros(3),
             position_std=SIGHT.position_std,
             angle_std=SIGHT.angle_std,

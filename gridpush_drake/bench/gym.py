@@ -380,7 +380,7 @@ def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:
     ) -> Identification | None:
         return before if world.over else learner(obj, log, before)
 
-    run_loop(loop, obj, world, is_over, learn=learn, surface=surface)
+    run_loop(loop, world, is_over, obj=obj, learn=learn, surface=surface)
 
 
 def _explore(world: EnvironmentWorld, seed: int) -> None:

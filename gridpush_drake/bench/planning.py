@@ -338,8 +338,7 @@ def _push_once(
     goal: Array
     start, goal = protocol.pairs[pair]
     world = find_world(job.world)(
-        obj,
-        hidden,
+        Model(obj, hidden),
         start,
         protocol.surface,
         position_std=POSITION_STD,
@@ -368,7 +367,7 @@ def _push_once(
         name=job.name,
         mode=mode,
         success=not truth.fallen and float(calc_goal_error(obj, truth.pose, goal)) < SUCCESS,
-        fell=truth.fallen,
+        fell=bool(truth.fallen),
         pushes=len(done.steps),
         status=done.status,
         first_error=errors[0] if errors else np.nan,

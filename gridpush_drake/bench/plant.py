@@ -33,6 +33,7 @@ from shapely import Point
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.study import Task
 from gridpush_drake.bench.table import ALL, DEGREES, MM, Table, by_object, mean_of
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
@@ -199,7 +200,7 @@ def run_job(job: PlantJob) -> list[PlantScore]:
     """Pushes one object in the plant and in the model, once for each seed."""
     obj = GridObject.from_yaml(find_shipped_object(job.name))
     radius = choose_pusher_radius(obj)
-    world = PlantWorld(obj, CellParameters.uniform(obj), radius=radius, base=job.base)
+    world = PlantWorld(Model(obj, CellParameters.uniform(obj)), radius=radius, base=job.base)
     scores = []
     for seed in job.seeds:
         params = sample_ground_truth(obj, seed, friction_by_part=True)
@@ -312,8 +313,7 @@ class PlantWorld(TrackedWorld):
     where it tilts by FALLEN_TILT.
 
     Attributes:
-        obj: the object.
-        params: its true masses and frictions; `set_params` changes them.
+        bodies: the object with its true masses and frictions; `set_params` changes them.
         radius: radius of the pusher, m.
         dt: time step of the plant, s.
         plant: the plant.
@@ -324,12 +324,11 @@ class PlantWorld(TrackedWorld):
         tracking_error: greatest distance of the pusher from its path during the last push, m.
     """
 
-    params: CellParameters
+    bodies: Bodies
 
     def __init__(
         self,
-        obj: GridObject,
-        params: CellParameters,
+        bodies: Bodies,
         pose: ArrayLike = (0.0, 0.0, 0.0),
         surface: SupportSurface | None = None,
         *,
@@ -346,8 +345,7 @@ class PlantWorld(TrackedWorld):
         """Builds the plant, which pushes as often as wanted, and puts the object down.
 
         Args:
-            obj: the object.
-            params: its true masses and frictions.
+            bodies: the object with its true masses and frictions.
             pose: (3,) where it lies, m and rad.
             surface: the table as far as falling goes, see above; None for one without end. The
                 plant's own table is TABLE_SIZE large.
@@ -362,12 +360,15 @@ class PlantWorld(TrackedWorld):
             observations: number of poses that are seen during a push after the first one.
             options: passed on to `AddGridObject`.
         """
-        self.obj = obj
-        self.params = params
-        self.radius = choose_pusher_radius(obj, radius)
+        self.bodies = bodies
+        self.radius = choose_pusher_radius(bodies.obj, radius)
         self.dt = TIME_STEP[base]
         self.tracking_error = 0.0
-        self._support = None if surface is None else CenterOfMassSupport(obj, params, surface)
+        self._support = (
+            None
+            if surface is None
+            else CenterOfMassSupport(bodies.obj, bodies.center_of_mass, surface)
+        )
         builder = DiagramBuilder()
         self.plant, self.scene_graph = AddPlantAndSceneGraph(builder, self.dt)
         self.plant.set_stiction_tolerance(STICTION_TOLERANCE)
@@ -381,7 +382,7 @@ class PlantWorld(TrackedWorld):
         )
         self.pusher = AddPusher(self.plant, self.radius, push_height)
         self.handle = AddGridObject(
-            self.plant, self.scene_graph, Model(obj, params), base, table=[table], **options
+            self.plant, self.scene_graph, bodies, base, table=[table], **options
         )
         # The pusher may be low, and must not rub on the table.
         tip = self.plant.GetCollisionGeometriesForBody(self.plant.GetBodyByName("tip", self.pusher))
@@ -390,7 +391,7 @@ class PlantWorld(TrackedWorld):
         )
         self.plant.Finalize()
         self.simulator = Simulator(builder.Build())
-        self.set_params(params)
+        self.set_params(bodies.params)
         super().__init__(
             pose,
             position_std=position_std,
@@ -403,7 +404,7 @@ class PlantWorld(TrackedWorld):
         """Gives the object other masses and frictions."""
         context = self.simulator.get_mutable_context()
         SetGridObjectParameters(self.plant, self.scene_graph, context, self.handle, params)
-        self.params = params
+        self.bodies = self.bodies.with_params(params)
 
     def do_put(self, pose: Array) -> Array:
         """Puts the object down flat at a pose (3,), at rest."""

@@ -60,7 +60,7 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
     truth_seed, first = (int(value) for value in rng.integers(2**31, size=2))
     truth = CellParameters.random(obj, truth_seed, MASS_RANGE, FRICTION_RANGE)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    world = SimulatedWorld(obj, truth, (0.0, 0.0, 0.0))
+    world = SimulatedWorld(Model(obj, truth), (0.0, 0.0, 0.0))
     pushes = []
     for i in range(PUSHES):
         push, pose = draw_push(Model(obj, truth), first + i, radius)

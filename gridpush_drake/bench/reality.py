@@ -279,7 +279,7 @@ def find_ends(engine: str, obj: GridObject, params: CellParameters, log: PushLog
     if engine == MUJOCO:
         plant = MujocoPlant(obj, params, radius)
         return [plant.push(hasten(seen.push), seen.pose) for seen in log]
-    world = PlantWorld(obj, params, radius=radius)
+    world = PlantWorld(Model(obj, params), radius=radius)
     ends = []
     for seen in log:
         world.put(seen.pose)

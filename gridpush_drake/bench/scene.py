@@ -2,7 +2,7 @@
 
 The same pushes are made in our model, in MuJoCo (`bench.scene_rows`) and in Drake's plant
 (`bench.scene_plant`), and the last poses are compared; objects of hidden masses are learned
-together (`bench.scene_learning`); and pushes of 1 to 10 objects are timed.
+together (`bench.joint_learning`); and pushes of 1 to 10 objects are timed.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from gridpush_drake.bench.jobs import Report, count_steps
-from gridpush_drake.bench.scene_learning import LearnJob, make_learn_table, run_learn_job
+from gridpush_drake.bench.joint_learning import LearnJob, make_learn_table, run_learn_job
 from gridpush_drake.bench.scene_plant import MakePlantScene
 from gridpush_drake.bench.scene_rows import (
     LENGTH,
@@ -28,7 +28,8 @@ from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, MS, Table, Value, mean_of
 from gridpush_drake.bench.timing import measure, one_core
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.scene.simulation import simulate_together
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import calc_pose_error
 
@@ -124,25 +125,25 @@ class Score:
 
 def run_job(job: Job) -> Score:
     """Makes one push in our model, in Drake's plant and in MuJoCo."""
-    scene, push = draw_row(load_objects(job.count), job.seed)
-    motion = simulate_scene(scene, push)
+    bodies, begin, push = draw_row(load_objects(job.count), job.seed)
+    motion = simulate(bodies, push, begin)
     end = np.array([push.duration])
-    mujoco = make_mujoco_scene(scene, push)(end)[0]
-    drake = MakePlantScene(scene, push)(end)[0]
+    mujoco = make_mujoco_scene(bodies, begin, push)(end)[0]
+    drake = MakePlantScene(bodies, begin, push)(end)[0]
 
     def compare(poses: Array, others: Array) -> list[float]:
         return [
             calc_pose_error(obj, pose, other).cell
-            for obj, pose, other in zip(scene.objects, poses, others, strict=True)
+            for obj, pose, other in zip(bodies.objects, poses, others, strict=True)
         ]
 
-    moved = compare(drake, scene.poses)
+    moved = compare(drake, begin)
     return Score(
         count=job.count,
         moved=float(np.mean(moved)),
         last_moved=moved[-1],
-        drake=float(np.mean(compare(motion.final_poses, drake))),
-        mujoco=float(np.mean(compare(motion.final_poses, mujoco))),
+        drake=float(np.mean(compare(motion.final_pose, drake))),
+        mujoco=float(np.mean(compare(motion.final_pose, mujoco))),
         between=float(np.mean(compare(drake, mujoco))),
         solved=str(motion.status) == "ok",
     )
@@ -163,14 +164,14 @@ def make_speed_table(timed: Sequence[int], repetitions: int, report: Report | No
     announce = count_steps(report, len(timed))
     for count in timed:
         announce(f"{count} objects")
-        scene, straight = make_row(load_objects(count), seed=count)
+        bodies, poses, straight = make_row(load_objects(count), seed=count)
         push = Push(straight.start, (SPEED, 0.0), DURATION, RADIUS)
-        push_all = partial(simulate_scene, scene, push, dt=DT)
+        push_all = partial(simulate_together, bodies, push, poses, DT)
         plain = measure(push_all, repetitions, warm_up=3)
         whole = measure(partial(push_all, gradients=True, record=[steps]), repetitions)
-        motion = simulate_scene(scene, push, dt=DT)
+        motion = push_all()
         contacts = float((motion.modes > 0).sum(axis=1).mean())
-        cells = sum(obj.n for obj in scene.objects)
+        cells = sum(obj.n for obj in bodies.objects)
         rows.append(
             [
                 count,

@@ -27,8 +27,8 @@ from gridpush_drake.bench.plant import (
     AddPusher,
 )
 from gridpush_drake.bench.scene_rows import PAIR_FRICTION, PUSHER_FRICTION
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import (
@@ -41,8 +41,8 @@ from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectP
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph
 
 
-def MakePlantScene(scene: Scene, push: Push) -> Callable[[Array], Array]:
-    """Prepares a push of a scene in a MultibodyPlant.
+def MakePlantScene(bodies: Bodies, poses: Array, push: Push) -> Callable[[Array], Array]:
+    """Prepares a push of objects at poses (N, 3), m and rad, in a MultibodyPlant.
 
     Drake combines two frictions mu_a and mu_b into 2 mu_a mu_b / (mu_a + mu_b), which is mu where
     both are mu: so all sides have `PAIR_FRICTION`, and the pusher's tip what makes
@@ -69,7 +69,7 @@ def MakePlantScene(scene: Scene, push: Push) -> Callable[[Array], Array]:
         AddGridObject(
             plant, scene_graph, Model(obj, params), table=[table], name=f"object_{b}", visual=False
         )
-        for b, (obj, params) in enumerate(zip(scene.objects, scene.params, strict=True))
+        for b, (obj, params) in enumerate(bodies)
     ]
     # Sides and tip rub as is wanted.
     source = plant.get_source_id()
@@ -98,7 +98,7 @@ def MakePlantScene(scene: Scene, push: Push) -> Callable[[Array], Array]:
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
     plant_context = plant.GetMyMutableContextFromRoot(context)
-    for handle, pose in zip(handles, scene.poses, strict=True):
+    for handle, pose in zip(handles, poses, strict=True):
         SetGridObjectPose(plant, plant_context, handle, pose)
     steps = round(push.duration / dt)
     times = np.linspace(0.0, push.duration, steps + 1)

@@ -17,10 +17,10 @@ from gridpush_drake.bench.truth.mujoco_world import (
     PUSHER_INERTIA,
     PUSHER_MASS,
 )
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array, calc_yaw, transform_shape
@@ -89,7 +89,7 @@ def make_row(
     seed: int,
     speed: float = SLOW,
     params: Sequence[CellParameters] | None = None,
-) -> tuple[Scene, Push]:
+) -> tuple[Bodies, Array, Push]:
     """Lays objects side by side along x, and makes a push along that line.
 
     Args:
@@ -99,22 +99,22 @@ def make_row(
         params: the cells' masses and frictions; random masses where None.
 
     Returns:
-        The scene, and the push of its first object.
+        The objects, their poses (N, 3), m and rad, and the push of the first one.
     """
     rng = np.random.default_rng(seed)
     masses = draw_params(objects, seed) if params is None else params
-    bodies = []
+    poses: list[Array] = []
     taken = shapely.Polygon()
-    for i, obj in enumerate(objects):
+    for obj in objects:
         pose = np.array([0.0, rng.uniform(-SPREAD, SPREAD), rng.uniform(-np.pi, np.pi)])
         while taken.intersects(transform_shape(pose, obj.outline)):
             pose[0] += SHIFT
         taken = taken.union(transform_shape(pose, obj.outline))
-        bodies.append(SceneBody(obj, masses[i], pose))
-    first = transform_shape(bodies[0].pose, objects[0].outline).bounds
+        poses.append(pose)
+    first = transform_shape(poses[0], objects[0].outline).bounds
     y = 0.5 * (first[1] + first[3]) + rng.uniform(-SPREAD, SPREAD) / 2
     push = Push((first[0] - RADIUS, y), (speed, 0.0), LENGTH / speed, RADIUS)
-    return Scene(bodies, PAIR_FRICTION), push
+    return Bodies(objects, masses, None, PAIR_FRICTION), np.array(poses), push
 
 
 def draw_params(objects: Sequence[GridObject], seed: int) -> list[CellParameters]:
@@ -128,7 +128,7 @@ def draw_params(objects: Sequence[GridObject], seed: int) -> list[CellParameters
 
 def draw_row(
     objects: Sequence[GridObject], seed: int, params: Sequence[CellParameters] | None = None
-) -> tuple[Scene, Push]:
+) -> tuple[Bodies, Array, Push]:
     """Draws a row of objects, and a push that moves all of them.
 
     Args:
@@ -141,16 +141,15 @@ def draw_row(
     """
     count = len(objects)
     for attempt in range(TRIES):
-        scene, push = make_row(objects, TRIES * seed + attempt, params=params)
-        motion = simulate_scene(scene, push)
-        last = calc_pose_error(objects[-1], motion.final_poses[-1], scene.poses[-1]).cell
-        if last >= MIN_MOTION:
-            return scene, push
+        bodies, poses, push = make_row(objects, TRIES * seed + attempt, params=params)
+        ends = simulate(bodies, push, poses).final_pose
+        if calc_pose_error(objects[-1], ends[-1], poses[-1]).cell >= MIN_MOTION:
+            return bodies, poses, push
     raise PushError(f"none of {TRIES} pushes moves the last of {count} objects")
 
 
-def make_mujoco_scene(scene: Scene, push: Push) -> Callable[[Array], Array]:
-    """Prepares a push of a scene in MuJoCo.
+def make_mujoco_scene(bodies: Bodies, poses: Array, push: Push) -> Callable[[Array], Array]:
+    """Prepares a push of objects at poses (N, 3), m and rad, in MuJoCo.
 
     Returns:
         A function that runs it from the beginning and returns the poses (K, N, 3), m and rad, at
@@ -160,11 +159,11 @@ def make_mujoco_scene(scene: Scene, push: Push) -> Callable[[Array], Array]:
         MissingExtraError: MuJoCo is not installed (`pip install 'gridpush-drake[bench]'`).
     """
     mujoco = import_extra("mujoco", "bench")
-    model = mujoco.MjModel.from_xml_string(describe_scene(scene, push))
+    model = mujoco.MjModel.from_xml_string(describe_scene(bodies, poses, push))
     data = mujoco.MjData(model)
     # MuJoCo sorts the pairs, so that each must be found by its name.
     places = {model.pair(i).name: i for i in range(model.npair)}
-    for b, params in enumerate(scene.params):
+    for b, params in enumerate(bodies.parameters):
         rows = [places[f"foot_{b}_{i}"] for i in range(params.n)]
         load = params.mass * GRAVITY
         inverse = float(model.body_invweight0[b + 1, 0])
@@ -175,8 +174,8 @@ def make_mujoco_scene(scene: Scene, push: Push) -> Callable[[Array], Array]:
     steps = round(push.duration / TIME_STEP)
     path = push.tip_at(np.arange(steps + 1) * TIME_STEP)
     speed = np.diff(path, axis=0) / TIME_STEP
-    place = 7 * len(scene)
-    rate = 6 * len(scene)
+    place = 7 * len(bodies)
+    rate = 6 * len(bodies)
 
     def run(times: Array) -> Array:
         mujoco.mj_resetData(model, data)
@@ -184,7 +183,7 @@ def make_mujoco_scene(scene: Scene, push: Push) -> Callable[[Array], Array]:
         seen = []
         for i in range(steps + 1):
             for _ in range(np.count_nonzero(wanted == i)):
-                seen.append(_read_poses(data.qpos, len(scene)))
+                seen.append(_read_poses(data.qpos, len(bodies)))
             if i < steps:
                 # the pusher goes its way, whatever is before it
                 data.qpos[place : place + 2] = path[i]
@@ -204,17 +203,15 @@ def _read_poses(qpos: Array, n: int) -> Array:
     return np.array(poses)
 
 
-def describe_scene(scene: Scene, push: Push) -> str:
-    """Describes a scene in MJCF.
+def describe_scene(objects: Bodies, poses: Array, push: Push) -> str:
+    """Describes objects at poses (N, 3), m and rad, in MJCF.
 
     Feet touch the table alone, each with its cell's friction; walls the other walls and the pusher.
     """
     meshes = []
     bodies = []
     pairs = []
-    for b, (obj, params, pose) in enumerate(
-        zip(scene.objects, scene.params, scene.poses, strict=True)
-    ):
+    for b, ((obj, params), pose) in enumerate(zip(objects, poses, strict=True)):
         geoms = []
         for i, ((x, y), mu) in enumerate(zip(obj.p_BC, params.friction, strict=True)):
             geoms.append(

@@ -31,28 +31,29 @@ from gridpush_drake.bench.table import (
     check_figure,
     write_panels,
 )
-from gridpush_drake.dynamics.scene.bodies import Scene
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.planning.loop_run import LoopRun, run_loop
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.fetching import FetchLearning, FetchOptions, FetchPlanner
+from gridpush_drake.planning.scene.joint_loop import STILL_WORLD, JointLoop, JointState
 from gridpush_drake.planning.scene.loop import (
     SceneAction,
     SceneLearner,
     SceneLearning,
     ScenePlanner,
-    SceneRun,
-    run_scene_task,
 )
 from gridpush_drake.planning.scene.random_scenes import FRICTION_RANGE, heap_up, hide, scatter
 from gridpush_drake.planning.scene.rearrangement import FINE, RearrangeOptions, RearrangePlanner
 from gridpush_drake.planning.scene.rules import SceneRules
 from gridpush_drake.planning.scene.separation import MARGIN, SeparatePlanner, calc_clearances
-from gridpush_drake.planning.scene.world import SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import SimulatedWorld
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -191,12 +192,13 @@ def _rearrange(job: Job, rng: np.random.Generator, surface: SupportSurface) -> O
     """Brings objects from random poses to random goal poses."""
     names = rng.permutation(OBJECTS)[: job.count]
     objects = load_objects(names.tolist())
-    scene = hide(objects, scatter(objects, rng, START_GAP, TABLE / 4), rng)
+    begin = scatter(objects, rng, START_GAP, TABLE / 4)
+    truth = hide(objects, rng)
     goals = scatter(objects, rng, END_GAP, TABLE / 4)
     options = FINE if job.part == FINELY else RearrangeOptions()
     planner = RearrangePlanner(objects, goals, options, SceneRules(surface), seed=job.seed)
-    run, world, seconds = carry_out(job, scene, surface, planner, SceneLearning())
-    distance, turn = planner.calc_errors(world.truth.poses)
+    run, world, seconds = carry_out(job, truth, begin, surface, planner, SceneLearning())
+    distance, turn = planner.calc_errors(world.truth.pose)
     near = distance.max() < LOOSE * options.position_tolerance
     near = near and turn.max() < LOOSE * options.angle_tolerance
     return _judge(job, run, world, seconds, bool(near), (float(distance.max()), float(turn.max())))
@@ -206,10 +208,11 @@ def _separate(job: Job, rng: np.random.Generator, surface: SupportSurface) -> Ou
     """Moves the objects of a heap apart."""
     names = rng.permutation(OBJECTS)[: job.count]
     objects = load_objects(names.tolist())
-    scene = hide(objects, heap_up(objects, rng), rng)
+    begin = heap_up(objects, rng)
+    truth = hide(objects, rng)
     planner = SeparatePlanner(objects, rules=SceneRules(surface), seed=job.seed)
-    run, world, seconds = carry_out(job, scene, surface, planner, None)
-    apart = calc_clearances(objects, world.truth.poses).min() > MARGIN / LOOSE
+    run, world, seconds = carry_out(job, truth, begin, surface, planner, None)
+    apart = calc_clearances(objects, world.truth.pose).min() > MARGIN / LOOSE
     return _judge(job, run, world, seconds, bool(apart))
 
 
@@ -218,14 +221,16 @@ def _fetch(job: Job, rng: np.random.Generator, surface: SupportSurface) -> Outco
     wanted = str(rng.choice(WANTED))
     others = [name for name in rng.permutation(OBJECTS).tolist() if name != wanted]
     objects = load_objects([wanted, *others[: job.count - 1]])
-    scene = hide(objects, heap_up(objects, rng), rng)
+    begin = heap_up(objects, rng)
+    truth = hide(objects, rng)
     options = FetchOptions(pregrasp=PreGraspOptions(max_arm=MAX_ARM))
     planner = FetchPlanner(objects, 0, surface, options, seed=job.seed)
     learning = FetchLearning(0, surface, friction_range=FRICTION_RANGE)
-    run, world, seconds = carry_out(job, scene, surface, planner, learning)
+    run, world, seconds = carry_out(job, truth, begin, surface, planner, learning)
     held = False
-    if run.last is not None and run.last.action is SceneAction.GRASP and run.last.goal is not None:
-        over = calc_overhangs([run.last.goal.part], world.truth.poses[0], surface)[0]
+    last = run.state.last
+    if last is not None and last.action is SceneAction.GRASP and last.goal is not None:
+        over = calc_overhangs([last.goal.part], world.truth.pose[0], surface)[0]
         held = bool(over > 0.0)
     return _judge(job, run, world, seconds, held)
 
@@ -241,57 +246,59 @@ RUNS: dict[str, Callable[[Job, np.random.Generator, SupportSurface], Outcome]] =
 
 def carry_out(
     job: Job,
-    scene: Scene,
+    truth: Bodies,
+    begin: Array,
     surface: SupportSurface,
     planner: ScenePlanner,
     learning: SceneLearner | None,
-) -> tuple[SceneRun, SimulatedSceneWorld, float]:
-    """Carries a task out in a world.
+) -> tuple[LoopRun[JointState], SimulatedWorld, float]:
+    """Carries a task out in a world in which objects lie at poses (N, 3), m and rad.
 
     Returns:
         What came of it, the world, and the time that it took, s of one core.
     """
-    world = SimulatedSceneWorld(
-        scene, surface, position_std=POSITION_STD, angle_std=ANGLE_STD, seed=job.seed
+    world = SimulatedWorld(
+        truth, begin, surface, position_std=POSITION_STD, angle_std=ANGLE_STD, seed=job.seed
     )
-    belief = SceneBelief.of_prior(scene.objects, scene.poses, seed=job.seed)
-    begin = thread_time()
-    run = run_scene_task(
-        world,
+    loop = JointLoop(
         planner,
-        belief,
+        SceneBelief.of_prior(truth.objects, seed=job.seed),
         learning=learning,
         max_pushes=MAX_PUSHES[job.part],
+        options=STILL_WORLD,
         seed=job.seed,
     )
-    return run, world, thread_time() - begin
+    started = thread_time()
+    run = run_loop(loop, world)
+    return run, world, thread_time() - started
 
 
 def _judge(
     job: Job,
-    run: SceneRun,
-    world: SimulatedSceneWorld,
+    run: LoopRun[JointState],
+    world: SimulatedWorld,
     seconds: float,
     reached: bool,
     errors: tuple[float, float] = (np.nan, np.nan),
 ) -> Outcome:
     """Writes down what came of an episode; `reached` tells if the task's own aim truly is."""
     truth = world.truth
-    fell = sum(truth.fallen)
+    state = run.state
+    fell = int(np.sum(truth.fallen))
     return Outcome(
         part=job.part,
         count=job.count,
         seed=job.seed,
-        done=run.done,
-        reached=run.done and reached and fell == 0,
+        done=state.done,
+        reached=state.done and reached and fell == 0,
         fell=fell,
-        time=run.time,
-        pushes=run.pushes,
+        time=world.time,
+        pushes=world.pushes,
         distance=errors[0],
         turn=errors[1],
-        room=float(calc_clearances(truth.scene.objects, truth.poses).min()),
-        decision=seconds / max(run.pushes, 1),
-        reason=run.reason,
+        room=float(calc_clearances(world.bodies.objects, truth.pose).min()),
+        decision=seconds / max(world.pushes, 1),
+        reason=state.status.reason,
     )
 
 

@@ -1,7 +1,7 @@
 """Several objects in view that push each other, for `gridpush bench perception`.
 
 Shipped objects lie in a row, apart or touching. A rod pushes the first of them through the others,
-as `simulate_scene` says, and the tracker follows all of their outlines with the arm in view.
+as `simulate` says, and the tracker follows all of their outlines with the arm in view.
 """
 
 from collections.abc import Sequence
@@ -20,15 +20,13 @@ from gridpush_drake.bench.rendered_table import (
     make_overhead_camera,
 )
 from gridpush_drake.bench.table import ALL, MM, Table, Value
-from gridpush_drake.dynamics.motion import MotionStatus
+from gridpush_drake.dynamics.bodies import Bodies
+from gridpush_drake.dynamics.motion import Motion, MotionStatus
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
-from gridpush_drake.dynamics.scene.motion import SceneMotion
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array, transform_shape, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.perception import Frame, TrackedPose
 from gridpush_drake.perception.scene_tracking import KnownObject, SceneTracker
 
@@ -139,8 +137,8 @@ def run_several(job: SeveralJob) -> SeveralScore:
     deviations: list[tuple[float, float, float]] = []
     for k in range(job.pushes):
         seed = job.seed + k
-        scene, motion = draw_motion(job.count, job.touching, seed)
-        for poses, tracked in track_motion(scene, motion, seed):
+        objects, motion = draw_motion(job.count, job.touching, seed)
+        for poses, tracked in track_motion(objects, motion, seed):
             for true, found in zip(poses, tracked, strict=True):
                 frames += 1
                 if not found.seen:
@@ -166,7 +164,7 @@ def run_several(job: SeveralJob) -> SeveralScore:
     )
 
 
-def draw_motion(count: int, touching: bool, seed: int) -> tuple[Scene, SceneMotion]:
+def draw_motion(count: int, touching: bool, seed: int) -> tuple[list[GridObject], Motion]:
     """Draws objects in a row, and pushes the first one through the others.
 
     Args:
@@ -175,7 +173,7 @@ def draw_motion(count: int, touching: bool, seed: int) -> tuple[Scene, SceneMoti
         seed: seed of everything random.
 
     Returns:
-        The scene, and its motion; at least two objects move.
+        The objects, and their motion; at least two objects move.
 
     Raises:
         PushError: none of the rows that were drawn does.
@@ -184,26 +182,26 @@ def draw_motion(count: int, touching: bool, seed: int) -> tuple[Scene, SceneMoti
     for _ in range(TRIES):
         names = rng.permutation(OBJECTS)[:count]
         objects = [load_object(str(name)) for name in names]
-        scene = Scene(_make_row(objects, touching, rng))
-        push = _draw_push(scene, rng)
-        motion = simulate_scene(scene, push)
+        poses = _make_row(objects, touching, rng)
+        push = _draw_push(objects[0], poses[0], rng)
+        motion = simulate(Bodies(objects), push, poses)
         ways = np.linalg.norm(motion.poses[-1, :, :2] - motion.poses[0, :, :2], axis=1)
         if (
             motion.status == MotionStatus.OK
             and (ways > MIN_MOTION).sum() >= 2
-            and _stays_in_view(scene, motion)
+            and _stays_in_view(objects, motion)
         ):
-            return scene, motion
+            return objects, motion
     raise PushError(f"none of {TRIES} random rows of {count} objects moves two of them in view")
 
 
 def track_motion(
-    scene: Scene, motion: SceneMotion, seed: int
+    objects: Sequence[GridObject], motion: Motion, seed: int
 ) -> list[tuple[Array, tuple[TrackedPose, ...]]]:
     """Renders some frames of a motion, and tracks all objects in them.
 
     Args:
-        scene: the objects.
+        objects: the objects.
         motion: their motion.
         seed: seed of the pictures' noise.
 
@@ -213,7 +211,7 @@ def track_motion(
     camera = make_overhead_camera(DISTANCE)
     prisms = [
         RenderedObject(obj.outline, HEIGHT, COLORS[i % len(COLORS)])
-        for i, obj in enumerate(scene.objects)
+        for i, obj in enumerate(objects)
     ]
     first = prisms[0]
     table = RenderedTable(
@@ -224,9 +222,7 @@ def track_motion(
         rod_radius=ROD_RADIUS,
         others=prisms[1:],
     )
-    tracker = SceneTracker(
-        [KnownObject(obj.outline, HEIGHT, obj.name) for obj in scene.objects], camera
-    )
+    tracker = SceneTracker([KnownObject(obj.outline, HEIGHT, obj.name) for obj in objects], camera)
 
     def look(i: int, arm: bool) -> tuple[Frame, NDArray[np.bool_]]:
         poses = motion.poses[i]
@@ -296,11 +292,9 @@ def tabulate_several(scores: Sequence[SeveralScore]) -> Table:
     return Table("Poses of several objects that push each other", columns, rows, notes)
 
 
-def _make_row(
-    objects: Sequence[GridObject], touching: bool, rng: np.random.Generator
-) -> list[SceneBody]:
-    """Lays objects in a row along x, each with its shorter side about along it."""
-    bodies = []
+def _make_row(objects: Sequence[GridObject], touching: bool, rng: np.random.Generator) -> Array:
+    """Lays objects in a row along x, each with its shorter side about along it: (N, 3), m and rad."""
+    poses = []
     before: shapely.Geometry | None = None
     for obj in objects:
         box = np.array(obj.outline.minimum_rotated_rectangle.exterior.coords)
@@ -317,13 +311,13 @@ def _make_row(
         pose = np.array([x, y, theta])
         placed = transform_shape(pose, obj.outline)
         before = placed if before is None else shapely.union(before, placed)
-        bodies.append((obj, pose))
+        poses.append(pose)
 
     # The row's middle, with room for the push, lies in the picture's middle.
     assert before is not None
     left, _, right, _ = before.bounds
     shift = np.array([-(left + right + LENGTH) / 2, 0.0, 0.0])
-    return [SceneBody(obj, CellParameters.uniform(obj), pose + shift) for obj, pose in bodies]
+    return np.array(poses) + shift
 
 
 def _slide(before: shapely.Geometry, shape: shapely.Geometry, gap: float) -> float:
@@ -348,9 +342,9 @@ def _slide(before: shapely.Geometry, shape: shapely.Geometry, gap: float) -> flo
     return x
 
 
-def _draw_push(scene: Scene, rng: np.random.Generator) -> Push:
+def _draw_push(obj: GridObject, pose: Array, rng: np.random.Generator) -> Push:
     """Draws a push along the row, which begins to the left of the first object."""
-    first = transform_shape(scene.poses[0], scene.objects[0].outline)
+    first = transform_shape(pose, obj.outline)
     left, low, _, high = first.bounds
     y = rng.uniform(0.7 * low + 0.3 * high, 0.3 * low + 0.7 * high)
     angle = rng.uniform(-0.2, 0.2)
@@ -359,7 +353,7 @@ def _draw_push(scene: Scene, rng: np.random.Generator) -> Push:
     return Push(start, velocity, (LENGTH + 0.002) / SPEED, ROD_RADIUS)
 
 
-def _stays_in_view(scene: Scene, motion: SceneMotion) -> bool:
+def _stays_in_view(objects: Sequence[GridObject], motion: Motion) -> bool:
     """Says whether the camera sees all of the objects at the beginning and at the end."""
     camera = make_overhead_camera(DISTANCE)
     low = camera.cast([0, camera.height - 1], HEIGHT) + MARGIN
@@ -368,7 +362,7 @@ def _stays_in_view(scene: Scene, motion: SceneMotion) -> bool:
     return all(
         view.contains(transform_shape(pose, obj.outline))
         for poses in (motion.poses[0], motion.poses[-1])
-        for pose, obj in zip(poses, scene.objects, strict=True)
+        for pose, obj in zip(poses, objects, strict=True)
     )
 
 

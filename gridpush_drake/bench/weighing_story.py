@@ -14,6 +14,7 @@ from gridpush_drake.bench.pregrasp.world import LEARNER, ONE_OBSERVATION, EdgeWo
 from gridpush_drake.bench.table import MM
 from gridpush_drake.bench.weighing_world import EDGE, MadePress, WeighingNoise, WeighingWorld
 from gridpush_drake.geometry.se2 import Array, compose, invert
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.identification.weighed_model import hold_friction, weigh_model
 from gridpush_drake.objects.grid_object import GridObject
@@ -121,8 +122,7 @@ def tell_story(
     rng = np.random.default_rng((seed, 14))
     start = np.array([*rng.uniform(-START_REACH, START_REACH, 2), rng.uniform(-np.pi, np.pi)])
     world = EdgeWorld(
-        obj,
-        truth,
+        Model(obj, truth),
         start,
         planner.surface,
         position_std=used.position,
@@ -136,7 +136,9 @@ def tell_story(
     presses = 0
     max_tilt = 0.0
     while True:
-        run = run_loop(loop, obj, world, _is_due, learn=learner, surface=planner.surface, begun=run)
+        run = run_loop(
+            loop, world, _is_due, obj=obj, learn=learner, surface=planner.surface, begun=run
+        )
         state = run.state
         if state.status.mode != PreGraspMode.WEIGHING or presses >= MAX_PRESSES:
             break

@@ -7,15 +7,14 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_found, work_progress
-from gridpush_drake.dynamics.physics import QUASI_STATIC
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_together, write_whole
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.result import IdentificationStatus
-from gridpush_drake.identification.scene_learning import find_pusher_radius, identify_scene
-from gridpush_drake.identification.scene_models import make_object_models
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.scene_log import SceneLog
+from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
 from gridpush_drake.report.scene_page import (
     explain_scene,
     make_scene_report,
@@ -66,14 +65,14 @@ def identify_together(
     models_out = {name: out.with_stem(f"{out.stem}_{name}") for name in objects}
     outputs = list(models_out.values())
     options.check_outputs(force, *outputs, report, inputs=[*files, pushes])
-    log = SceneLog.read_csv(pushes, find_pusher_radius(objects.values()))
+    log = PushLog.read_csv(pushes, choose_pusher_radius([*objects.values()]))
     options.check_names(pushes, log, objects)
 
     options.compile_kernels()
     ordered = [objects[name] for name in log.names]
     with work_progress(f"identifying {count_noun(len(ordered), 'object')}"):
-        found = identify_scene(ordered, log, physics=QUASI_STATIC)
-    models = make_object_models(found)
+        found = identify(Model(ordered), log)
+    models = found.parts
     if not found.moved.any():
         raise PushLogError(f"{pushes}: no push moved any of {', '.join(log.names)}")
     with write_together():

@@ -36,7 +36,6 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import MAX_FIRST_ANGLE, MAX_TABLE
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog, choose_pusher_radius
-from gridpush_drake.pushes.scene_log import SceneLog
 
 ObjectOrModel = Annotated[
     str,
@@ -449,7 +448,7 @@ def split_name(text: str) -> tuple[str | None, str]:
     return name, file
 
 
-def check_names(path: Path, log: SceneLog, given: Iterable[str]) -> None:
+def check_names(path: Path, log: PushLog, given: Iterable[str]) -> None:
     """Raises PushLogError where a log has other objects than those that are given."""
     expected = list(given)
     if sorted(log.names) != sorted(expected):

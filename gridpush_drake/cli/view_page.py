@@ -15,7 +15,7 @@ from gridpush_drake.cli.view_scene import AddModel, AddPushes, describe_colors, 
 from gridpush_drake.cli.view_scene_log import (
     AddScenePushes,
     describe_scene_pushes,
-    make_scene,
+    make_bodies,
     make_scene_overlay,
     predict_scene,
 )
@@ -23,9 +23,8 @@ from gridpush_drake.display.cell_colors import Shown
 from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.display.overlay import Overlay
 from gridpush_drake.display.server import PublishOnce
-from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.objects.object_file import speak_name
-from gridpush_drake.pushes.scene_log import SceneLog
+from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
 
 
 @dataclass(frozen=True)
@@ -133,16 +132,16 @@ def draw_scene_log_page(
         target = options.load_target(file, largest_piece)
         targets[name or target.obj.name] = target
     objects = [target.obj for target in targets.values()]
-    log = SceneLog.read_csv(path, find_pusher_radius(objects))
+    log = PushLog.read_csv(path, choose_pusher_radius(objects))
     options.check_names(path, log, targets)
     known = [seen.name for seen in log]
     for name in names or ():
         if name not in known:
             raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
     picked = tuple(seen for seen in log if not names or seen.name in names)
-    log = SceneLog(picked, log.names)
+    log = PushLog(picked, names=log.names)
     options.compile_kernels()
-    believed = make_scene(targets, log)
+    believed = make_bodies(targets, log)
     motions = predict_scene(believed, log)
     page = LivePage(look.port)
     height = options.choose_height(look.height, objects[0])

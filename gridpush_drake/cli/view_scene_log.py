@@ -21,12 +21,13 @@ from gridpush_drake.cli.view_scene import (
 from gridpush_drake.display.cell_colors import CellColors, Shown
 from gridpush_drake.display.overlay import Mark, Overlay, list_center_marks, to_css
 from gridpush_drake.display.shapes import LAYER, PLAN_COLOR, AddCells, AddCenter, AddGhost
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
-from gridpush_drake.dynamics.scene.motion import SceneMotion
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.motion import Motion
+from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.scene_learning import calc_scene_errors
-from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
+from gridpush_drake.identification.joint_fit import calc_end_errors
+from gridpush_drake.identification.model import Model
+from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_log import PushLog
 
 OBJECTS = "objects"
 """Path in Meshcat below which each object has its number."""
@@ -35,8 +36,8 @@ GHOSTS = "predicted"
 """Path in Meshcat of the objects as the models predict them, likewise."""
 
 
-def make_scene(targets: Mapping[str, Target], log: SceneLog) -> Scene | None:
-    """Makes the scene by which a log's pushes are predicted.
+def make_bodies(targets: Mapping[str, Target], log: PushLog) -> Model | None:
+    """Makes the model by which a log's pushes are predicted.
 
     The friction between objects is the default one, for a model's file does not hold it.
 
@@ -45,33 +46,26 @@ def make_scene(targets: Mapping[str, Target], log: SceneLog) -> Scene | None:
         log: the pushes.
 
     Returns:
-        The objects where the first push found them; None where not all of them are learned.
+        The objects; None where not all of them are learned.
     """
-    bodies = []
-    for name, pose in zip(log.names, log[0].poses, strict=True):
-        target = targets[name]
-        if target.model is None:
-            return None
-        bodies.append(SceneBody(target.obj, target.params, pose))
-    return Scene(bodies, may_overlap=True)
-
-
-def predict_scene(scene: Scene | None, log: SceneLog) -> list[SceneMotion] | None:
-    """Predicts each push of a log; None where there is no scene."""
-    if scene is None:
+    ordered = [targets[name] for name in log.names]
+    if any(target.model is None for target in ordered):
         return None
-    motions = []
-    for seen in log:
-        start = scene.with_poses(seen.poses, may_overlap=True)
-        motions.append(simulate_scene(start, seen.push))
-    return motions
+    return Model([target.obj for target in ordered], [target.params for target in ordered])
+
+
+def predict_scene(model: Model | None, log: PushLog) -> list[Motion] | None:
+    """Predicts each push of a log; None where there is no model."""
+    if model is None:
+        return None
+    return [simulate_together(model, seen.push, seen.pose) for seen in log]
 
 
 def AddScenePushes(
     meshcat: Meshcat,
     targets: Mapping[str, Target],
-    log: SceneLog,
-    motions: list[SceneMotion] | None,
+    log: PushLog,
+    motions: list[Motion] | None,
     shows: Shown,
     height: float,
 ) -> None:
@@ -132,7 +126,7 @@ def AddScenePushes(
     meshcat.StopRecording()
 
 
-def make_scene_overlay(log: SceneLog, motions: list[SceneMotion] | None) -> Overlay:
+def make_scene_overlay(log: PushLog, motions: list[Motion] | None) -> Overlay:
     """Makes the legend and the captions of the page.
 
     Args:
@@ -148,26 +142,26 @@ def make_scene_overlay(log: SceneLog, motions: list[SceneMotion] | None) -> Over
     return Overlay(None, marks, list_push_phases((seen.name, seen.push, "") for seen in log))
 
 
-def describe_scene_pushes(scene: Scene | None, log: SceneLog) -> tuple[dict[str, Any], list[str]]:
+def describe_scene_pushes(model: Model | None, log: PushLog) -> tuple[dict[str, Any], list[str]]:
     """Says which pushes are shown, and how well they are predicted; for machines and in lines."""
     found: dict[str, Any] = {"kind": "pushes"}
     found["objects"] = list(log.names)
     found["pushes"] = [seen.name for seen in log]
     lines = [f"{', '.join(log.names)}: {count_noun(len(log), 'push')}"]
-    if scene is not None:
-        errors = calc_scene_errors(scene, log)
+    if model is not None:
+        errors = calc_end_errors(model, log)
         found["cell_errors"] = errors.tolist()
         lines.append("Solid: as observed. Orange: as the models predict it.")
         lines.append(f"Mean cell error of the final poses: {errors.mean() * MM:.1f} mm")
     return found, lines
 
 
-def _list_observed(seen: ObservedScenePush) -> Array:
+def _list_observed(seen: ObservedPush) -> Array:
     """Lists all poses (K+1, N, 3) that were seen of a push, the first ones included."""
-    return np.concatenate([seen.poses[None], seen.poses_observed])
+    return np.concatenate([seen.pose[None], seen.poses_observed])
 
 
-def _calc_extent(targets: list[Target], log: SceneLog) -> Array:
+def _calc_extent(targets: list[Target], log: PushLog) -> Array:
     """Returns the smallest and largest x, y (2, 2) of observed cells and finger paths, m."""
     points = [seen.push.xy for seen in log]
     for seen in log:

@@ -1,5 +1,8 @@
 """`Bodies`: one or several objects on a table, what their cells weigh, and how they slide.
 
+What an object weighs and how rough it is on the table and to the pusher stands in its
+`CellParameters`; how rough objects are to each other stands in `pair_friction`.
+
 It is the part of a model that simulations need. `identification.model.Model` is made of it and adds
 what a model can do; users make that one. Where there is one object, `obj` and `params` are it and
 its parameters, and nobody has to write an index.
@@ -10,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics, Regime
 from gridpush_drake.errors import SimulationError
@@ -20,6 +24,9 @@ from gridpush_drake.objects.parameters import CellParameters
 
 T = TypeVar("T")
 
+DEFAULT_PAIR_FRICTION = 0.3
+"""Friction coefficient of two objects against each other that is taken where none is given."""
+
 
 @dataclass(frozen=True, eq=False, init=False)
 class Bodies(Frozen):
@@ -29,17 +36,21 @@ class Bodies(Frozen):
         objects: the N objects.
         parameters: (N,) the masses and frictions of their cells.
         physics: friction law, regime, spin, gravity and tolerances.
+        pair_friction: (N, N) friction coefficients of two objects against each other, symmetric;
+            the diagonal means nothing.
     """
 
     objects: tuple[GridObject, ...]
     parameters: tuple[CellParameters, ...]
     physics: Physics = DEFAULT_PHYSICS
+    pair_friction: Array = DEFAULT_PAIR_FRICTION  # type: ignore[assignment]
 
     def __init__(
         self,
         objects: GridObject | Sequence[GridObject],
         parameters: CellParameters | Sequence[CellParameters] | None = None,
         physics: Physics | None = None,
+        pair_friction: ArrayLike = DEFAULT_PAIR_FRICTION,
     ) -> None:
         """Copies and checks what is given.
 
@@ -48,9 +59,11 @@ class Bodies(Frozen):
             parameters: its masses and frictions, or those of each; by default the total mass and
                 friction of the objects' files, spread evenly over the cells.
             physics: `Physics()` by default.
+            pair_friction: one friction coefficient for all pairs of objects, or (N, N).
 
         Raises:
-            SimulationError: there is no object, or parameters belong to another object.
+            SimulationError: there is no object, parameters belong to another object, or a friction
+                coefficient is out of range.
             TypeError: an argument is of another type, or they are swapped.
         """
         # One object may be given as it is, and so may its parameters.
@@ -62,6 +75,7 @@ class Bodies(Frozen):
             self, "parameters", _make_tuple("parameters", parameters, CellParameters)
         )
         object.__setattr__(self, "physics", DEFAULT_PHYSICS if physics is None else physics)
+        object.__setattr__(self, "pair_friction", pair_friction)
         self.__post_init__()
 
     def __post_init__(self) -> None:
@@ -80,6 +94,8 @@ class Bodies(Frozen):
                 raise SimulationError(
                     f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has"
                 )
+        friction = _check_pair_friction(self.pair_friction, len(self.objects))
+        object.__setattr__(self, "pair_friction", friction)
 
     def __len__(self) -> int:
         """Number of objects."""
@@ -128,6 +144,16 @@ class Bodies(Frozen):
         """Makes a model of these objects that slide by another physics."""
         return self._with(physics=physics)
 
+    def take(self, indices: Sequence[int]) -> "Bodies":
+        """Takes some of the objects, by their numbers, in that order."""
+        chosen = list(indices)
+        return Bodies(
+            [self.objects[i] for i in chosen],
+            [self.parameters[i] for i in chosen],
+            self.physics,
+            self.pair_friction[np.ix_(chosen, chosen)],
+        )
+
     def resolve(self, speed: float, regime: Regime | None = None) -> Self:
         """Replaces the regime "auto" by the one that suits a speed, as `Physics.resolve` does.
 
@@ -158,6 +184,34 @@ class Bodies(Frozen):
             raise SimulationError(
                 f"{name}: there are {len(self.objects)} objects ({names}); expected one"
             )
+
+
+def _check_pair_friction(given: ArrayLike, n: int) -> Array:
+    """Makes the matrix (n, n) of the pairs' friction, of one number or a matrix."""
+    friction = np.array(given, dtype=np.float64)
+    if friction.shape == ():
+        friction = np.full((n, n), float(friction))
+    if friction.shape != (n, n):
+        raise SimulationError(
+            f"pair_friction of shape {friction.shape}; expected one number or ({n}, {n})"
+        )
+    pairs = friction[np.triu_indices(n, 1)]
+    if not (np.isfinite(pairs).all() and (pairs >= 0).all()):
+        raise SimulationError("pair_friction: expected finite numbers >= 0")
+    if not np.array_equal(pairs, friction.T[np.triu_indices(n, 1)]):
+        raise SimulationError(
+            "pair_friction: expected a symmetric matrix; two objects have one friction coefficient"
+        )
+    np.fill_diagonal(friction, 0.0)
+    friction.setflags(write=False)
+    return friction
+
+
+def describe_object(objects: Sequence[GridObject], index: int) -> str:
+    """Names one of several objects, with its number where the name alone does not tell it."""
+    name = objects[index].name
+    same = sum(obj.name == name for obj in objects)
+    return name if same == 1 else f"{name} (object {index})"
 
 
 def _make_tuple(name: str, given: Any, kind: type[T]) -> tuple[T, ...]:

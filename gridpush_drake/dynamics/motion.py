@@ -14,6 +14,9 @@ from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray
 from gridpush_drake.notebook import count, describe_move, draw_paths, make_page
 
+NO_BODY = -2
+"""What stands in `Motion.contact_bodies` where there is no contact."""
+
 
 class MotionStatus(StrEnum):
     """How a simulated push went."""
@@ -29,25 +32,34 @@ class MotionStatus(StrEnum):
     """The pusher began more than 0.1 mm inside the object, which then jumped clear."""
 
 
+OVERLAP_TOLERANCE = 1e-4
+"""Overlap of pusher and outline at the beginning that a motion's status does not mention, m."""
+
+
 @dataclass(frozen=True, eq=False)
 class Jacobian:
     """Derivatives of R recorded poses, x and y in m and theta in rad, in blocks with names.
 
+    Of N objects, N > 1, the shape of what is differentiated is (R, N, 3) in place of (R, 3).
+
     Attributes:
         steps: (R,) the steps the rows belong to.
         mass: (R, 3, n) by the cells' masses, 1/kg; (R, 3, 0) where only those by the push were
-            asked for.
-        friction: (R, 3, n) by the cells' friction coefficients; (R, 3, 0) where only those by mass
-            or by the push were asked for.
-        contact_friction: (R, 3) by the pusher's friction coefficient.
+            asked for. Of several objects, the cells of all, one object after the other.
+        friction: (R, 3, n) by the cells' friction coefficients, likewise; (R, 3, 0) where only
+            those by mass or by the push were asked for.
+        contact_friction: (R, 3) by the pusher's friction coefficient; (R, N, 3, N) by that with
+            each of several objects.
         start: (R, 3, 2) by the place (x, y) in W where the push begins, the path moved with it,
             1/m.
         direction: (R, 3) by turning the path about its start, 1/rad.
         length: (R, 3) by the length of the path, its duration held, 1/m.
-        pose: (R, 3, 3) by the pose at the beginning.
+        pose: (R, 3, 3) by the pose at the beginning; (R, N, 3, N, 3) by those of several objects.
         contact_location: (R, 3) by the arc length on the outline where the push begins, 1/m; None
-            unless the push was made by `Push.on_outline`.
+            unless the push was made by `Push.on_outline`, and of several objects.
         push_height: (R, 3) by the height at which the pusher acts; None where loads do not shift.
+        pair_friction: (R, N, 3, N, N) by the friction coefficient of each pair of objects; it is
+            the same at (i, j) and (j, i), which are one number. None of one object.
     """
 
     steps: IntArray
@@ -60,38 +72,50 @@ class Jacobian:
     pose: Array
     contact_location: Array | None = None
     push_height: Array | None = None
+    pair_friction: Array | None = None
 
     def __repr__(self) -> str:
         """How many poses are derived by how many cells, in a line."""
-        poses, _, cells = self.mass.shape
-        return f"Jacobian of {count(poses, 'pose')} by mass and friction of {count(cells, 'cell')}"
+        *rows, _, cells = self.mass.shape
+        poses = count(int(np.prod(rows)), "pose")
+        return f"Jacobian of {poses} by mass and friction of {count(cells, 'cell')}"
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion of an object under one push, T steps; world frame unless said otherwise.
+    """The motion of an object, or of several, under one push of T steps; world frame W.
 
     Attributes:
         times: (T+1,) s from the push's beginning.
-        poses: (T+1, 3) q = (x, y, theta) of the body frame, m and rad.
-        velocities: (T+1, 3) (vx, vy, w) of the body frame's origin, m/s and rad/s.
+        poses: (T+1, 3) q = (x, y, theta) of the body frame, m and rad; (T+1, N, 3) of several
+            objects.
+        velocities: (T+1, 3) (vx, vy, w) of the body frame's origin, m/s and rad/s; (T+1, N, 3) of
+            several objects.
         tip: (T+1, 2) center of the pusher, m; NaN for a force-driven push.
-        contact_forces: (T, 2, 2) force of the pusher on the object at its at most two contacts, N.
-            In the quasi-static regime too: it is what the support's friction asks for. How two
+        contact_forces: (T, C, 2) force on the object at each contact within reach, N. In the
+            quasi-static regime too: it is what the support's friction asks for. How several
             contacts that stick share it is statically indeterminate; one admissible way is given.
-        contact_points: (T, 2, 2) where they act, halfway through the step, m; NaN where there is no
+            Of one object C is 2: the pusher's contacts.
+        contact_points: (T, C, 2) where they act, halfway through the step, m; NaN where there is no
             contact.
-        modes: (T, 2) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 with
+        modes: (T, C) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 with
             the opposite sign.
-        gaps: (T+1,) distance from the disc's edge to the outline, m; negative where they overlap,
-            infinite where far.
+        gaps: (T+1,) distance from the disc's edge to the nearest outline, m; negative where they
+            overlap, infinite where far.
         status: how it went; compares equal to its string, "ok" for instance.
         load_centers: (T, 2) where the table bears the object at each step, on average, m; NaN where
-            every cell bears its own weight.
+            every cell bears its own weight, as all do where there are several objects.
         tips: (T,) whether no loads can hold the object: their center would be beyond what is on the
             table.
         iterations: (T,) Newton iterations of each step.
         physics: physics of the simulation; its regime is never "auto".
+        contact_bodies: (T, C, 2) the two bodies of each contact, by their number: the one whose
+            outline is touched, on which the force acts, and the one that touches it, -1 for the
+            pusher; both `NO_BODY` beyond a step's contacts. None of one object.
+        contact_gaps: (T, C) distance at each contact when the step begins, m; negative where two
+            overlap. None of one object.
+        residuals: (T, 2) what is left of the balance of forces, as a share of what acts on a body,
+            and of the contact conditions, as a share of forces and speeds. None of one object.
         jacobian: derivatives of the poses, where asked for.
     """
 
@@ -108,19 +132,26 @@ class Motion:
     tips: NDArray[np.bool_]
     iterations: IntArray
     physics: Physics
+    contact_bodies: IntArray | None = None
+    contact_gaps: Array | None = None
+    residuals: Array | None = None
     _jacobian: "Jacobian | RawJacobian | None" = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        """Status, duration and what became of the object, in a line."""
+        """Status, duration and what became of each object, in a line."""
         steps = count(len(self.times) - 1, "step")
-        went = describe_move(self.poses[0], self.poses[-1])
-        return f"Motion, {self.status}: {self.times[-1]:.3g} s in {steps}, the object {went}"
+        began = f"Motion, {self.status}: {self.times[-1]:.3g} s in {steps}"
+        if self.poses.ndim == 2:
+            return f"{began}, the object {describe_move(self.poses[0], self.poses[-1])}"
+        moves = enumerate(zip(self.poses[0], self.poses[-1], strict=True))
+        return "; ".join([began, *(f"object {b} {describe_move(*ends)}" for b, ends in moves)])
 
     def _repr_html_(self) -> str:
-        """The paths of pusher and object."""
-        paths = [
-            (self.tip, "crimson", "pusher"),
-            (self.poses[:, :2], "teal", "object's body frame"),
+        """The paths of pusher and objects."""
+        several = self.poses.reshape(len(self.poses), -1, 3)
+        paths = [(self.tip, "crimson", "pusher")]
+        paths += [
+            (several[:, b, :2], "teal", "object's body frame") for b in range(several.shape[1])
         ]
         return make_page(repr(self), draw_paths(paths))
 
@@ -139,13 +170,16 @@ class Motion:
 
     @property
     def final_pose(self) -> Array:
-        """(3,) the last pose."""
+        """(3,) the last pose; (N, 3) of several objects."""
         return self.poses[-1]
 
     @property
     def penetration(self) -> float:
-        """Deepest overlap of pusher and outline, m."""
-        return float(max(0.0, -self.gaps.min()))
+        """Deepest overlap of pusher and outline, or of two objects, m."""
+        deepest = float(self.gaps.min())
+        if self.contact_gaps is not None:
+            deepest = min(deepest, float(self.contact_gaps.min(initial=0.0)))
+        return max(0.0, -deepest)
 
 
 @dataclass(frozen=True, eq=False)

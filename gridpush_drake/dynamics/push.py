@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from gridpush_drake.errors import MAX_NUMBER, PushError, SimulationError, require_positive
 from gridpush_drake.frozen import Frozen
-from gridpush_drake.geometry.se2 import Array, check_vector
+from gridpush_drake.geometry.se2 import Array, IntArray, check_vector
 from gridpush_drake.objects.grid_object import GridObject
 
 
@@ -442,3 +442,22 @@ def check_times(times: ArrayLike, inertial: bool) -> Array:
             f"times: two are all but the same; expected steps of at least {shortest:.3g} s"
         )
     return times
+
+
+def check_record(record: ArrayLike, steps: int) -> IntArray:
+    """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1.
+
+    Negative ones count from the end.
+
+    Raises SimulationError where they are not whole numbers in that range that name each pose once
+    at most.
+    """
+    rows = np.array(record)
+    whole = rows.ndim == 1 and (len(rows) == 0 or np.issubdtype(rows.dtype, np.integer))
+    if not whole or (rows < -(steps + 1)).any() or (rows > steps).any():
+        raise SimulationError(f"record: expected whole numbers from {-(steps + 1)} to {steps}")
+    rows = rows.astype(np.int64)
+    rows[rows < 0] += steps + 1
+    if len(np.unique(rows)) != len(rows):
+        raise SimulationError("record: names a pose twice; expected distinct indices")
+    return rows

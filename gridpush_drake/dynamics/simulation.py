@@ -25,14 +25,29 @@ from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
-from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJacobian
+from gridpush_drake.dynamics.motion import (
+    OVERLAP_TOLERANCE,
+    Jacobian,
+    Motion,
+    MotionStatus,
+    RawJacobian,
+)
 from gridpush_drake.dynamics.physics import (
     Physics,
     Regime,
     check_word,
 )
-from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times, measure_steps
+from gridpush_drake.dynamics.push import (
+    ForcePush,
+    Push,
+    check_record,
+    check_times,
+    make_times,
+    measure_steps,
+)
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
+from gridpush_drake.dynamics.scene.cores import check_overlap
+from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, IntArray, check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
@@ -40,9 +55,6 @@ from gridpush_drake.objects.parameters import CellParameters
 
 MOVED_MOST = 2.0
 """How far B's origin may go in a slow push, as a multiple of the pusher's path."""
-
-OVERLAP_TOLERANCE = 1e-4
-"""Overlap of pusher and outline at the beginning that a motion's status does not mention, m."""
 
 GRADIENTS = (False, True, "mass", "push", "paper")
 """What `simulate` may be asked to differentiate."""
@@ -100,17 +112,23 @@ def simulate(
     record: ArrayLike | None = None,
     table: ArrayLike | None = None,
 ) -> Motion:
-    """Simulates one push of a grid object (`docs/theory/model.md`, sections 3-6).
+    """Simulates one push of a grid object, or of several that push each other.
+
+    The model is in `docs/theory/model.md`: of one object in sections 3 to 6 and 8, of several in
+    section 9. What several objects do not know yet is refused: the inertial regime (so pushes by a
+    force and a `velocity`), loads that shift (a `push_height`, a `table`), friction laws other than
+    "isotropic", and parts of the Jacobian by themselves.
 
     A step is implicit in the velocities. It sees contact and directions as they are expected
     halfway through it (the midpoint rule), except with lagged friction, which as in the paper's LCP
     takes them where the step begins.
 
     Args:
-        bodies: one object, with its parameters and physics: friction law, regime, spin, gravity and
-            tolerances.
+        bodies: one or several objects, with their parameters and physics: friction law, regime,
+            spin, gravity and tolerances.
         push: the pusher's motion, or a force applied to the object.
-        pose: (3,) q = (x, y, theta) of B in W at the beginning, m and rad.
+        pose: (3,) q = (x, y, theta) of B in W at the beginning, m and rad; (N, 3) of several
+            objects.
         dt: step, s; the last one is shortened to end with the push. By default so short that the
             pusher moves at most `DEFAULT_TIP_STEP` a step and, in the inertial regime, at most
             `DEFAULT_DT`.
@@ -134,10 +152,17 @@ def simulate(
 
     Raises:
         SimulationError: an argument is out of range, or the combination makes no sense; the object
-            is not on the table.
+            is not on the table, or two objects overlap.
     """
     _check_kinds(bodies, push)
     check_word("gradients", gradients, GRADIENTS)
+    if len(bodies) > 1:
+        poses = _check_several(bodies, push, pose, gradients, velocity, table)
+        assert isinstance(push, Push)
+        physics = bodies.physics.with_regime(regime)
+        return simulate_together(
+            bodies.with_physics(physics), push, poses, dt, bool(gradients), times, record
+        )
     q = check_vector(SimulationError, "pose", pose, 3)
     nu = check_vector(SimulationError, "velocity", velocity, 3)
     needs_inertia = bool(nu.any()) or gradients == "paper"
@@ -178,6 +203,39 @@ def _check_kinds(bodies: object, push: object) -> None:
                 f"{name}: is a {type(value).__name__}; expected a {words}, as in "
                 "simulate(Model(obj, params), push)"
             )
+
+
+def _check_several(
+    bodies: Bodies,
+    push: Push | ForcePush,
+    pose: ArrayLike,
+    gradients: bool | str,
+    velocity: ArrayLike,
+    table: ArrayLike | None,
+) -> Array:
+    """Refuses what several objects do not know, but for what their physics says; see `simulate`.
+
+    Returns:
+        (N, 3) the poses.
+    """
+    n = len(bodies)
+    refused = (
+        (isinstance(push, ForcePush), "push: is a ForcePush; expected a Push", "have no momentum"),
+        (np.any(velocity), "velocity: expected (0, 0, 0)", "have no momentum"),
+        (table is not None, "table: expected None", "bear their own weight"),
+        (gradients not in (False, True), f"gradients is {gradients!r}; expected True or False", ""),
+    )
+    for wrong, words, why in refused:
+        if wrong:
+            reason = f": several objects {why}" if why else ", of several objects"
+            raise SimulationError(f"{words}{reason}")
+    poses = np.array(pose, dtype=np.float64)
+    if poses.shape != (n, 3) or not np.isfinite(poses).all():
+        raise SimulationError(
+            f"pose of shape {poses.shape}; expected ({n}, 3) finite numbers, a pose of each object"
+        )
+    check_overlap(bodies.objects, poses)
+    return poses
 
 
 def simulate_steps(
@@ -464,25 +522,6 @@ def check_friction(physics: Physics, params: CellParameters) -> None:
         raise SimulationError(
             "friction: the quasi-static regime needs some friction with the support"
         )
-
-
-def check_record(record: ArrayLike, steps: int) -> IntArray:
-    """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1.
-
-    Negative ones count from the end.
-
-    Raises SimulationError where they are not whole numbers in that range that name each pose once
-    at most.
-    """
-    rows = np.array(record)
-    whole = rows.ndim == 1 and (len(rows) == 0 or np.issubdtype(rows.dtype, np.integer))
-    if not whole or (rows < -(steps + 1)).any() or (rows > steps).any():
-        raise SimulationError(f"record: expected whole numbers from {-(steps + 1)} to {steps}")
-    rows = rows.astype(np.int64)
-    rows[rows < 0] += steps + 1
-    if len(np.unique(rows)) != len(rows):
-        raise SimulationError("record: names a pose twice; expected distinct indices")
-    return rows
 
 
 STEP_STICTION = 1e-10

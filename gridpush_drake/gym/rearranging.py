@@ -1,7 +1,7 @@
 """`RearrangeEnvironment`: several objects of hidden masses are pushed to goals, as a game.
 
 Each step is one push of one object, in the plain world of several objects
-(`planning.scene.SimulatedSceneWorld`): whatever else the pushed object touches is pushed on.
+(`planning.world.SimulatedWorld`): whatever else the pushed object touches is pushed on.
 """
 
 from collections.abc import Sequence
@@ -25,8 +25,8 @@ from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.scene.random_scenes import hide, scatter
 from gridpush_drake.planning.scene.rearrangement import RearrangePlanner
 from gridpush_drake.planning.scene.rules import place_outlines
-from gridpush_drake.planning.scene.world import SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import SimulatedWorld
 
 TABLE = 1.2
 """Side of the table, m; its middle is the world's origin."""
@@ -115,7 +115,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
         self.render_mode = render_mode
         self.shapes: list[KnownShape] = []
         self.goals = np.empty((0, 3))
-        self.world: SimulatedSceneWorld | None = None
+        self.world: SimulatedWorld | None = None
         self._known = [
             load_shape(one) if isinstance(one, str) else KnownShape(one) for one in objects
         ]
@@ -153,8 +153,9 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
         objects = [shape.obj for shape in self.shapes]
         start = scatter(objects, rng, START_GAP, TABLE / 4)
         self.goals = scatter(objects, rng, GOAL_GAP, TABLE / 4)
-        self.world = SimulatedSceneWorld(
-            hide(objects, start, rng),
+        self.world = SimulatedWorld(
+            hide(objects, rng),
+            start,
             self._surface,
             position_std=self._position_std,
             angle_std=self._angle_std,
@@ -183,7 +184,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
             world.execute(push)
         else:
             world.pushes += 1
-        fell = any(world.truth.fallen)
+        fell = bool(np.any(world.truth.fallen))
         if not fell:
             self._seen = self._look(world)
         score = self._measure()
@@ -218,7 +219,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
 
         objects = [shape.obj for shape in self.shapes]
         brush.polygon(place(self._surface.corners), fill=WOOD)
-        for b, outline in enumerate(place_outlines(objects, self.world.truth.poses)):
+        for b, outline in enumerate(place_outlines(objects, self.world.truth.pose)):
             brush.polygon(place(outline.exterior.coords), fill=COLORS[b % len(COLORS)])
         for b, outline in enumerate(place_outlines(objects, self.goals)):
             line = place(outline.exterior.coords)
@@ -244,7 +245,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
         distances = shapely.distance(outlines, start)
         return bool((distances > FINGER_RADIUS).all())
 
-    def _look(self, world: SimulatedSceneWorld) -> Array:
+    def _look(self, world: SimulatedWorld) -> Array:
         """Looks at the objects, none of which has fallen."""
         seen = world.observe()
         assert seen is not None
@@ -253,7 +254,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
     def _measure(self) -> float:
         """Calculates the score, m, by where the objects truly lie."""
         assert self.world is not None
-        poses = self.world.truth.poses
+        poses = self.world.truth.pose
         score = 0.0
         for shape, pose, goal in zip(
             self.shapes,
@@ -268,7 +269,7 @@ class RearrangeEnvironment(gymnasium.Env[dict[str, NDArray[Any]], NDArray[Any]])
     def _is_done(self) -> bool:
         """Says whether every object truly lies at its goal."""
         assert self.world is not None
-        return bool(self._planner.find_reached(self.world.truth.poses).all())
+        return bool(self._planner.find_reached(self.world.truth.pose).all())
 
     def _observe(self) -> dict[str, NDArray[Any]]:
         """Makes the observation, as its space has it."""

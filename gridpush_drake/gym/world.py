@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
@@ -80,6 +81,6 @@ class EnvironmentWorld:
             pose=np.array(episode.true_pose),
             fallen=episode.fallen,
             stays=not episode.fallen,
-            params=episode.hidden,
+            bodies=None if episode.hidden is None else Bodies(episode.shape.obj, episode.hidden),
             motion=episode.motion,
         )

@@ -5,6 +5,7 @@ from .hypotheses import RigidBottom as RigidBottom
 from .hypotheses import SmoothField as SmoothField
 from .hypotheses import TwoParts as TwoParts
 from .identifiability import Identifiability as Identifiability
+from .joint_result import JointIdentification as JointIdentification
 from .learning import METHODS as METHODS
 from .learning import describe_prior as describe_prior
 from .learning import identify as identify
@@ -21,8 +22,5 @@ from .prediction import predict as predict
 from .result import HypothesisEvidence as HypothesisEvidence
 from .result import Identification as Identification
 from .result import IdentificationStatus as IdentificationStatus
-from .scene_learning import SceneIdentification as SceneIdentification
-from .scene_learning import identify_scene as identify_scene
-from .scene_models import make_object_models as make_object_models
 from .weighed_learning import learn_with_weighings as learn_with_weighings
 from .weighed_model import weigh_model as weigh_model

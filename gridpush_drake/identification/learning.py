@@ -29,6 +29,8 @@ from gridpush_drake.identification.fit_average import MapEnsembleFit
 from gridpush_drake.identification.force_scale import calc_force_scale
 from gridpush_drake.identification.friction_gradient import HeldFriction, calc_gradient_std
 from gridpush_drake.identification.identifiability import calc_identifiability
+from gridpush_drake.identification.joint_fit import identify_together
+from gridpush_drake.identification.joint_result import JointIdentification
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.map_fit import calc_laplace
 from gridpush_drake.identification.model import Model
@@ -71,16 +73,20 @@ def identify(
     budget: int | None = None,
     ensemble: MapEnsemble | None = None,
     progress: Progress | None = None,
-    start: Identification | None = None,
+    start: Identification | JointIdentification | None = None,
     friction: HeldFriction | None = None,
-) -> Identification:
-    """Learns an object's masses and frictions from pushes.
+) -> Identification | JointIdentification:
+    """Learns masses and frictions of an object, or of several, from pushes.
+
+    Several objects are learned together from slow pushes (`joint_fit`), by the default method; what
+    is for one object alone is refused.
 
     Args:
-        model: the object, with what its `prior` says of it, and the friction law, spin, gravity and
-            tolerances of the simulations. What the model holds of masses and frictions is not used:
-            learning begins from loads that are the same everywhere. The default method needs a law
-            with exact gradients.
+        model: the object or the objects, with what their `prior` says of them, and the friction
+            law, spin, gravity and tolerances of the simulations; of several, the friction against
+            each other that is expected. What the model holds of masses and other frictions is not
+            used: learning begins from loads that are the same everywhere. The default method needs
+            a law with exact gradients.
         log: the training pushes, or the name of their CSV file (`PushLog.read_csv`), with at least
             one observed pose each after the first. Pushes during which a part of the object hung
             over the table's edge are learned from only if the log has the table's corners, and only
@@ -102,7 +108,8 @@ def identify(
             loads shift about the center of mass.
 
     Returns:
-        The model, its spread, and what the log cannot tell. Where it is far off from the very
+        The model, its spread, and what the log cannot tell; a `JointIdentification` of several
+        objects. Where it is far off from the very
         pushes that it was learned from, its status is "explains_little", and it should not be used.
 
     Warns:
@@ -119,8 +126,27 @@ def identify(
         TypeError: an argument is of another type, or they are swapped.
     """
     check_types("identify", model=(model, (Model,)), log=(log, LOG_TYPES))
+    log = read_log(log, model.objects, require_final=True)
+    if len(model) > 1:
+        one_alone = {
+            "method": method != "default",
+            "regime": model.physics.with_regime(regime).regime == "inertial",
+            "budget": budget is not None,
+            "ensemble": ensemble is not None,
+            "friction": friction is not None,
+            "start": isinstance(start, Identification),
+        }
+        for name, given in one_alone.items():
+            if given:
+                raise IdentificationError(
+                    f"{name}: is for one object; several are learned from slow pushes alone, by "
+                    "the default method"
+                )
+        assert not isinstance(start, Identification)
+        return identify_together(model, log, start=start)
+    if isinstance(start, JointIdentification):
+        raise IdentificationError("start: is of several objects; expected what was learned of one")
     obj = model.obj
-    log = read_log(log, obj, require_final=True)
     if method not in METHODS:
         raise IdentificationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
     asked = model.physics.with_regime(regime)

@@ -97,7 +97,7 @@ def predict(
         TypeError: an argument is of another type, or they are swapped.
     """
     check_types("predict", model=(bodies, (Bodies,)), log=(log, LOG_TYPES))
-    log = read_log(log, bodies.obj, require_final=False)
+    log = read_log(log, bodies.objects, require_final=False)
     check_plausible(bodies.obj, log, learning=False)
     resolved = bodies.resolve(find_fastest(log), regime)
     return [_predict_push(resolved, push, log.table) for push in log]

@@ -67,7 +67,7 @@ def predict_spread(
         TypeError: an argument is of another type, or they are swapped.
     """
     check_types("predict_spread", model=(model, (Identification,)), log=(log, LOG_TYPES))
-    log = read_log(log, model.obj, require_final=False)
+    log = read_log(log, model.objects, require_final=False)
     obj = model.obj
 
     # Residuals are in the axes of the observed pose. With a final pose whose angle is zero, they

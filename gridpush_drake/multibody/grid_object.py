@@ -65,10 +65,10 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context
 from shapely import Polygon, box, prepare
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.errors import ObjectError, ParameterError, require_positive
 from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.geometry.se2 import Array, IntArray
-from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -313,7 +313,7 @@ class GridObjectInPlant:
 def AddGridObject(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
-    model: Model,
+    model: Bodies,
     base: Base = "planar",
     *,
     table: Iterable[GeometryId],
@@ -416,7 +416,7 @@ def AddGridObject(
     return handle
 
 
-def MakeSpatialInertia(model: Model, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
+def MakeSpatialInertia(model: Bodies, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
     """Sums up the cells' inertia, each cell a homogeneous square prism.
 
     Args:
@@ -442,7 +442,7 @@ def MakeSpatialInertia(model: Model, height: float = DEFAULT_HEIGHT) -> SpatialI
 
 
 @contextmanager
-def refuse_unphysical(model: Model) -> Iterator[None]:
+def refuse_unphysical(model: Bodies) -> Iterator[None]:
     """Turns Drake's complaint about an inertia into a ParameterError that names the masses."""
     obj = model.obj
     params = model.params
@@ -535,7 +535,7 @@ def _add_spheres(
 def _add_sides(
     plant: MultibodyPlant,
     body: RigidBody,
-    model: Model,
+    model: Bodies,
     between: tuple[float, float],
     stiffness: float,
 ) -> tuple[GeometryId, ...]:

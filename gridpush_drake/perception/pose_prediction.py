@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, wrap_angle
@@ -155,13 +154,13 @@ class ScenePushModel:
     """What a push does to several objects, which push each other, as far as it is known.
 
     Attributes:
-        scene: the objects, in the body frames that are tracked, with what is supposed of their
-            masses and frictions; where they lie does not matter.
+        bodies: the objects, in the body frames that are tracked, with what is supposed of their
+            masses and frictions.
         top: height of the highest object, m; a tip above it pushes nothing.
         radius: radius of the finger's tip, m.
     """
 
-    scene: Scene
+    bodies: Bodies
     top: float
     radius: float
 
@@ -229,8 +228,8 @@ def predict_scene_poses(
         return before
     try:
         # Objects that touch may overlap a little, as they were seen.
-        scene = model.scene.with_poses(before.poses, may_overlap=True)
-        motion = simulate_scene(scene, _make_push(last, now, model.radius))
+        push = _make_push(last, now, model.radius)
+        motion = simulate_together(model.bodies, push, before.poses)
     except GridPushError:
         return unknown
     # What the tip did not touch lies where it lay.

@@ -107,18 +107,19 @@ class PoseFilter:
     """What was seen since everything came to rest; never changed, only replaced.
 
     Attributes:
-        poses: poses of the object at rest, X_WB, m and rad, in order of time.
+        poses: poses of the object at rest, X_WB, m and rad, in order of time; of several objects,
+            (N, 3) each.
         last_seen: when the object was last seen, s.
     """
 
-    poses: tuple[Pose, ...] = ()
+    poses: tuple[Any, ...] = ()
     last_seen: float = 0.0
 
     def __len__(self) -> int:
         return len(self.poses)
 
     def calc_mean(self) -> Array:
-        """(3,) the mean of the poses, m and rad; there must be one."""
+        """(3,), or (N, 3), the mean of the poses, m and rad; there must be one."""
         mean: Array = np.mean(self.poses, axis=0)
         return mean
 
@@ -146,17 +147,23 @@ class PoseFilter:
 
         Args:
             time: when the pose was seen, s.
-            pose: (3,) of the object; NaN where it is not seen, and then no poses are kept.
+            pose: (3,) of the object, or (N, 3); NaN where it, or one of them, is not seen, and then
+                no poses are kept.
             options: says what belongs to the same rest, and how many poses are needed.
         """
         if not np.isfinite(pose).all():
             return self.forget()
         poses = np.array([*self.poses, pose])[-options.observations :]
-        difference = np.abs(poses - poses[-1])
-        moved = difference[:, :2].max(axis=1) > options.rest_distance
-        moved |= difference[:, 2] > options.rest_angle
+        difference = np.abs(poses - poses[-1]).reshape(len(poses), -1, 3)
+        moved = difference[..., :2].max(axis=(1, 2)) > options.rest_distance
+        moved |= difference[..., 2].max(axis=1) > options.rest_angle
         kept = poses[int(np.flatnonzero(moved)[-1]) + 1 :] if moved.any() else poses
-        return PoseFilter(tuple((x, y, theta) for x, y, theta in kept.tolist()), time)
+        return PoseFilter(tuple(_to_tuple(each) for each in kept.tolist()), time)
+
+
+def _to_tuple(pose: list[Any]) -> tuple[Any, ...]:
+    """Makes tuples of a pose's numbers, or of those of several."""
+    return tuple(_to_tuple(each) if isinstance(each, list) else each for each in pose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +172,7 @@ class Observation:
 
     Attributes:
         time: of the observation, s.
-        pose: (3,) X_WB of the object, m and rad; NaN where it is not seen.
+        pose: (3,) X_WB of the object, m and rad, or (N, 3); NaN where it is not seen.
         robot: status of what carries out pushes.
         log: all pushes so far.
         identification: what was learned from them; None before anything was.

@@ -114,10 +114,10 @@ class LoopRun(Generic[L]):
 
 def run_loop(
     loop: ClosedLoop[L],
-    obj: GridObject,
     world: PushWorld,
-    is_over: Callable[[L], bool],
+    is_over: Callable[[L], bool] | None = None,
     *,
+    obj: GridObject | None = None,
     learn: Learn | None = None,
     goal: Array | None = None,
     surface: SupportSurface | None = None,
@@ -128,9 +128,11 @@ def run_loop(
 
     Args:
         loop: the closed loop.
-        obj: the object, as whoever learns sees it.
-        world: where the object lies and is pushed.
-        is_over: says of a loop's state whether it is the last one.
+        world: where the objects lie and are pushed.
+        is_over: says of a loop's state whether it is the last one; by default it is where the loop
+            has nothing to decide.
+        obj: the object, as whoever learns sees it; None where nobody does, or the loop does so by
+            itself, as that of several objects.
         learn: learns after every push, from all that are not forgotten; None never learns.
         goal: (3,) q_WB that the loop is shown as its goal, m and rad; None for none.
         surface: the table, as whoever learns knows it; None where pushes keep clear of its edge.
@@ -146,7 +148,7 @@ def run_loop(
     target = UNSEEN if goal is None else goal
     time = 0.0
     refusal = ""
-    while not is_over(run.state):
+    while not (is_over or loop.is_idle)(run.state):
         # The robot is ready whenever the loop looks: a push is over when `execute` returns.
         time += loop.options.period
         pose = world.observe()
@@ -175,11 +177,11 @@ def run_loop(
             continue
         refusal = ""
         begin = perf_counter()
-        log = replace(run.log, pushes=(*run.log, seen))
+        log = run.log.append(seen)
         surprises = run.surprises.note(run.identification, log)
         found = run.identification
         left_out = run.left_out
-        if learn is not None:
+        if learn is not None and obj is not None:
             # What was learned of another object is no place to begin at.
             start = None if surprises.is_changed else run.identification
             shown_log = surprises.select(log)

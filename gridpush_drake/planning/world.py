@@ -1,12 +1,13 @@
-"""Worlds in which an object can be pushed: the one form that closed loops, benches and games use.
+"""Worlds in which objects can be pushed: the one form that closed loops, benches and games use.
 
-A `PushWorld` holds one object. It can be put down at a pose (`put`), it can be pushed (`execute`),
-and it can be looked at (`observe`). What is true of it is in `truth`, which only judges may read:
-whoever plans or learns sees poses with noise, as a camera or a tracker gives them.
+A `PushWorld` holds one object, or several. They can be put down at poses (`put`), they can be
+pushed (`execute`), and they can be looked at (`observe`). What is true of them is in `truth`, which
+only judges may read: whoever plans or learns sees poses with noise, as a camera or a tracker gives
+them. Where there is one object its pose is (3,); poses of N > 1 objects are (N, 3).
 
 These are worlds:
 
-    SimulatedWorld           here: the model's own quasi-static simulator
+    SimulatedWorld           here: the model's own quasi-static simulator, for any number of objects
     EdgeWorld                `bench.pregrasp.world`: the same, with loads that shift at an edge
     MujocoWorld              `bench.truth.mujoco_world`: a rigid body on feet, in MuJoCo
     PlantWorld               `bench.plant`: a body in Drake's MultibodyPlant
@@ -14,7 +15,7 @@ These are worlds:
     StationWorld             `station.world`: a robot in a simulated station
 
 To write another one, derive from `TrackedWorld`, which adds the noise and the bookkeeping: what is
-left is how the object is put down and how a push moves it. `docs/extending.md` does it. How a
+left is how the objects are put down and how a push moves them. `docs/extending.md` does it. How a
 closed loop is stepped in a world is in `planning.loop_run`.
 """
 
@@ -24,17 +25,18 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from shapely import MultiPoint, Point
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import Regime
 from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array, check_vector, transform
-from gridpush_drake.identification.model import Model
+from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush
@@ -50,20 +52,28 @@ FALLEN_TILT = np.radians(10)
 """Tilt from which a body in a world of three dimensions counts as fallen, rad."""
 
 REGIME: Regime = "quasi_static"
-"""Regime in which `SimulatedWorld` moves its object."""
+"""Regime in which `SimulatedWorld` moves its objects."""
+
+TRAVEL_SPEED = 0.25
+"""Speed of the finger between two pushes, m/s."""
+
+LIFT_TIME = 0.5
+"""Time that the finger takes to be lifted, and again to come down, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class WorldMotion:
-    """How a push truly moved an object.
+    """How a push truly moved the objects.
 
     Attributes:
         times: (K,) s from the push's beginning, the first 0. The last is the push's duration, or an
-            earlier time at which the object fell.
-        poses: (K, 3) q_WB = (x, y, theta) at these times, m and rad, theta continuous.
-        fell: whether the object fell off the table, or over, by the last of these times.
+            earlier time at which the only object fell.
+        poses: (K, 3) q_WB = (x, y, theta) at these times, m and rad, theta continuous; (K, N, 3) of
+            several objects. One of several that fell stays where it fell.
+        fell: whether the object fell off the table, or over, by the last of these times; (N,) of
+            several objects.
         tilt: (K,) angle of the body's z axis from the vertical, rad; None in a planar world.
-        overhang: whether a part of the object hung over the table's edge at any of these times.
+        overhang: whether a part of an object hung over the table's edge at any of these times.
         force_t: (F,) times at which the finger's force was measured, from the push's beginning on
             and in order, s; None in a world that measures none.
         force: (F, 2) force of the finger on the object, W, N, as a sensor measures it, with its
@@ -75,7 +85,7 @@ class WorldMotion:
 
     times: Array
     poses: Array
-    fell: bool = False
+    fell: bool | NDArray[np.bool_] = False
     tilt: Array | None = None
     overhang: bool = False
     force_t: Array | None = None
@@ -98,47 +108,49 @@ class WorldTruth:
     """What is true of a world now. Judges may read it; whoever plans or learns must not.
 
     Attributes:
-        pose: (3,) q_WB of the object without noise, m and rad; the last one where it has fallen.
-        fallen: whether the object has fallen off the table, or over.
-        stays: whether the object, left alone, stays as it lies.
+        pose: (3,) q_WB of the object without noise, m and rad, or (N, 3) of several; where one has
+            fallen, its last one.
+        fallen: whether the object has fallen off the table, or over; (N,) of several objects.
+        stays: whether the objects, left alone, stay as they lie.
         tilt: angle of the body's z axis from the vertical, rad.
-        params: the cells' true masses and frictions; None where the world has none, because its
-            object is not made of such cells.
-        motion: how the last push moved the object; None before the first push since it was put
+        bodies: the objects with their true masses and frictions; None where the world has none,
+            because its object is not made of such cells.
+        motion: how the last push moved the objects; None before the first push since they were put
             down.
     """
 
     pose: Array
-    fallen: bool = False
+    fallen: bool | NDArray[np.bool_] = False
     stays: bool = True
     tilt: float = 0.0
-    params: CellParameters | None = None
+    bodies: Bodies | None = None
     motion: WorldMotion | None = None
 
 
 @runtime_checkable
 class PushWorld(Protocol):
-    """A world with one object that can be put down, pushed, looked at, and judged.
+    """A world with one object, or several, that can be put down, pushed, looked at, and judged.
 
-    Poses are (3,) q_WB = (x, y, theta) of the object's body frame in the world frame, m and rad.
+    A pose is (3,) q_WB = (x, y, theta) of the object's body frame in the world frame, m and rad;
+    (N, 3) of several objects.
     """
 
     def put(self, pose: ArrayLike) -> None:
-        """Puts the object down at rest at a pose (3,), m and rad.
+        """Puts the objects down at rest at a pose, m and rad.
 
-        It need not have been there before: an object that has fallen lies on the table again.
+        They need not have been there before: an object that has fallen lies on the table again.
         """
         ...
 
     def execute(self, push: Push) -> ObservedPush:
-        """Carries out a push from where the object lies, and lets the object come to rest.
+        """Carries out a push from where the objects lie, and lets them come to rest.
 
         Args:
             push: the path of a disc in the world frame, m and s.
 
         Returns:
-            What was seen of the object: its pose when the push began, and poses during it, all with
-            noise. There are no later poses where the object was not seen any more.
+            What was seen of the objects: their pose when the push began, and poses during it, all
+            with noise. There are no later poses where the object was not seen any more.
 
         Raises:
             PushRefusedError: a robot makes the pushes of this world, and does not make this one.
@@ -146,7 +158,7 @@ class PushWorld(Protocol):
         ...
 
     def observe(self) -> Array | None:
-        """Looks at the object: (3,) q_WB with noise, m and rad; None while it is not seen.
+        """Looks at the objects: q_WB with noise, m and rad; None while one of them is not seen.
 
         An object that has fallen is not seen.
         """
@@ -154,7 +166,7 @@ class PushWorld(Protocol):
 
     @property
     def truth(self) -> WorldTruth:
-        """What is true of the object now, for judges only."""
+        """What is true of the objects now, for judges only."""
         ...
 
 
@@ -166,8 +178,7 @@ class WorldMaker(Protocol):
 
     def __call__(
         self,
-        obj: GridObject,
-        params: CellParameters,
+        bodies: Bodies,
         pose: ArrayLike,
         surface: SupportSurface | None = None,
         *,
@@ -178,8 +189,8 @@ class WorldMaker(Protocol):
         """Makes a world in which an object lies at rest.
 
         Args:
-            obj: the object.
-            params: its true masses and frictions, which are hidden from whoever learns.
+            bodies: the object with its true masses and frictions, which are hidden from whoever
+                learns.
             pose: (3,) where it lies, m and rad.
             surface: the table; None for one without end.
             position_std: standard deviation of seen positions, per axis, m.
@@ -190,17 +201,18 @@ class WorldMaker(Protocol):
 
 
 class TrackedWorld(ABC):
-    """A `PushWorld` but for how its object moves: it adds noise, and keeps what was seen last.
+    """A `PushWorld` but for how its objects move: it adds noise, and keeps what was seen last.
 
-    A world derives from it and says in `do_put` how its object is put down, and in `do_push` how a
-    push moves it. A constructor sets what these two need before it calls this class's.
+    A world derives from it and says in `do_put` how its objects are put down, and in `do_push` how
+    a push moves them. A constructor sets what these two need before it calls this class's.
 
     Attributes:
         pushes: number of pushes that were made.
-        params: the cells' true masses and frictions, for `truth`; None where there are none.
+        bodies: the objects with their true masses and frictions, for `truth`; None where there are
+            none.
     """
 
-    params: CellParameters | None = None
+    bodies: Bodies | None = None
 
     def __init__(
         self,
@@ -212,10 +224,10 @@ class TrackedWorld(ABC):
         observations: int = OBSERVATIONS,
         looks_anew: bool = False,
     ) -> None:
-        """Puts the object down.
+        """Puts the objects down.
 
         Args:
-            pose: (3,) where it lies, m and rad.
+            pose: (3,) where the object lies, m and rad; (N, 3) of several.
             position_std: standard deviation of seen positions, per axis, m.
             angle_std: standard deviation of seen angles, rad.
             seed: seed of the noise, or the generator that draws it.
@@ -235,29 +247,48 @@ class TrackedWorld(ABC):
         self._rng = np.random.default_rng(seed)
         self._observations = observations
         self._looks_anew = looks_anew
+        self._time = 0.0
+        self._tip: Array | None = None
         self.put(pose)
 
     @abstractmethod
     def do_put(self, pose: Array) -> Array:
-        """Puts the object down at a pose (3,), m and rad; returns the pose in which it rests."""
+        """Puts the objects down at a pose, m and rad; returns the pose in which they rest."""
 
     @abstractmethod
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
-        """Pushes the object, which lies at a pose (3,), and lets it come to rest.
+        """Pushes the objects, which lie at a pose, and lets them come to rest.
+
+        Those of several that have fallen before (`fallen`) touch nothing.
 
         Returns:
-            The true motion; its last pose is where the object lies afterwards.
+            The true motion; its last pose is where the objects lie afterwards.
         """
+
+    @property
+    def time(self) -> float:
+        """Time that pushes and a finger's ways between them would have taken, s."""
+        return self._time
+
+    @property
+    def fallen(self) -> NDArray[np.bool_]:
+        """Whether the object has fallen, () or (N,), for `do_push`."""
+        return self._fallen
 
     def put(self, pose: ArrayLike) -> None:
-        """Puts the object down at rest at a pose (3,), m and rad, and looks at it.
+        """Puts the objects down at rest at a pose, m and rad, and looks at them.
 
         Raises:
-            PlanningError: the pose is not three finite numbers.
+            PlanningError: the pose is not three finite numbers for each object.
         """
-        self._fallen = False
+        q = np.array(pose, dtype=np.float64)
+        n = 1 if self.bodies is None else len(self.bodies)
+        if q.shape != ((3,) if n == 1 else (n, 3)) or not np.isfinite(q).all():
+            form = "three finite numbers" if n == 1 else f"({n}, 3) finite numbers"
+            raise PlanningError(f"pose is {pose!r}; expected {form} (m and rad)")
+        self._fallen = np.zeros(q.shape[:-1], dtype=bool)
         self._motion: WorldMotion | None = None
-        self._pose = self.do_put(check_vector(PlanningError, "pose", pose, 3))
+        self._pose = self.do_put(q)
         self._seen = self._add_noise(self._pose)
 
     def execute(self, push: Push) -> ObservedPush:
@@ -265,17 +296,21 @@ class TrackedWorld(ABC):
         begin = self._seen
         motion = self.do_push(push, self._pose)
         self._motion = motion
-        self._fallen = self._fallen or motion.fell
+        self._fallen = self._fallen | motion.fell
         self._pose = motion.poses[-1].copy()
         self.pushes += 1
+        # The finger is lifted, goes to where the push begins, and comes down.
+        way = 0.0 if self._tip is None else float(np.linalg.norm(push.start - self._tip))
+        self._time += way / TRAVEL_SPEED + 2 * LIFT_TIME + push.duration
+        self._tip = push.xy[-1]
 
         # The poses that are seen are evenly spaced among those of the motion. Where there are fewer
         # of these, all are seen; where the object fell at once, none is.
         steps = len(motion.poses) - 1
         even = np.linspace(0, steps, min(self._observations, steps) + 1)
         rows = np.unique(np.rint(even).astype(int))[1:]
-        seen = np.array([self._add_noise(pose) for pose in motion.poses[rows]]).reshape(-1, 3)
-        self._seen = seen[-1] if len(seen) else self._add_noise(self._pose)
+        seen = self._add_noise(motion.poses[rows])
+        self._seen = seen[-1].copy() if len(seen) else self._add_noise(self._pose)
         return ObservedPush(
             name=f"push_{self.pushes}",
             push=push,
@@ -288,49 +323,50 @@ class TrackedWorld(ABC):
         )
 
     def observe(self) -> Array | None:
-        """Looks at the object: (3,) q_WB with noise, m and rad; None once it has fallen."""
-        if self._fallen:
+        """Looks at the objects: q_WB with noise, m and rad; None once one has fallen."""
+        if self._fallen.any():
             return None
         if self._looks_anew:
             self._seen = self._add_noise(self._pose)
-        return self._seen
+        return self._seen.copy()
 
     @property
     def truth(self) -> WorldTruth:
-        """What is true of the object now, for judges only."""
+        """What is true of the objects now, for judges only."""
+        fallen = self._fallen.copy() if self._fallen.ndim else bool(self._fallen)
         return WorldTruth(
             pose=self._pose.copy(),
-            fallen=self._fallen,
-            stays=not self._fallen,
-            params=self.params,
+            fallen=fallen,
+            stays=not self._fallen.any(),
+            bodies=self.bodies,
             motion=self._motion,
         )
 
     def _add_noise(self, pose: Array) -> Array:
-        """Draws a pose (3,) as it is seen, m and rad."""
-        seen: Array = pose + self._std * self._rng.standard_normal(3)
-        return seen
+        """Draws poses (..., 3) as they are seen, m and rad."""
+        return np.asarray(pose + self._std * self._rng.standard_normal(np.shape(pose)))
 
 
 class SimulatedWorld(TrackedWorld):
-    """An object with hidden masses and frictions on a table, moved by `simulate`.
+    """Objects with hidden masses and frictions on a table, moved by `simulate`.
+
+    An object falls where its center of mass leaves the convex hull of what lies on the table.
 
     The support presses as if there were no edge: an object that hangs over it rubs like one that
-    does not. It falls where its center of mass leaves the convex hull of what lies on the table.
-    `bench.pregrasp.world.EdgeWorld` is the world in which loads shift at the edge.
+    does not. `bench.pregrasp.world.EdgeWorld` is the world in which loads shift at the edge; so
+    they do here where one of several objects is pushed alone, with a part over the edge
+    (`planning.edge_motion.simulate_near_edge`).
 
     Attributes:
-        obj: the object.
-        params: its true masses and frictions.
+        bodies: the objects with their true masses and frictions.
         surface: the table; None for one without end.
     """
 
-    params: CellParameters
+    bodies: Bodies
 
     def __init__(
         self,
-        obj: GridObject,
-        params: CellParameters,
+        bodies: Bodies,
         pose: ArrayLike,
         surface: SupportSurface | None = None,
         *,
@@ -339,15 +375,19 @@ class SimulatedWorld(TrackedWorld):
         seed: int | np.random.Generator = 0,
         observations: int = OBSERVATIONS,
     ) -> None:
-        """Puts an object down; the arguments are those of `WorldMaker` and `TrackedWorld`.
+        """Puts objects down; the arguments are those of `WorldMaker` and `TrackedWorld`.
 
         Raises:
             PlanningError: a number is out of range.
         """
-        self.obj = obj
-        self.params = params
+        self.bodies = bodies
         self.surface = surface
-        self._support = None if surface is None else CenterOfMassSupport(obj, params, surface)
+        self._supports = [
+            None if surface is None else CenterOfMassSupport(obj, center, surface)
+            for obj, center in zip(
+                bodies.objects, np.atleast_2d(bodies.center_of_mass), strict=True
+            )
+        ]
         super().__init__(
             pose,
             position_std=position_std,
@@ -357,26 +397,60 @@ class SimulatedWorld(TrackedWorld):
         )
 
     def do_put(self, pose: Array) -> Array:
-        """Returns the pose (3,) itself: the object rests wherever it lies."""
+        """Returns the pose itself: an object rests wherever it lies."""
         return pose
 
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
-        """Simulates a push of the object from a pose (3,), m and rad."""
+        """Simulates a push of the objects that have not fallen, from a pose, m and rad."""
         times = make_path_times(push, REGIME)
-        motion = simulate(Model(self.obj, self.params), push, pose, times=times, regime=REGIME)
-        fell = self._support is not None and self._support.falls(motion.poses)
-        return WorldMotion(times=times, poses=motion.poses, fell=fell)
+        if len(self.bodies) == 1:
+            motion = simulate(self.bodies, push, pose, times=times, regime=REGIME)
+            support = self._supports[0]
+            fell = support is not None and support.falls(motion.poses)
+            return WorldMotion(times=times, poses=motion.poses, fell=fell)
+        # What has fallen stays where it fell; the rest is simulated.
+        poses = np.repeat(pose[None], len(times), axis=0)
+        lying = np.flatnonzero(~self.fallen).tolist()
+        if lying:
+            part = self.bodies.take(lying)
+            poses[:, lying] = simulate_together(part, push, pose[lying], times=times).poses
+        fell_now = self.fallen | self._shift_loads(push, poses)
+        for b, support in enumerate(self._supports):
+            if support is not None and not fell_now[b]:
+                fell_now[b] = support.falls(poses[:, b])
+        return WorldMotion(times=times, poses=poses, fell=fell_now)
+
+    def _shift_loads(self, push: Push, poses: Array) -> NDArray[np.bool_]:
+        """Simulates a motion (T+1, N, 3) anew where one object alone moved over the edge.
+
+        Returns:
+            (N,) which objects fell in it.
+        """
+        fell = np.zeros(len(self.bodies), dtype=bool)
+        moving = np.flatnonzero((poses[-1] != poses[0]).any(axis=1))
+        if self.surface is None or len(moving) != 1:
+            return fell
+        b = int(moving[0])
+        ends = (poses[0, b], poses[-1, b])
+        if all(self.surface.contains_cells(self.bodies.objects[b], pose) for pose in ends):
+            return fell
+        motion = simulate_near_edge(self.bodies.take([b]), push, poses[0, b], self.surface)
+        # After a fall it stays where it fell.
+        poses[: len(motion.poses), b] = motion.poses
+        poses[len(motion.poses) :, b] = motion.poses[-1]
+        fell[b] = motion.fell
+        return fell
 
 
 class CenterOfMassSupport:
     """Where an object falls off a table: its center of mass leaves the hull of what lies on it."""
 
-    def __init__(self, obj: GridObject, params: CellParameters, surface: SupportSurface) -> None:
-        """Takes an object, its true masses, and the table."""
+    def __init__(self, obj: GridObject, center_of_mass: Array, surface: SupportSurface) -> None:
+        """Takes an object, its true center of mass p_BBcm (2,), m, and the table."""
         self._table = surface.polygon
         self._is_convex = self._table.convex_hull.equals(self._table)
         self._body = np.array(make_body(obj).exterior.coords)[:-1]
-        self._center_of_mass = params.center_of_mass(obj)
+        self._center_of_mass = center_of_mass
 
     def falls(self, poses: Array) -> bool:
         """Says whether the object falls at any of at most FALL_CHECKS of the poses (K, 3)."""

@@ -2,8 +2,6 @@ from .observed_push import ObservedPush as ObservedPush
 from .plausibility import check_plausible as check_plausible
 from .push_log import PushLog as PushLog
 from .push_log import find_shipped_log as find_shipped_log
-from .scene_log import ObservedScenePush as ObservedScenePush
-from .scene_log import SceneLog as SceneLog
 from .segmentation import make_observed_push as make_observed_push
 from .weighings import EdgePress as EdgePress
 from .weighings import Lift as Lift

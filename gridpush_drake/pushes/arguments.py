@@ -1,13 +1,13 @@
 """Arguments of functions that take a push log: its file will do, and swapped ones are named."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import permutations
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.push_log import PushLog, find_pusher_radius
 
 PushLogOrFile = PushLog | str | Path
 """A push log, or the name of the CSV file that `PushLog.read_csv` reads it from."""
@@ -56,21 +56,25 @@ def check_types(function: str, **arguments: tuple[Any, tuple[type, ...]]) -> Non
     )
 
 
-def read_log(log: PushLogOrFile, obj: GridObject, *, require_final: bool) -> PushLog:
-    """Takes a push log, or reads its file with the radius of the pusher in the object's file.
+def read_log(log: PushLogOrFile, objects: Sequence[GridObject], *, require_final: bool) -> PushLog:
+    """Takes a push log, or reads its file with the radius of the pusher in the objects' files.
 
     Args:
         log: a push log, which is given back as it is, or the name of its CSV file.
-        obj: the object.
+        objects: the objects.
         require_final: whether every push of a file must have a pose after its first row.
 
     Raises:
-        PushLogError: the file cannot be read or breaks the form.
+        PushLogError: the file cannot be read or breaks the form, or the log is of another number of
+            objects.
+        ObjectError: the objects' files name pushers of different radii.
     """
     if isinstance(log, PushLog):
+        log.check_objects(objects)
         return log
     read = PushLog.read_csv(Path(log), require_final=require_final)
-    radius = obj.prior.pusher_radius
+    read.check_objects(objects)
+    radius = find_pusher_radius(objects)
     return read if radius is None else read.with_radius(radius)
 
 

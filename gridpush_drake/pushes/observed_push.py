@@ -1,10 +1,10 @@
-"""One push and what was seen of the object while it lasted.
+"""One push and what was seen of the object, or of several, while it lasted.
 
-Several of them are a push log (`push_log`).
+Several pushes are a push log (`push_log`).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,21 +18,24 @@ from gridpush_drake.notebook import MM, count, describe_move
 
 @dataclass(frozen=True, eq=False)
 class ObservedPush(Frozen):
-    """One push and what was seen of the object while it lasted.
+    """One push and what was seen of the object, or of N objects, while it lasted.
 
     Attributes:
         name: what to call it; any text without blanks at its ends.
         push: the disc's motion.
-        pose: (3,) q_W = (x, y, theta) of the object at the push's beginning, m and rad.
+        pose: (3,) q_W = (x, y, theta) of the object at the push's beginning, m and rad; (N, 3) of
+            several objects.
         t_observed: (K,) times of the later observations, s, strictly increasing, in (0,
             push.duration]; K is 0 only where a push is to be predicted.
-        poses_observed: (K, 3) q_W at those times, theta continuous (see `nearest_turn`).
+        poses_observed: (K, 3) q_W at those times, theta continuous (see `nearest_turn`); (K, N, 3)
+            of several objects.
         force_t: (F,) times of the force samples, s, strictly increasing, in [0, push.duration];
             None where the force was not measured.
-        force: (F, 2) force on the object in W, N; None where it was not measured.
-        lift_force: (F,) upward part of the force on the object at the same times, N; negative where
-            the finger presses down on it. None where it was not measured.
-        overhang: whether a part of the object hung over the table's edge.
+        force: (F, 2) force of the pusher in W, N, on whatever it touches; None where it was not
+            measured.
+        lift_force: (F,) its upward part at the same times, N; negative where the finger presses
+            down. None where it was not measured.
+        overhang: whether a part of an object hung over the table's edge.
 
     Raises:
         PushLogError: a shape, a time or a value is not as said above.
@@ -54,8 +57,9 @@ class ObservedPush(Frozen):
                 f"push {self.name!r}: its name must not be empty nor have blanks at its ends"
             )
         t_observed = self._array("t_observed", self.t_observed, (-1,))
-        self._array("pose", self.pose, (3,))
-        self._array("poses_observed", self.poses_observed, (len(t_observed), 3))
+        several = np.shape(self.pose)[:-1]
+        self._array("pose", self.pose, (*several, 3) if len(several) == 1 else (3,))
+        self._array("poses_observed", self.poses_observed, (len(t_observed), *np.shape(self.pose)))
         self._check_times("t_observed", t_observed)
         if len(t_observed) and t_observed[0] <= 0:
             raise PushLogError(
@@ -74,12 +78,20 @@ class ObservedPush(Frozen):
                 raise PushLogError(f"push {self.name!r}: lift_force does not come without force_t")
             self._array("lift_force", self.lift_force, (len(self.force_t),))
 
+    def single_out(self, index: int) -> "ObservedPush":
+        """Takes what was seen of one of several objects, as if nothing else had been touched."""
+        return replace(self, pose=self.pose[index], poses_observed=self.poses_observed[:, index])
+
     def __repr__(self) -> str:
         """Name, push and what became of the object, in a line."""
         path = f"{self.push.length * MM:.0f} mm in {self.push.duration:.3g} s"
         seen_any = len(self.t_observed) > 0
         seen = count(len(self.t_observed), "pose")
-        went = f", the object {describe_move(self.pose, self.final_pose)}" if seen_any else ""
+        went = ""
+        if self.pose.ndim > 1:
+            went = f" of {count(len(self.pose), 'object')}"
+        elif seen_any:
+            went = f", the object {describe_move(self.pose, self.final_pose)}"
         over = ", over the table's edge" if self.overhang else ""
         return f"ObservedPush {self.name!r}: {path}, {seen}{went}{over}"
 
@@ -112,7 +124,7 @@ class ObservedPush(Frozen):
 
     @property
     def final_pose(self) -> Array:
-        """Pose q_W (3,) at the last observation, m and rad.
+        """Pose q_W (3,) at the last observation, m and rad; (N, 3) of several objects.
 
         Raises:
             PushLogError: the object was not observed after the push's beginning.

@@ -9,6 +9,9 @@ in W as well-known text, POLYGON ((x y, x y, ...)), once in the file. Times are 
 push's first row. A cell that holds nan counts as empty, and further columns are passed over with a
 warning.
 
+A log of several objects, or of one with a name, has three columns for each instead of object_x,
+object_y and object_theta: NAME_x, NAME_y and NAME_theta, filled or empty together.
+
 Users read and write by `PushLog.read_csv` and `PushLog.write_csv`.
 """
 
@@ -45,8 +48,20 @@ from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
 TIP = ("tip_x", "tip_y")
 """Columns of the tip's center."""
 
-POSE = ("object_x", "object_y", "object_theta")
-"""Columns of the object's pose."""
+OBJECT = "object"
+"""What the columns of the pose of an object without a name begin with."""
+
+AXES = ("x", "y", "theta")
+"""What the three columns of a pose end with."""
+
+
+def list_pose_columns(names: Sequence[str]) -> tuple[str, ...]:
+    """Lists the columns of the poses of objects, by their names."""
+    return tuple(f"{name}_{axis}" for name in names for axis in AXES)
+
+
+POSE = list_pose_columns([OBJECT])
+"""Columns of the pose of an object without a name."""
 
 FORCE = ("force_x", "force_y")
 """Columns of the force on the object."""
@@ -54,8 +69,11 @@ FORCE = ("force_x", "force_y")
 LIFT_FORCE = "force_z"
 """Column of its upward part. A push has it in all rows that have the others, or in none."""
 
-REQUIRED = ("push", "t", *TIP, *POSE)
-"""Columns that every file has."""
+PATH = ("push", "t", *TIP)
+"""Columns that every file has, besides those of poses."""
+
+REQUIRED = (*PATH, *POSE)
+"""Columns that the file of an object without a name has."""
 
 OVERHANG = "overhang"
 """Column that says whether a part of the object hung over the table's edge."""
@@ -63,8 +81,8 @@ OVERHANG = "overhang"
 TABLE = "table"
 """Column of the table's top."""
 
-COLUMNS = (*REQUIRED, *FORCE, LIFT_FORCE, OVERHANG, TABLE)
-"""All columns that are read."""
+KNOWN = (*FORCE, LIFT_FORCE, OVERHANG, TABLE)
+"""Columns of what may be known besides."""
 
 FLAGS = {"0": False, "1": True, "0.0": False, "1.0": True}
 """Texts that say no or yes in a column; pandas writes numbers of such a column with points."""
@@ -72,8 +90,8 @@ FLAGS = {"0": False, "1": True, "0.0": False, "1.0": True}
 WHAT = "a push log (CSV)"
 """The expected form of a file, for messages."""
 
-UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N", LIFT_FORCE: "N"}
-"""Unit of each column; m where not listed."""
+UNITS = {"t": "s", "force_x": "N", "force_y": "N", LIFT_FORCE: "N"}
+"""Unit of each column; m where not listed, but rad of angles."""
 
 MAX_ROWS = 50_000
 """Most rows of one push: 50 s of a robot that writes a thousand a second."""
@@ -94,7 +112,7 @@ class _Row(NamedTuple):
         push: the push's name.
         t: time, s.
         tip: x and y of the tip's center, m.
-        pose: x, y and theta of the object, m and rad; None where it was not seen.
+        pose: x, y and theta of each object, m and rad; None where they were not seen.
         force: x and y of the force on the object, N; None where it is not known.
         lift_force: its upward part, N; None where it is not known.
         overhang: whether the row says that the object hung over the table's edge.
@@ -114,7 +132,7 @@ class _Row(NamedTuple):
 
 def read_pushes(
     path: Path, radius: float, require_final: bool
-) -> tuple[tuple[ObservedPush, ...], Array | None]:
+) -> tuple[tuple[ObservedPush, ...], Array | None, tuple[str, ...]]:
     """Reads a push log's file.
 
     Args:
@@ -123,8 +141,8 @@ def read_pushes(
         require_final: whether every push must have an observation after its first row.
 
     Returns:
-        The pushes, and the corners (K, 2) of the table's top, counterclockwise, m; None where the
-        file does not tell them.
+        The pushes; the corners (K, 2) of the table's top, counterclockwise, m, None where the file
+        does not tell them; and the objects' names.
 
     Raises:
         PushLogError: the file cannot be read or breaks the form; the message names the file, the
@@ -138,9 +156,15 @@ def read_pushes(
     pushes = []
     table: Array | None = None
     dense: list[tuple[str, int]] = []  # pushes with too many poses, and how many
+    names: list[str] = []
+
+    def check_header(path: Path, line: int, header: list[str]) -> None:
+        names.extend(_find_names(header))
+        _check_header(path, line, header, names)
+
     read = (
-        _parse_row(path, line, cells)
-        for line, cells in read_table(path, WHAT, REQUIRED, _check_header)
+        _parse_row(path, line, cells, list_pose_columns(names))
+        for line, cells in read_table(path, WHAT, REQUIRED, check_header)
     )
     for _, group in groupby(read, lambda row: row.push):
         # One row more than allowed shows that there are too many; no more are read.
@@ -151,7 +175,7 @@ def read_pushes(
         rows, poses = _thin_poses(rows)
         if poses > MAX_POSES:
             dense.append((rows[0].push, poses))
-        pushes.append(_make_push(path, rows, radius, require_final))
+        pushes.append(_make_push(path, rows, radius, require_final, names))
     if dense:
         name, poses = dense[0]
         more = f" (and {len(dense) - 1} more)" if len(dense) > 1 else ""
@@ -165,7 +189,7 @@ def read_pushes(
         raise PushLogError(
             f"{path}: holds no push; expected rows below the header {','.join(REQUIRED)}"
         )
-    return tuple(pushes), table
+    return tuple(pushes), table, tuple(names)
 
 
 def _check_rows(path: Path, rows: list[_Row], begun: dict[str, int]) -> None:
@@ -239,43 +263,43 @@ def _thin_poses(rows: list[_Row]) -> tuple[list[_Row], int]:
     return thinned, len(later)
 
 
-def _check_header(path: Path, line: int, header: list[str]) -> None:
+def _find_names(header: list[str]) -> list[str]:
+    """Finds the objects of which a header has columns; "object" where there are none of others."""
+    ending = f"_{AXES[-1]}"
+    names = [column.removesuffix(ending) for column in header if column.endswith(ending)]
+    whole = [name for name in names if set(list_pose_columns([name])) <= set(header)]
+    return names if len(names) > 1 or whole else [OBJECT]
+
+
+def _check_header(path: Path, line: int, header: list[str], names: list[str]) -> None:
     """Refuses a header without a column that is needed, or with one twice or misspelled."""
-    known = f"{','.join(FORCE)}, {LIFT_FORCE}, {OVERHANG} and {TABLE}"
-    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {known}"
+    required = (*PATH, *list_pose_columns(names))
+    further = f"{','.join(FORCE)}, {LIFT_FORCE}, {OVERHANG} and {TABLE}"
+    form = f"expected comma-separated {','.join(required)} and, if known, {further}"
     twice = next((name for name in header if header.count(name) > 1), None)
     if twice is not None:
         fail(path, line, twice, f"is there twice; {form}")
-    unknown = [name for name in header if name not in COLUMNS]
-    objects = [name.removesuffix("_theta") for name in header if name.endswith("_theta")]
-    if len(objects) > 1 and "object" not in objects:
-        fail(
-            path,
-            line,
-            "object_x",
-            f"is missing: the columns are those of several objects, {', '.join(objects)}; expected "
-            "a log of one. Several are learned together by gridpush identify --with",
-        )
-    for name in (name for name in REQUIRED if name not in header):
+    unknown = [name for name in header if name not in (*required, *KNOWN)]
+    for name in (name for name in required if name not in header):
         close = [other for other in unknown if other.lower() == name]
         close = close or difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)
         hint = f"; rename {close[0]!r} to {name!r}?" if close else ""
         fail(path, line, name, f"is missing{hint}; {form}")
     missing = [name for name in FORCE if name not in header]
     # The upward force alone tells nothing.
-    used = tuple(name for name in COLUMNS if not (missing and name == LIFT_FORCE))
+    used = (*required, *(name for name in KNOWN if not (missing and name == LIFT_FORCE)))
     refuse_misspelled(path, line, header, used, form)
     if len(missing) == 1:
         fail(path, line, missing[0], f"is missing; the columns {' and '.join(FORCE)} come together")
     warn_of_further(path, header, used)
 
 
-def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
+def _parse_row(path: Path, line: int, cells: dict[str, str], pose_columns: tuple[str, ...]) -> _Row:
     """Reads a row's cells; a PushLogError names the column of one that cannot be read."""
     name = cells["push"].strip()
     if not name:
         fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
-    pose = _read_group(path, line, cells, POSE)
+    pose = _read_group(path, line, cells, pose_columns)
     force = _read_group(path, line, cells, FORCE)
     upward = _read_group(path, line, cells, (LIFT_FORCE,)) if FORCE[0] in cells else None
     if upward is not None and force is None:
@@ -310,7 +334,7 @@ def _read_group(
     """Reads the numbers of columns that are empty together; None where they are."""
     if all(is_empty(cells.get(column, "")) for column in columns):
         return None
-    return [_read_number(path, line, column, cells[column]) for column in columns]
+    return [_read_number(path, line, column, cells[column], columns) for column in columns]
 
 
 def _read_table_top(path: Path, line: int, cell: str) -> Array | None:
@@ -333,27 +357,31 @@ def _read_table_top(path: Path, line: int, cell: str) -> Array | None:
     return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
 
 
-def _read_number(path: Path, line: int, column: str, cell: str) -> float:
+def _read_number(
+    path: Path, line: int, column: str, cell: str, together: tuple[str, ...] = ()
+) -> float:
     """Reads a cell's number; a message tells its unit, and which columns may be empty together."""
     value = parse_number(cell)
     if value is None:
-        groups = (POSE, FORCE, (LIFT_FORCE,))
-        group = next((columns for columns in groups if column in columns), None)
-        form = f"a finite number ({UNITS.get(column, 'm')})" + (
-            f", or {', '.join(group)} empty" if group else ""
-        )
+        unit = UNITS.get(column, "rad" if column.endswith(f"_{AXES[-1]}") else "m")
+        form = f"a finite number ({unit})"
+        if together:
+            form += f", or {', '.join(together)} empty"
         value = read_number(path, line, column, cell, form)
     return value
 
 
-def _make_push(path: Path, rows: list[_Row], radius: float, require_final: bool) -> ObservedPush:
+def _make_push(
+    path: Path, rows: list[_Row], radius: float, require_final: bool, names: Sequence[str]
+) -> ObservedPush:
     """Makes a push of its rows; a PushLogError names the line and the column of a wrong one."""
     first = rows[0]
+    columns = list_pose_columns(names)
     if first.pose is None:
         fail(
             path,
             first.line,
-            POSE[0],
+            columns[0],
             f"is empty; expected a pose on push {first.push!r}'s first row",
         )
     if len(rows) == 1:
@@ -371,13 +399,14 @@ def _make_push(path: Path, rows: list[_Row], radius: float, require_final: bool)
         fail(
             path,
             rows[-1].line,
-            POSE[0],
+            columns[0],
             f"is empty; expected the object's pose on a later row of push {first.push!r} too",
         )
     # Angles go on from pose to pose, though a tracker may jump by whole turns.
     poses = [list(row.pose or ()) for row in [first, *seen]]
     for pose_before, pose in pairwise(poses):
-        pose[2] = nearest_turn(pose[2], pose_before[2])
+        for turn in range(2, len(columns), 3):
+            pose[turn] = nearest_turn(pose[turn], pose_before[turn])
     felt = [row for row in rows if row.force is not None]
     upward = [row for row in felt if row.lift_force is not None]
     if upward and len(upward) < len(felt):
@@ -389,12 +418,13 @@ def _make_push(path: Path, rows: list[_Row], radius: float, require_final: bool)
             f"is empty; expected a number (N) in all rows of push {first.push!r} that have "
             f"{' and '.join(FORCE)}, or in none",
         )
+    shape = (3,) if len(names) == 1 else (len(names), 3)
     return ObservedPush(
         name=first.push,
         push=Push.along([row.t for row in rows], [row.tip for row in rows], radius),
-        pose=np.array(poses[0]),
+        pose=np.reshape(poses[0], shape),
         t_observed=np.array([row.t - first.t for row in seen]),
-        poses_observed=np.array(poses[1:]).reshape(-1, len(POSE)),
+        poses_observed=np.array(poses[1:]).reshape(-1, *shape),
         force_t=np.array([row.t - first.t for row in felt]) if felt else None,
         force=np.array([row.force for row in felt]) if felt else None,
         overhang=any(row.overhang for row in rows),
@@ -403,7 +433,11 @@ def _make_push(path: Path, rows: list[_Row], radius: float, require_final: bool)
 
 
 def write_pushes(
-    path: Path, pushes: Sequence[ObservedPush], table: Array | None, force: bool
+    path: Path,
+    pushes: Sequence[ObservedPush],
+    table: Array | None,
+    names: Sequence[str],
+    force: bool,
 ) -> None:
     """Writes a push log's file so that `read_pushes` gives its numbers back bit for bit.
 
@@ -411,6 +445,7 @@ def write_pushes(
         path: the file.
         pushes: the pushes; at least one, each with a name of its own.
         table: (K, 2) corners in W of the table's top, m; None where they are not known.
+        names: what the objects are called.
         force: whether a file that exists is replaced.
 
     Raises:
@@ -418,11 +453,11 @@ def write_pushes(
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
     check_writable(path, force)
-    names = [seen.name for seen in pushes]
-    if not names:
+    given = [seen.name for seen in pushes]
+    if not given:
         raise PushLogError(f"{path}: the log to be written holds no push")
-    for i, name in enumerate(names):
-        if name in names[:i]:
+    for i, name in enumerate(given):
+        if name in given[:i]:
             raise PushLogError(
                 f"{path}: two pushes of the log are named {name!r}; expected one name a push"
             )
@@ -439,7 +474,7 @@ def write_pushes(
     more = [
         name for name, there in ((OVERHANG, with_overhang), (TABLE, table is not None)) if there
     ]
-    writer.writerow([*REQUIRED, *forces, *more])
+    writer.writerow([*PATH, *list_pose_columns(names), *forces, *more])
     # The table stands in the first row, and nowhere else.
     text = [] if table is None else [_describe_table(table)]
     for seen in pushes:
@@ -464,8 +499,10 @@ def _make_rows(seen: ObservedPush, columns: int) -> Iterator[list[str]]:
         seen: the push.
         columns: number of the file's columns of forces: 0, 2, or 3 with the upward force.
     """
-    poses = dict(zip(seen.t_observed.tolist(), seen.poses_observed.tolist(), strict=True))
-    poses[0.0] = seen.pose.tolist()
+    rows = seen.poses_observed.reshape(len(seen.t_observed), -1)
+    poses = dict(zip(seen.t_observed.tolist(), rows.tolist(), strict=True))
+    poses[0.0] = seen.pose.ravel().tolist()
+    required = len(PATH) + seen.pose.size
     forces: dict[float, list[float]] = {}
     if seen.force_t is not None and seen.force is not None:
         felt = seen.force
@@ -475,6 +512,6 @@ def _make_rows(seen: ObservedPush, columns: int) -> Iterator[list[str]]:
     times = sorted({*seen.push.t.tolist(), *poses, *forces})
     for t, tip in zip(times, seen.push.tip_at(times).tolist(), strict=True):
         row = [seen.name, repr(t), *map(repr, tip), *map(repr, poses.get(t, []))]
-        row += [""] * (len(REQUIRED) - len(row))
+        row += [""] * (required - len(row))
         row += map(repr, forces.get(t, []))
-        yield row + [""] * (len(REQUIRED) + columns - len(row))
+        yield row + [""] * (required + columns - len(row))

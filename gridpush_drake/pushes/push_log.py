@@ -1,4 +1,4 @@
-"""Several pushes of one object and what was seen of it: `PushLog`.
+"""Several pushes of an object, or of several, and what was seen of it: `PushLog`.
 
 Positions are in the world frame W, in m; angles in rad; times in s from the push's own beginning;
 forces, N, are the pusher's on the object. What one push holds is said in `observed_push`, and the
@@ -14,35 +14,56 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.errors import PushLogError
+from gridpush_drake.errors import ObjectError, PushLogError
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM, count, describe_move, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.observed_push import ObservedPush as ObservedPush
-from gridpush_drake.pushes.push_csv import read_pushes, write_pushes
+from gridpush_drake.pushes.push_csv import OBJECT, read_pushes, write_pushes
 
 DEFAULT_PUSHER_RADIUS = 0.008
 """Radius of a pusher where neither the caller nor the object's file gives one, m: that of the
 shipped finger, `models/fingers/rod`. Learning and planning take the same one."""
 
 
-def choose_pusher_radius(obj: GridObject, radius: float | None = None) -> float:
-    """Chooses a pusher's radius, m: as given, else the object's file's, else the shipped finger's.
+def find_pusher_radius(objects: Sequence[GridObject]) -> float | None:
+    """Finds the pusher's radius in objects' files, m; None where none has it.
+
+    Raises:
+        ObjectError: they name different ones.
+    """
+    known = [obj.prior.pusher_radius for obj in objects]
+    radii = {radius for radius in known if radius is not None}
+    if len(radii) > 1:
+        listed = ", ".join(f"{radius:g} m" for radius in sorted(radii))
+        raise ObjectError(
+            f"the objects' files name pushers of different radii, {listed}; expected one pusher"
+        )
+    return radii.pop() if radii else None
+
+
+def choose_pusher_radius(
+    objects: GridObject | Sequence[GridObject], radius: float | None = None
+) -> float:
+    """Chooses a pusher's radius, m: as given, else the objects' files', else the shipped finger's.
 
     Args:
-        obj: the object that is pushed.
+        objects: the object, or the objects, that are pushed.
         radius: as given, m; None where it is not.
+
+    Raises:
+        ObjectError: the objects' files name different ones.
     """
     if radius is not None:
         return radius
-    known = obj.prior.pusher_radius
+    known = find_pusher_radius([objects] if isinstance(objects, GridObject) else objects)
     return DEFAULT_PUSHER_RADIUS if known is None else known
 
 
 @dataclass(frozen=True, eq=False)
 class PushLog(Frozen):
-    """Several pushes of one object. `log[3]` is a push; `log[1:4]` and `log[[0, 2]]` are logs.
+    """Several pushes of the same objects. `log[3]` is a push; `log[1:4]`, `log[[0, 2]]` are logs.
 
     Attributes:
         pushes: the pushes.
@@ -52,15 +73,28 @@ class PushLog(Frozen):
             (`with_radius`).
         table: (K, 2) corners in W of the table's top, counterclockwise, m; None where its edge is
             far or unknown.
+        names: what the log calls its objects, in the order of their poses.
+
+    Raises:
+        PushLogError: a push is of other objects than `names`, or the table is no polygon.
     """
 
     pushes: tuple[ObservedPush, ...]
     source: str = ""
     radius_given: bool = True
     table: Array | None = None
+    names: tuple[str, ...] = (OBJECT,)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pushes", tuple(self.pushes))
+        object.__setattr__(self, "names", tuple(self.names))
+        for seen in self.pushes:
+            count_seen = seen.pose.size // 3
+            if count_seen != len(self.names):
+                raise PushLogError(
+                    f"push {seen.name!r}: {count_seen} objects; expected {len(self.names)}: "
+                    f"{', '.join(self.names)}"
+                )
         if self.table is not None:
             corners = np.array(self.table, dtype=np.float64)
             if (
@@ -95,10 +129,10 @@ class PushLog(Frozen):
             PushLogWarning: the file has further columns, which are passed over, or so many poses of
                 a push that only some of them are kept.
         """
-        pushes, table = read_pushes(
+        pushes, table, names = read_pushes(
             Path(path), DEFAULT_PUSHER_RADIUS if radius is None else radius, require_final
         )
-        return cls(pushes, str(path), radius_given=radius is not None, table=table)
+        return cls(pushes, str(path), radius_given=radius is not None, table=table, names=names)
 
     def write_csv(self, path: Path | str, force: bool = False) -> None:
         """Writes the log so that `read_csv` gives its numbers back bit for bit.
@@ -107,7 +141,7 @@ class PushLog(Frozen):
             PushLogError: two pushes have the same name, or there is no push.
             OutputError: the file exists and `force` is not set, or it cannot be written.
         """
-        write_pushes(Path(path), self.pushes, self.table, force)
+        write_pushes(Path(path), self.pushes, self.table, self.names, force)
 
     def __repr__(self) -> str:
         """How many pushes and poses there are, how long and from where, in a line."""
@@ -125,7 +159,7 @@ class PushLog(Frozen):
                 f"{seen.push.length * MM:.0f}",
                 f"{seen.push.duration:.3g}",
                 len(seen.t_observed),
-                describe_move(seen.pose, seen.final_pose) if len(seen.t_observed) else "not seen",
+                _describe_moves(seen),
                 "none" if seen.force_t is None else len(seen.force_t),
             )
             for seen in self
@@ -197,6 +231,30 @@ class PushLog(Frozen):
             [i for i, seen in enumerate(self) if seen.overhang and self.table is None]
         )
 
+    def append(self, seen: ObservedPush) -> "PushLog":
+        """Adds a push at the end. Objects of a log without pushes are numbered if they are many."""
+        names = self.names
+        count_seen = seen.pose.size // 3
+        if not self.pushes and count_seen != len(names):
+            names = tuple(f"{OBJECT}_{i}" for i in range(count_seen))
+        return replace(self, pushes=(*self.pushes, seen), names=names)
+
+    def single_out(self, index: int) -> "PushLog":
+        """Takes what was seen of one of several objects, as if nothing else had been touched."""
+        pushes = tuple(seen.single_out(index) for seen in self)
+        return replace(self, pushes=pushes, names=(self.names[index],))
+
+    def check_objects(self, objects: Sequence[GridObject]) -> None:
+        """Raises PushLogError where the log is of another number of objects than those given."""
+        if len(self.names) == len(objects):
+            return
+        hint = "; several are learned together by gridpush identify --with"
+        raise PushLogError(
+            f"{self.source or 'push log'}: is of {count(len(self.names), 'object')} "
+            f"({', '.join(self.names)}); expected {len(objects)}: "
+            f"{', '.join(obj.name for obj in objects)}{hint if len(objects) == 1 else ''}"
+        )
+
     def with_radius(self, radius: float) -> "PushLog":
         """Gives all pushes a disc of another radius, m.
 
@@ -207,6 +265,14 @@ class PushLog(Frozen):
             replace(seen, push=replace(seen.push, radius=radius)) for seen in self.pushes
         )
         return replace(self, pushes=pushes, radius_given=True)
+
+
+def _describe_moves(seen: ObservedPush) -> str:
+    """Says what became of each object in a push."""
+    if not len(seen.t_observed):
+        return "not seen"
+    ends = zip(seen.pose.reshape(-1, 3), seen.final_pose.reshape(-1, 3), strict=True)
+    return "; ".join(describe_move(*each) for each in ends)
 
 
 def find_shipped_log(name: str) -> Path:

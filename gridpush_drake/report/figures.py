@@ -11,7 +11,6 @@ from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.absolute import TiltingLine, TiltTest
 from gridpush_drake.identification.result import HistoryEntry, Identification
@@ -510,19 +509,19 @@ def draw_motion(obj: GridObject, push: Push, poses: Array) -> Figure:
 
 
 def draw_scene_motion(
-    scene: Scene, push: Push, poses: Array, observed: Array | None = None
+    objects: Sequence[GridObject], push: Push, poses: Array, observed: Array | None = None
 ) -> Figure:
     """Draws how several objects moved: each from its beginning to its end, and the pusher's path.
 
     Args:
-        scene: the objects.
+        objects: the objects.
         push: the pusher's motion.
-        poses: (T+1, N, 3) of the N objects, m and rad, such as `SceneMotion.poses`.
+        poses: (T+1, N, 3) of the N objects, m and rad, such as `Motion.poses`.
         observed: (N, 3) where they were seen to end, m and rad; None where nobody saw them.
     """
     figure, ax = make_chart(MOTION_WIDTH, 0.75 * MOTION_WIDTH)
     shown = np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]
-    for i, obj in enumerate(scene.objects):
+    for i, obj in enumerate(objects):
         color = PART_COLORS[i % len(PART_COLORS)]
         for pose in poses[shown, i]:
             draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)

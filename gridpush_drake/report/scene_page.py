@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.scene.simulation import simulate_together
+from gridpush_drake.identification.joint_result import JointIdentification
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.identification.scene_learning import SceneIdentification
 from gridpush_drake.notebook import count
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.scene_log import SceneLog
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.draw import MM
 from gridpush_drake.report.figures import draw_model, draw_scene_motion
 from gridpush_drake.report.page import embed, list_numbers, render
@@ -25,12 +25,12 @@ MAX_PUSHES = 12
 SIGMAS = 1.96
 """Standard deviations from a value to the ends of its 95 % interval."""
 
-NOT_TOLD = "; hardly more is known than before the pushes"
-"""What is added to a value that the pushes did not tell."""
+NOT_SHOWN = "; hardly more is known than before the pushes"
+"""What is added to a value that the pushes did not show."""
 
 
 def make_scene_report(
-    found: SceneIdentification, models: Sequence[Identification], log: SceneLog
+    found: JointIdentification, models: Sequence[Identification], log: PushLog
 ) -> str:
     """Makes the report.
 
@@ -45,9 +45,8 @@ def make_scene_report(
     # every push as it is predicted, over where the objects were seen to end
     drawn = []
     for i, seen in enumerate(log.pushes[:MAX_PUSHES]):
-        scene = found.scene.with_poses(seen.poses, may_overlap=True)
-        motion = simulate_scene(scene, seen.push, physics=found.physics)
-        figure = draw_scene_motion(scene, seen.push, motion.poses, seen.poses_observed[-1])
+        motion = simulate_together(found, seen.push, seen.pose)
+        figure = draw_scene_motion(found.objects, seen.push, motion.poses, seen.final_pose)
         errors = ", ".join(
             f"{name} {error * MM:.1f} mm"
             for name, error in zip(log.names, found.errors[i], strict=True)
@@ -105,7 +104,7 @@ def describe_models(
     return described
 
 
-def list_scene_numbers(found: SceneIdentification, names: Sequence[str]) -> list[tuple[str, str]]:
+def list_scene_numbers(found: JointIdentification, names: Sequence[str]) -> list[tuple[str, str]]:
     """Lists what was learned of objects beside each other, as names and values with their spread.
 
     Args:
@@ -123,15 +122,15 @@ def list_scene_numbers(found: SceneIdentification, names: Sequence[str]) -> list
         rows.append((f"center of friction of {name}, body frame", f"x {x}, y {y}"))
     for b in range(1, len(names)):
         ratio = _describe_factor(*found.calc_load_ratio(b, 0))
-        if not found.tells_load_ratio(b, 0):
-            ratio += NOT_TOLD
+        if not found.shows_load_ratio(b, 0):
+            ratio += NOT_SHOWN
         rows.append((f"friction on the table, {names[b]} to {names[0]}", ratio))
     spreads = found.calc_pair_friction_std()
-    told = found.tells_pair_friction()
+    told = found.shows_pair_friction()
     for p, (i, j) in enumerate(combinations(range(len(names)), 2)):
-        friction = _describe_factor(float(np.log(found.scene.pair_friction[i, j])), spreads[p])
+        friction = _describe_factor(float(np.log(found.pair_friction[i, j])), spreads[p])
         if not told[p]:
-            friction += NOT_TOLD
+            friction += NOT_SHOWN
         rows.append((f"friction of {names[i]} and {names[j]}", friction))
     return rows
 
@@ -143,7 +142,7 @@ def _describe_factor(log: float, std: float) -> str:
 
 
 def explain_scene(
-    found: SceneIdentification, models: Sequence[Identification], names: Sequence[str]
+    found: JointIdentification, models: Sequence[Identification], names: Sequence[str]
 ) -> list[str]:
     """Says what was learned in lines of words.
 
@@ -171,7 +170,7 @@ def explain_scene(
     return lines
 
 
-def tell_scene(found: SceneIdentification, names: Sequence[str]) -> dict[str, Any]:
+def tell_scene(found: JointIdentification, names: Sequence[str]) -> dict[str, Any]:
     """Says the same for machines; lengths in m.
 
     Args:
@@ -184,29 +183,29 @@ def tell_scene(found: SceneIdentification, names: Sequence[str]) -> dict[str, An
         "objects": [
             {
                 "name": name,
-                "object": found.scene.objects[b].name,
-                "cells": found.scene.objects[b].n,
+                "object": found.objects[b].name,
+                "cells": found.objects[b].n,
                 "moved": bool(found.moved[b]),
                 "mean_cell_error_before": float(found.errors_before[:, b].mean()),
                 "mean_cell_error": float(found.errors[:, b].mean()),
-                "contact_friction": found.scene.params[b].contact_friction,
+                "contact_friction": found.parameters[b].contact_friction,
                 "center_of_friction": found.calc_center(b)[0].tolist(),
                 "center_of_friction_covariance": found.calc_center(b)[1].tolist(),
                 "log_load_ratio": None if b == 0 else found.calc_load_ratio(b, 0)[0],
                 "log_load_ratio_std": None if b == 0 else found.calc_load_ratio(b, 0)[1],
-                "load_ratio_told": None if b == 0 else found.tells_load_ratio(b, 0),
+                "load_ratio_told": None if b == 0 else found.shows_load_ratio(b, 0),
             }
             for b, name in enumerate(names)
         ],
         "pair_friction": [
             {
                 "objects": [names[i], names[j]],
-                "friction": float(found.scene.pair_friction[i, j]),
+                "friction": float(found.pair_friction[i, j]),
                 "log_std": float(spread),
                 "told": bool(told),
             }
             for (i, j), spread, told in zip(
-                pairs, spreads, found.tells_pair_friction(), strict=True
+                pairs, spreads, found.shows_pair_friction(), strict=True
             )
         ],
         "training_pushes": list(found.push_names),

@@ -58,7 +58,7 @@ def AddObjectsPoseEstimator(
     """
     config = scenario.camera
     tracked = TrackedScene(scenario, obj, others)
-    belief = SceneBelief.of_prior(tracked.objects, tracked.poses, draws=0)
+    belief = SceneBelief.of_prior(tracked.objects, draws=0)
     estimator = builder.AddNamedSystem(
         "camera",
         ObjectsPoseEstimator(
@@ -69,7 +69,7 @@ def AddObjectsPoseEstimator(
             latency=config.rgbd.output_delay,
             guesses=tracked.guess(),
             hidden_by=camera.hidden_by,
-            model=ScenePushModel(belief.scene, top=max(tracked.heights), radius=tip_radius),
+            model=ScenePushModel(belief.bodies, top=max(tracked.heights), radius=tip_radius),
         ),
     )
     ConnectPictures(builder, camera, estimator)

@@ -11,9 +11,9 @@ from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.notebook import MM, count
 from gridpush_drake.planning.scene.fetching import FetchOptions
-from gridpush_drake.planning.scene.scene_loop import SceneMode
+from gridpush_drake.planning.scene.joint_loop import SceneMode
 from gridpush_drake.planning.scene.separation import MARGIN, calc_clearances_along
-from gridpush_drake.pushes.scene_log import SceneLog
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.report.scene_page import describe_models, list_scene_numbers
 from gridpush_drake.report.scene_run import draw_scene_run, make_scene_report
@@ -172,7 +172,7 @@ class SceneKind(GoalKind):
         if not record.scene_log:
             return []
         names = tuple(map(make_plain, record.names))
-        SceneLog(record.scene_log, names).write_csv(folder / PUSHES, force)
+        PushLog(record.scene_log, names=names).write_csv(folder / PUSHES, force)
         write_whole(folder / REPORT, self.make_report(record, recording), force)
         return [PUSHES, REPORT]
 
@@ -295,5 +295,5 @@ def list_rest_poses(record: SceneTaskRecord) -> Array:
     """Lists where the objects were seen at rest, (P+1, N, 3): before each push, and at last."""
     if not record.scene_log:
         return record.begin[None]
-    poses = [seen.poses for seen in record.scene_log]
+    poses = [seen.pose for seen in record.scene_log]
     return np.array([*poses, record.scene_log[-1].poses_observed[-1]])

@@ -28,6 +28,12 @@ from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.fetching import FetchLearning, FetchOptions, FetchPlanner
+from gridpush_drake.planning.scene.joint_loop import (
+    FindSceneGrasp,
+    JointLoop,
+    SceneMode,
+    SceneStatus,
+)
 from gridpush_drake.planning.scene.loop import (
     SceneDecision,
     SceneLearner,
@@ -40,15 +46,9 @@ from gridpush_drake.planning.scene.rearrangement import (
     check_goals,
 )
 from gridpush_drake.planning.scene.rules import SceneRules
-from gridpush_drake.planning.scene.scene_loop import (
-    FindSceneGrasp,
-    SceneLoop,
-    SceneMode,
-    SceneStatus,
-)
 from gridpush_drake.planning.scene.search import SceneSearchOptions
 from gridpush_drake.planning.scene.separation import SeparatePlanner, calc_clearances
-from gridpush_drake.pushes.scene_log import ObservedScenePush
+from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.others import draw_other_truth, list_parts
 from gridpush_drake.station.posts import leave_out, place_posts
@@ -121,7 +121,7 @@ class SceneTaskRecord(ControlledRecord[SceneStatus]):
     goals: Array
     poses: Array
     begin: Array
-    scene_log: tuple[ObservedScenePush, ...] = field(default=(), kw_only=True)
+    scene_log: tuple[ObservedPush, ...] = field(default=(), kw_only=True)
     scene_sight: SceneSight | None = field(default=None, kw_only=True)
     other_truths: tuple[CellParameters, ...] = field(default=(), kw_only=True)
     belief: SceneBelief | None = field(default=None, kw_only=True)
@@ -214,9 +214,9 @@ class SceneTask(StationTask[SceneTaskRecord]):
         self.goals = make_goals(scenario) if self.has_goals else np.full_like(poses, np.nan)
         # what decides, between the ports of a system
         self.planner = self.make_planner()
-        loop = SceneLoop(
+        loop = JointLoop(
             planner=self.planner,
-            belief=SceneBelief.of_prior(self.objects, poses, draws=DRAWS, seed=scenario.seed),
+            belief=SceneBelief.of_prior(self.objects, draws=DRAWS, seed=scenario.seed),
             learning=self.make_learning(),
             max_pushes=scenario.goal.max_pushes * len(self.objects),
             find_grasp=self.make_find_grasp(),

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError, PushRefusedError, StationError
 from gridpush_drake.geometry.se2 import Array, check_vector
@@ -144,11 +145,12 @@ class StationWorld:
         """What is true of the object now, for judges only; the pose is NaN once it has fallen."""
         pose: Array = self._read("object.pose_true").copy()
         fallen = not np.isfinite(pose).all()
+        truth = self.station.GetTruth(self._context)
         return WorldTruth(
             pose=pose,
             fallen=fallen,
             stays=not fallen,
-            params=self.station.GetTruth(self._context),
+            bodies=None if truth is None else Bodies(self.station.obj, truth),
             motion=self._motion,
         )
 

@@ -36,7 +36,7 @@ from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.results import open_results
 from gridpush_drake.cli.demo import demo
 from gridpush_drake.errors import GridPushError, OutputError
-from gridpush_drake.planning.scene.scene_loop import SceneMode, SceneStatus
+from gridpush_drake.planning.scene.joint_loop import SceneMode, SceneStatus
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, read_scenario

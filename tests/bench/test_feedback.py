@@ -23,6 +23,7 @@ from gridpush_drake.bench.study import Done
 from gridpush_drake.bench.truth.sets import FOUNDATION, draw_masses, make_body
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import make_direction, rotate
+from gridpush_drake.identification.model import Model
 from gridpush_drake.planning.world import SimulatedWorld
 
 NAME = "combination_wrench"
@@ -91,7 +92,7 @@ def test_a_rod_in_mujoco_is_steered_and_takes_the_body_along():
 def test_a_poke_moves_the_object_and_is_seen():
     rng = np.random.default_rng(3)
     obj, truth = draw_masses(NAME, rng)
-    seen = draw_poke(SimulatedWorld(obj, truth, np.zeros(3)), obj, rng, 1)
+    seen = draw_poke(SimulatedWorld(Model(obj, truth), np.zeros(3)), obj, rng, 1)
     assert seen.name == "poke_2"
     begin, end = obj.cells_at(np.array([seen.pose, seen.final_pose]))
     assert np.linalg.norm(end - begin, axis=1).mean() >= 0.01

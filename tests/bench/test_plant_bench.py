@@ -38,7 +38,7 @@ def params(obj):
 
 def test_one_push_ends_where_the_model_has_it(obj, params):
     push, pose = draw_push(Model(obj, params), 7, 0.01)
-    world = PlantWorld(obj, params, pose, radius=0.01)
+    world = PlantWorld(Model(obj, params), pose, radius=0.01)
     world.execute(push)
     motion = world.truth.motion
     expected = simulate(
@@ -52,7 +52,7 @@ def test_one_push_ends_where_the_model_has_it(obj, params):
 
 
 def test_a_plant_pushes_again_the_same(obj, params):
-    world = PlantWorld(obj, params, radius=0.01)
+    world = PlantWorld(Model(obj, params), radius=0.01)
     push = Push.on_outline(obj, 0.02, 0.1, 0.02, radius=0.01, speed=0.1)
     world.execute(push)
     first = world.truth.motion
@@ -75,7 +75,8 @@ def test_a_free_object_pushed_low_moves_as_the_model_has_it(obj, params):
         Model(obj, params, Physics(regime="inertial", spin="none")), push, dt=2e-3
     ).final_pose
     worlds = [
-        PlantWorld(obj, params, radius=0.01, base="free", push_height=z) for z in (5e-4, 0.02)
+        PlantWorld(Model(obj, params), radius=0.01, base="free", push_height=z)
+        for z in (5e-4, 0.02)
     ]
     for world in worlds:
         world.execute(push)

@@ -24,6 +24,7 @@ from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD, add_pose_nois
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.identification.model import Model
 
 NOISE = {"position_std": POSITION_STD, "angle_std": ANGLE_STD}
 
@@ -51,7 +52,9 @@ def test_tables_take_turns():
 
 def test_the_world_drops_what_is_pushed_off():
     obj = load_bench_object("toothpaste_tube", pregrasp.FRICTION_RANGE)
-    world = EdgeWorld(obj, pregrasp.make_truth(obj, 0), (0.3, 0.0, 0.0), make_table(0), **NOISE)
+    world = EdgeWorld(
+        Model(obj, pregrasp.make_truth(obj, 0)), (0.3, 0.0, 0.0), make_table(0), **NOISE
+    )
     assert 0 < np.abs(world.observe() - world.truth.pose).max() < 0.02
     assert not world.execute(Push((0.19, 0.0), (0.03, 0.0), 1.0, 0.008)).overhang
     assert not world.truth.fallen
@@ -77,8 +80,8 @@ def test_a_body_in_mujoco_moves_alike_and_drops():
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
     obj = load_bench_object("toothpaste_tube", pregrasp.FRICTION_RANGE)
     truth = pregrasp.make_truth(obj, 0)
-    body = MujocoEdgeWorld(obj, truth, (0.3, 0.0, 0.0), make_table(0), support="half_height")
-    model = EdgeWorld(obj, replace(truth, push_height=0.015), (0.3, 0.0, 0.0), make_table(0))
+    body = MujocoEdgeWorld(Model(obj, truth), (0.3, 0.0, 0.0), make_table(0), support="half_height")
+    model = EdgeWorld(Model(obj, replace(truth, push_height=0.015)), (0.3, 0.0, 0.0), make_table(0))
     push = Push((0.19, 0.01), (0.03, 0.0), 1.5, 0.008)
     assert not body.execute(push).overhang
     model.execute(push)
@@ -105,8 +108,8 @@ def test_a_light_end_over_the_edge_rests_there_and_is_not_flung_up():
     rng = np.random.default_rng([0, mass_set])
     rng.uniform(size=3)
     world = MujocoEdgeWorld(
-        obj, pregrasp.make_truth(obj, mass_set), np.zeros(3), make_table(0), seed=rng,
-        support="three_feet",
+        Model(obj, pregrasp.make_truth(obj, mass_set)),
+        np.zeros(3), make_table(0), seed=rng, support="three_feet",
     )  # fmt: skip
     world.put((0.14976997, -0.19900505, -3.48661867))
     world.execute(Push((0.07897363, -0.16276592), (-0.01204642, -0.02747515), 5.0, 0.008))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.joint_learning import LearnJob, LearnScore, make_learn_table
 from gridpush_drake.bench.scene import STUDY, Job, Options, Score, make_speed_table
-from gridpush_drake.bench.scene_learning import LearnJob, LearnScore, make_learn_table
 from gridpush_drake.bench.scene_plant import MakePlantScene
 from gridpush_drake.bench.scene_rows import (
     PAIR_FRICTION,
@@ -17,11 +17,11 @@ from gridpush_drake.bench.scene_rows import (
 from gridpush_drake.bench.study import Done
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.scene_cases import Layout
 from tests.helpers.shapes import rectangle
 
 
@@ -31,16 +31,16 @@ def test_two_blocks_move_in_mujoco_as_in_the_model():
     obj = GridObject.from_outline(rectangle(0.08, 0.05), max_cells=40)
     heavy = np.where(obj.p_BC[:, 1] > 0, 3.0, 1.0)
     params = CellParameters(0.5 * heavy / heavy.sum(), np.full(obj.n, 0.35), PUSHER_FRICTION)
-    scene = Scene(
-        [SceneBody(obj, params), SceneBody(obj, params, (0.083, 0.02, 0.1))], PAIR_FRICTION
+    scene = Layout.of(
+        [(obj, params, (0.0, 0.0, 0.0)), (obj, params, (0.083, 0.02, 0.1))], PAIR_FRICTION
     )
     push = Push((-0.04 - RADIUS, 0.004), (0.05, 0.0), 1.2, RADIUS)
-    ours = simulate_scene(scene, push)
-    theirs = make_mujoco_scene(scene, push)(np.array([0.0, push.duration]))
+    ours = scene.simulate(push)
+    theirs = make_mujoco_scene(*scene, push)(np.array([0.0, push.duration]))
     np.testing.assert_allclose(theirs[0], scene.poses, atol=1e-6)
     for b in range(2):
         moved = calc_pose_error(obj, theirs[-1, b], scene.poses[b]).cell
-        error = calc_pose_error(obj, ours.final_poses[b], theirs[-1, b]).cell
+        error = calc_pose_error(obj, ours.final_pose[b], theirs[-1, b]).cell
         print(f"block {b}: moved {1e3 * moved:.1f} mm, off by {1e3 * error:.2f} mm")
         assert moved > 0.02
         assert error < 0.001
@@ -51,16 +51,16 @@ def test_two_blocks_move_in_the_plant_as_in_the_model():
     obj = GridObject.from_outline(rectangle(0.08, 0.05), max_cells=24)
     heavy = np.where(obj.p_BC[:, 1] > 0, 3.0, 1.0)
     params = CellParameters(0.5 * heavy / heavy.sum(), np.full(obj.n, 0.35), PUSHER_FRICTION)
-    scene = Scene(
-        [SceneBody(obj, params), SceneBody(obj, params, (0.083, 0.02, 0.1))], PAIR_FRICTION
+    scene = Layout.of(
+        [(obj, params, (0.0, 0.0, 0.0)), (obj, params, (0.083, 0.02, 0.1))], PAIR_FRICTION
     )
     push = Push((-0.04 - RADIUS, 0.004), (0.05, 0.0), 1.0, RADIUS)
-    ours = simulate_scene(scene, push, physics=Physics(spin="none"))
-    theirs = MakePlantScene(scene, push)(np.array([0.0, push.duration]))
+    ours = simulate(scene.bodies.with_physics(Physics(spin="none")), push, scene.poses)
+    theirs = MakePlantScene(*scene, push)(np.array([0.0, push.duration]))
     np.testing.assert_allclose(theirs[0], scene.poses, atol=1e-9)
     for b in range(2):
         moved = calc_pose_error(obj, theirs[-1, b], scene.poses[b]).cell
-        error = calc_pose_error(obj, ours.final_poses[b], theirs[-1, b]).cell
+        error = calc_pose_error(obj, ours.final_pose[b], theirs[-1, b]).cell
         print(f"block {b}: moved {1e3 * moved:.1f} mm, off by {1e3 * error:.2f} mm")
         assert moved > 0.015
         assert error < 0.0005
@@ -68,9 +68,9 @@ def test_two_blocks_move_in_the_plant_as_in_the_model():
 
 def test_a_push_is_drawn_that_moves_all_objects():
     objects = load_objects(2)
-    scene, push = draw_row(objects, 0)
-    motion = simulate_scene(scene, push)
-    for obj, last, first in zip(objects, motion.final_poses, scene.poses, strict=True):
+    bodies, poses, push = draw_row(objects, 0)
+    motion = simulate(bodies, push, poses)
+    for obj, last, first in zip(objects, motion.final_pose, poses, strict=True):
         assert calc_pose_error(obj, last, first).cell > 1e-4
 
 

@@ -28,7 +28,6 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_csv import COLUMNS
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.pushes.scene_log import SceneLog
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario_file import (
@@ -283,7 +282,7 @@ def test_the_object_and_the_pushes_can_be_read(tmp_path):
     (tmp_path / "pushes.csv").write_text(alone)
     assert len(PushLog.read_csv(tmp_path / "pushes.csv")) == 1
     (tmp_path / "scene.csv").write_text(several)
-    assert SceneLog.read_csv(tmp_path / "scene.csv").names == ("hammer", "box")
+    assert PushLog.read_csv(tmp_path / "scene.csv").names == ("hammer", "box")
 
 
 def test_every_column_object_and_scenario_is_named():

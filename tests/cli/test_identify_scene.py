@@ -6,8 +6,8 @@ import pytest
 
 from gridpush_drake.display.server import looks_like_recording
 from gridpush_drake.identification.model_file import read_model
-from gridpush_drake.pushes.scene_log import SceneLog
-from tests.identification.test_scene_learning import make_truth, push_scene
+from gridpush_drake.pushes.push_log import PushLog
+from tests.identification.test_joint_fit import make_truth, push_scene
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ def files(tmp_path_factory):
     truth = make_truth()
     for name, obj in zip(("left", "right"), truth.objects, strict=True):
         obj.write_yaml(folder / f"{name}.yaml")
-    log = SceneLog(tuple(push_scene(truth, seed) for seed in range(4)), ("left", "right"))
+    log = PushLog(tuple(push_scene(truth, seed) for seed in range(4)), names=("left", "right"))
     log.write_csv(folder / "pushes.csv")
     return folder
 

@@ -45,8 +45,7 @@ def test_our_planner_wins_by_the_games_actions():
         candidates=24, firsts=3, seconds=8, radius=0.01, lengths=(0.008, 0.14), clearance=0.002
     )
     planner = RearrangePlanner(objects, environment.goals, RearrangeOptions(search=search))
-    poses = environment.world.observe()
-    belief = SceneBelief.of_prior(objects, poses, draws=2)
+    belief = SceneBelief.of_prior(objects, draws=2)
     total, ended, steps = 0.0, False, []
     first = environment.render()
     while not ended:

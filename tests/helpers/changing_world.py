@@ -21,7 +21,7 @@ class ChangesLoad:
 
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
         """Pushes the object as it is by then."""
-        self.params = self.changes.get(self.pushes, self.params)
+        self.bodies = self.bodies.with_params(self.changes.get(self.pushes, self.bodies.params))
         return super().do_push(push, pose)
 
 

@@ -1,19 +1,58 @@
 """Rows of objects to be pushed through each other, and scenes as functions of all they depend on."""
 
+from typing import NamedTuple
+
 import numpy as np
 
+from gridpush_drake.dynamics.bodies import DEFAULT_PAIR_FRICTION, Bodies
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.loop_run import run_loop
+from gridpush_drake.planning.scene.joint_loop import STILL_WORLD, JointLoop
 from tests.helpers.random_pushes import make_random_contents
 from tests.helpers.shapes import make_shape
 
 RADIUS = 0.01
 SPACING = 0.001
 CLEARANCE = 1e-4
+
+
+class Layout(NamedTuple):
+    """Objects, and where they lie, (N, 3)."""
+
+    bodies: Bodies
+    poses: np.ndarray
+
+    @classmethod
+    def of(cls, placed, pair_friction=DEFAULT_PAIR_FRICTION):
+        """Of (object, parameters, pose) each; the pose is the origin by default."""
+        objects = [each[0] for each in placed]
+        poses = [each[2] if len(each) > 2 else np.zeros(3) for each in placed]
+        bodies = Bodies(objects, [each[1] for each in placed], None, pair_friction)
+        return cls(bodies, np.array(poses, dtype=float))
+
+    @property
+    def objects(self):
+        return self.bodies.objects
+
+    @property
+    def params(self):
+        return self.bodies.parameters
+
+    def with_poses(self, poses):
+        return self._replace(poses=np.array(poses, dtype=float))
+
+    def simulate(self, push, **options):
+        return simulate_together(self.bodies, push, self.poses, **options)
+
+
+def run_task(world, planner, belief, **options):
+    """Carries a task with several objects out in a world in which nothing moves by itself."""
+    loop = JointLoop(planner, belief, options=STILL_WORLD, **options)
+    return run_loop(loop, world)
 
 
 def make_row(seed, shapes, cells=20):
@@ -28,11 +67,11 @@ def make_row(seed, shapes, cells=20):
             pose[0] += SPACING
         placed = transform_shape(pose, obj.outline)
         taken = placed if taken is None else taken.union(placed)
-        bodies.append(SceneBody(obj, make_random_contents(rng, obj), pose))
-    first = transform_shape(bodies[0].pose, bodies[0].obj.outline)
+        bodies.append((obj, make_random_contents(rng, obj), pose))
+    first = transform_shape(bodies[0][2], bodies[0][0].outline)
     middle = 0.5 * (first.bounds[1] + first.bounds[3])
     start = np.array([first.bounds[0] - RADIUS - CLEARANCE, middle])
-    return Scene(bodies, rng.uniform(0.1, 0.5)), Push(start, (0.05, 0.0), 1.0, RADIUS)
+    return Layout.of(bodies, rng.uniform(0.1, 0.5)), Push(start, (0.05, 0.0), 1.0, RADIUS)
 
 
 class SceneCase:
@@ -49,12 +88,12 @@ class SceneCase:
     def run(self, *, gradients=False, turn=0.0, stretch=0.0, **changed):
         """Simulates with some of what `blocks` lists changed; notes a change of modes."""
         scene = self.scene
-        n = len(scene)
+        n = len(scene.bodies)
         bodies = []
         for b in range(n):
             params = scene.params[b]
             bodies.append(
-                SceneBody(
+                (
                     scene.objects[b],
                     CellParameters(
                         changed.get(f"mass {b}", params.mass),
@@ -72,17 +111,14 @@ class SceneCase:
         length = self.push.length
         start = self.push.start + changed.get("start", np.zeros(2))
         xy = start + (1 + stretch / length) * path @ np.array([[c, s], [-s, c]])
-        result = simulate_scene(
-            Scene(bodies, pairs + pairs.T),
-            Push.along(self.push.t, xy, self.push.radius),
-            gradients=gradients,
-            times=self.times,
-            physics=self.physics,
-        )
+        layout = Layout.of(bodies, pairs + pairs.T)
+        layout = layout._replace(bodies=layout.bodies.with_physics(self.physics))
+        push = Push.along(self.push.t, xy, self.push.radius)
+        result = layout.simulate(push, gradients=gradients, times=self.times)
         if not gradients:
             same = result.modes.shape == self.result.modes.shape
             same = same and (result.modes == self.result.modes).all()
-            same = same and (result.bodies == self.result.bodies).all()
+            same = same and (result.contact_bodies == self.result.contact_bodies).all()
             self.switched |= not same
         return result
 
@@ -92,7 +128,7 @@ class SceneCase:
 
     @property
     def pair_friction(self):
-        return self.scene.pair_friction[np.triu_indices(len(self.scene), 1)]
+        return self.scene.bodies.pair_friction[np.triu_indices(len(self.scene.bodies), 1)]
 
     def blocks(self):
         """Name, value and Jacobian of everything; the names are the keywords of `run`.
@@ -100,7 +136,7 @@ class SceneCase:
         Places are varied by what is added to them, so that all differences have the same step.
         """
         J = self.result.jacobian
-        i, j = np.triu_indices(len(self.scene), 1)
+        i, j = np.triu_indices(len(self.scene.bodies), 1)
         blocks = [
             ("contact_friction", self.contact_friction, J.contact_friction),
             ("pair_friction", self.pair_friction, J.pair_friction[..., i, j]),
@@ -109,7 +145,10 @@ class SceneCase:
             ("turn", np.array(0.0), J.direction),
             ("stretch", np.array(0.0), J.length),
         ]
+        ends = np.cumsum([obj.n for obj in self.scene.objects])[:-1]
+        mass = np.split(J.mass, ends, axis=-1)
+        friction = np.split(J.friction, ends, axis=-1)
         for b, params in enumerate(self.scene.params):
-            blocks.append((f"mass {b}", params.mass, J.mass[b]))
-            blocks.append((f"friction {b}", params.friction, J.friction[b]))
+            blocks.append((f"mass {b}", params.mass, mass[b]))
+            blocks.append((f"friction {b}", params.friction, friction[b]))
         return blocks

@@ -11,7 +11,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
+from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.helpers.shapes import make_shape

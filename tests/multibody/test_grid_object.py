@@ -262,7 +262,7 @@ def to_polygon(flat) -> Polygon:
 @pytest.mark.parametrize("name", OBJECTS)
 def test_a_sphere_touches_the_outline_with_its_depth_and_normal(name):
     obj, radius = load(name), 0.008
-    rig = PlantWorld(obj, CellParameters.uniform(obj), radius=radius)
+    rig = PlantWorld(Model(obj, CellParameters.uniform(obj)), radius=radius)
     context = rig.simulator.get_mutable_context()
     plant_context = rig.plant.GetMyMutableContextFromRoot(context)
     SetGridObjectPose(rig.plant, plant_context, rig.handle, (0.0, 0.0, 0.0))
@@ -326,7 +326,7 @@ def test_mesh_is_a_closed_prism_of_the_outline(name):
 
 def test_only_the_sides_and_spheres_collide():
     obj = load("square")
-    rig = PlantWorld(obj, CellParameters.uniform(obj), radius=0.01)
+    rig = PlantWorld(Model(obj, CellParameters.uniform(obj)), radius=0.01)
     inspector = rig.scene_graph.model_inspector()
     frame = rig.plant.GetBodyFrameIdOrThrow(rig.handle.body.index())
     assert set(inspector.GetGeometries(frame, Role.kProximity)) == {

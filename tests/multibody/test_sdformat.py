@@ -62,7 +62,7 @@ def test_moves_as_the_object_it_came_from(obj, params, base, tmp_path):
     path = tmp_path / "hammer.sdf"
     WriteSdf(Model(obj, params), path, base=base)
     push = Push.on_outline(obj, 0.1, 0.2, 0.05, radius=RADIUS, speed=0.1)
-    world = PlantWorld(obj, params, radius=RADIUS, base=base)
+    world = PlantWorld(Model(obj, params), radius=RADIUS, base=base)
     world.execute(push)
     expected = world.truth.pose
     found = push_parsed(path, obj, push, base)

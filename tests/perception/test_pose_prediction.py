@@ -8,8 +8,6 @@ import pytest
 import shapely
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
@@ -23,6 +21,7 @@ from gridpush_drake.perception.pose_prediction import (
     predict_pose,
     predict_scene_poses,
 )
+from tests.helpers.scene_cases import Layout
 
 OBJ = GridObject.from_outline(shapely.box(-0.06, -0.03, 0.06, 0.03), max_cells=20)
 PARAMS = CellParameters.uniform(OBJ)
@@ -78,8 +77,10 @@ def test_what_the_model_cannot_follow_is_not_predicted_any_more():
 
 
 BLOCK = GridObject.from_outline(shapely.box(-0.02, -0.02, 0.02, 0.02), max_cells=16)
-SCENE = Scene([(OBJ, PARAMS, START), (BLOCK, CellParameters.uniform(BLOCK), (0.04, -0.02, 0.4))])
-SCENE_MODEL = ScenePushModel(SCENE, top=0.03, radius=0.006)
+SCENE = Layout.of(
+    [(OBJ, PARAMS, START), (BLOCK, CellParameters.uniform(BLOCK), (0.04, -0.02, 0.4))]
+)
+SCENE_MODEL = ScenePushModel(SCENE.bodies, top=0.03, radius=0.006)
 SCENE_BEGIN = ScenePrediction(SCENE.poses, SCENE.poses, np.ones(2, dtype=bool))
 
 
@@ -89,7 +90,7 @@ def test_what_is_pushed_through_another_object_is_predicted_too():
     tips = [Tip(0.1 * k, np.array([*place, 0.01])) for k, place in enumerate(path)]
     for last, now in pairwise(tips):
         found = predict_scene_poses(found, SCENE_MODEL, last, now)
-    whole = simulate_scene(SCENE, Push.along(0.1 * np.arange(len(path)), path, 0.006))
+    whole = SCENE.simulate(Push.along(0.1 * np.arange(len(path)), path, 0.006))
     moved = np.linalg.norm(whole.poses[-1, :, :2] - SCENE.poses[:, :2], axis=1)
     assert moved.min() > 0.01
     np.testing.assert_allclose(found.poses[:, :2], whole.poses[-1, :, :2], atol=1e-3)

@@ -5,23 +5,23 @@ import pytest
 from shapely import Point
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
-from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, calc_overhangs
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.fetching import CLEAR, FetchLearning, FetchOptions, FetchPlanner
-from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning, SceneStep, run_scene_task
-from gridpush_drake.planning.scene.world import SimulatedSceneWorld
+from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning, SceneStep
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.pushes.scene_log import ObservedScenePush
+from gridpush_drake.planning.world import SimulatedWorld
+from gridpush_drake.pushes.observed_push import ObservedPush
 from tests.helpers.random_pushes import make_random_contents
+from tests.helpers.scene_cases import Layout, run_task
 from tests.helpers.shapes import make_shape
 
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
@@ -34,11 +34,11 @@ def make_truth():
     hidden = CellParameters.random(wrench, 4, (0.1, 5.0), (0.3, 0.4))
     square, bar = make_shape("square", 20), make_shape("bar", 20)
     top = wrench.outline.bounds[3] - square.outline.bounds[1] + 0.002
-    return Scene(
+    return Layout.of(
         [
-            SceneBody(wrench, hidden, (0.0, 0.0, 0.0)),
-            SceneBody(square, make_random_contents(rng, square), (0.0, top, 0.0)),
-            SceneBody(bar, make_random_contents(rng, bar), (0.25, 0.2, 1.0)),
+            (wrench, hidden, (0.0, 0.0, 0.0)),
+            (square, make_random_contents(rng, square), (0.0, top, 0.0)),
+            (bar, make_random_contents(rng, bar), (0.25, 0.2, 1.0)),
         ],
         0.3,
     )
@@ -53,18 +53,18 @@ def make_planner_of_no_arm(truth):
 def test_first_what_is_in_the_way_is_cleared_away():
     truth = make_truth()
     planner = FetchPlanner(truth.objects, 0, TABLE, seed=1)
-    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2)
+    belief = SceneBelief.of_prior(truth.objects, draws=2)
     decision = planner.decide(truth.poses, belief, [])
     assert decision.kind == CLEAR and decision.push is not None
     assert "square" in decision.reason and "out of the way of combination_wrench" in decision.reason
     # by the truth, too, there is more room afterwards
-    world = SimulatedSceneWorld(truth, TABLE)
+    world = SimulatedWorld(*truth, TABLE)
     world.execute(decision.push)
     before, after = (
         transform_shape(poses[0], truth.objects[0].outline).distance(
             transform_shape(poses[1], truth.objects[1].outline)
         )
-        for poses in (truth.poses, world.truth.poses)
+        for poses in (truth.poses, world.truth.pose)
     )
     assert after > before + 0.01
     # at last it is given up
@@ -75,8 +75,8 @@ def test_first_what_is_in_the_way_is_cleared_away():
 
 def test_the_wanted_object_is_learned_only_from_pushes_in_which_nothing_else_moved():
     truth = make_truth()
-    world = SimulatedSceneWorld(truth, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
-    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2)
+    world = SimulatedWorld(*truth, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
+    belief = SceneBelief.of_prior(truth.objects, draws=2)
     learning = FetchLearning(0, TABLE, friction_range=(0.3, 0.4))
     low = truth.objects[0].outline.bounds[1]
     x = truth.objects[0].outline.bounds[0] + 0.03
@@ -95,7 +95,7 @@ def test_the_wanted_object_is_learned_only_from_pushes_in_which_nothing_else_mov
 def test_all_objects_together_are_learned_from_pushes_on_the_table_alone():
     """The model of a scene knows no edge, over which the wanted object hangs at last."""
     truth = make_truth()
-    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2)
+    belief = SceneBelief.of_prior(truth.objects, draws=2)
     shown = []
 
     class Noting:
@@ -105,7 +105,7 @@ def test_all_objects_together_are_learned_from_pushes_on_the_table_alone():
     push = Push((0.25, 0.35), (0.0, -0.05), 1.5, 0.008)
     poses = np.stack([truth.poses, truth.poses + [[0.5, 0.0, 0.0], [0.0] * 3, [0.0] * 3]])
     on_table, over_edge = (
-        ObservedScenePush(name, push, start, np.array([1.5]), start[None])
+        ObservedPush(name, push, start, np.array([1.5]), start[None])
         for name, start in zip(("on", "over"), poses, strict=True)
     )
     learning = FetchLearning(0, TABLE, scene=Noting())
@@ -116,23 +116,23 @@ def test_all_objects_together_are_learned_from_pushes_on_the_table_alone():
 @pytest.mark.slow
 def test_the_wanted_object_is_fetched_and_nothing_falls():
     truth = make_truth()
-    world = SimulatedSceneWorld(truth, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
+    world = SimulatedWorld(*truth, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
     options = FetchOptions(pregrasp=PreGraspOptions(max_arm=0.1))
     planner = FetchPlanner(truth.objects, 0, TABLE, options, seed=1)
-    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2)
+    belief = SceneBelief.of_prior(truth.objects, draws=2)
     learning = FetchLearning(0, TABLE, friction_range=(0.3, 0.4), scene=SceneLearning())
-    run = run_scene_task(world, planner, belief, learning=learning, max_pushes=50, seed=1)
-    assert run.done and run.last.action is SceneAction.GRASP, run.reason
-    kinds = [step.decision.kind for step in run.steps]
+    run = run_task(world, planner, belief, learning=learning, max_pushes=50, seed=1)
+    assert run.state.done and run.state.last.action is SceneAction.GRASP, run.state.status.reason
+    kinds = [step.decision.kind for step in run.state.steps]
     assert kinds[0] == CLEAR and "slide" in kinds
     # judged by the truth
-    assert not any(world.truth.fallen)
-    part = run.last.goal.part
-    assert calc_overhangs([part], world.truth.poses[0], TABLE)[0] > 0.0
-    for obj, pose in zip(truth.objects[1:], world.truth.poses[1:], strict=True):
+    assert not np.any(world.truth.fallen)
+    part = run.state.last.goal.part
+    assert calc_overhangs([part], world.truth.pose[0], TABLE)[0] > 0.0
+    for obj, pose in zip(truth.objects[1:], world.truth.pose[1:], strict=True):
         assert TABLE.contains_cells(obj, pose)
     # of the wanted one only pushes are learned from in which nothing else moved
-    assert 0 in run.belief.models
+    assert 0 in run.state.belief.models
 
 
 def test_an_object_alone_at_the_edge_moves_as_its_loads_say():
@@ -143,10 +143,10 @@ def test_an_object_alone_at_the_edge_moves_as_its_loads_say():
     obj = truth.objects[0]
     right = obj.outline.bounds[0] + poses[0, 0]
     push = Push((right - 0.01, -0.2), (0.05, 0.0), 1.5, 0.008)
-    world = SimulatedSceneWorld(truth, TABLE)
+    world = SimulatedWorld(*truth, TABLE)
     world.execute(push)
     motion = simulate_near_edge(Model(obj, truth.params[0]), push, poses[0], TABLE)
-    np.testing.assert_array_equal(world.truth.poses[0], motion.final_pose)
+    np.testing.assert_array_equal(world.truth.pose[0], motion.final_pose)
     assert world.truth.fallen[0] == motion.fell
 
 
@@ -157,7 +157,7 @@ def test_what_is_refused():
     with pytest.raises(PlanningError, match="room"):
         FetchOptions(room=0.0)
     planner = make_planner_of_no_arm(truth)
-    belief = SceneBelief.of_prior(truth.objects, truth.poses)
+    belief = SceneBelief.of_prior(truth.objects)
     decision = planner.decide(truth.poses, belief, [])
     assert decision.action is SceneAction.FAIL and "square" in decision.reason
     assert "between" in decision.reason

@@ -24,7 +24,7 @@ from gridpush_drake.planning.feedback.follow_options import FollowStatus
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.planning.scene import SceneWorld, hide
+from gridpush_drake.planning.scene import hide
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.weighing.press import PressOptions, PressTarget
 from gridpush_drake.planning.world import PushWorld, SimulatedWorld, TrackedWorld, WorldMotion
@@ -67,7 +67,7 @@ def puck():
 
 
 def test_a_disc_is_driven_straight_away_from_the_finger(DiscWorld, puck):
-    world = DiscWorld(puck, CellParameters.uniform(puck), (0.0, 0.0, 0.3), TABLE)
+    world = DiscWorld(Model(puck), (0.0, 0.0, 0.3), TABLE)
     assert isinstance(world, PushWorld)
     seen = world.execute(Push((-0.1, 0.0), (0.05, 0.0), 2.0, FINGER))
     # the finger ends at the middle of the table, and touches
@@ -92,7 +92,7 @@ def test_a_disc_is_driven_straight_away_from_the_finger(DiscWorld, puck):
 def test_a_closed_loop_reaches_its_goal_in_it(DiscWorld, puck):
     params = CellParameters.uniform(puck)
     noise = {"position_std": 0.0005, "angle_std": 0.001}
-    world = DiscWorld(puck, params, (0.0, 0.0, 0.0), TABLE, **noise, seed=1)
+    world = DiscWorld(Model(puck, params), (0.0, 0.0, 0.0), TABLE, **noise, seed=1)
     goal = (0.15, 0.05, 0.0)
     rules = GoalRules(PushConstraints(TABLE), max_pushes=12)
     run = push_to_goal(world, Model(puck), goal, rules, learner=None)
@@ -143,7 +143,7 @@ def test_every_named_world_moves_an_object_alike(name):
         [[-0.06, -0.04], [0.06, -0.04], [0.06, 0.04], [-0.06, 0.04]], max_cells=24
     )
     params = CellParameters(np.full(slab.n, 0.02), np.full(slab.n, 0.35), 0.4)
-    world = find_world(name)(slab, params, (0.05, 0.0, 0.0), TABLE, seed=3)
+    world = find_world(name)(Model(slab, params), (0.05, 0.0, 0.0), TABLE, seed=3)
     assert isinstance(world, PushWorld)
     np.testing.assert_array_equal(world.observe(), [0.05, 0.0, 0.0])
     assert world.truth.motion is None
@@ -156,7 +156,7 @@ def test_every_named_world_moves_an_object_alike(name):
     assert motion.times[-1] == pytest.approx(push.duration)
     assert world.truth.stays
     assert not world.truth.fallen
-    expected = SimulatedWorld(slab, params, (0.05, 0.0, 0.0))
+    expected = SimulatedWorld(Model(slab, params), (0.05, 0.0, 0.0))
     expected.execute(push)
     np.testing.assert_allclose(motion.poses[-1, :2], expected.truth.pose[:2], atol=2e-3)
     assert abs(motion.poses[-1, 2] - expected.truth.pose[2]) < np.radians(2)
@@ -175,7 +175,7 @@ def test_the_finger_s_force_is_seen_with_the_push(DiscWorld, puck):
             t = np.linspace(0.0, push.duration, 5)
             return replace(super().do_push(push, pose), force_t=t, force=np.outer(t, [1.0, 2.0]))
 
-    world = FeltDisc(puck, CellParameters.uniform(puck), (0.0, 0.0, 0.3), TABLE)
+    world = FeltDisc(Model(puck), (0.0, 0.0, 0.3), TABLE)
     seen = world.execute(Push((-0.1, 0.0), (0.05, 0.0), 2.0, FINGER))
     np.testing.assert_array_equal(seen.force_t, np.linspace(0.0, 2.0, 5))
     np.testing.assert_array_equal(seen.force[-1], [2.0, 4.0])
@@ -209,15 +209,15 @@ def test_a_press_is_made_in_a_world_of_one_s_own():
 
 def test_several_objects_are_pushed_in_a_world_of_one_s_own(puck):
     start = np.array([[0.0, 0.0, 0.3], [0.3, 0.0, 0.0]])
-    scene = hide([puck, puck], start, np.random.default_rng(0))
-    world = make_class("DiscScene")(scene, position_std=0.001, angle_std=0.01, seed=1)
-    assert isinstance(world, SceneWorld)
+    hidden = hide([puck, puck], np.random.default_rng(0))
+    world = make_class("DiscScene")(hidden, start, position_std=0.001, angle_std=0.01, seed=1)
+    assert isinstance(world, PushWorld)
     before = world.observe()
     seen = world.execute(Push((-0.1, 0.0), (0.05, 0.0), 2.0, FINGER))
-    moved = world.truth.poses - start
+    moved = world.truth.pose - start
     assert moved[0, 0] > 0.05 and not moved[1].any()
-    off = seen.poses_observed[-1] - world.truth.poses
+    off = seen.poses_observed[-1] - world.truth.pose
     assert off.any() and np.abs(off[:, :2]).max() < 0.005 and np.abs(off[:, 2]).max() < 0.05
-    np.testing.assert_array_equal(seen.poses, before)
+    np.testing.assert_array_equal(seen.pose, before)
     np.testing.assert_array_equal(world.observe(), seen.poses_observed[-1])
     assert world.pushes == 1 and world.time > 2.0

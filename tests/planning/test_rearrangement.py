@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.scene.belief import SceneBelief
-from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning, run_scene_task
+from gridpush_drake.planning.scene.loop import SceneAction, SceneLearning
 from gridpush_drake.planning.scene.rearrangement import (
     FINE,
     RearrangeOptions,
@@ -20,10 +18,10 @@ from gridpush_drake.planning.scene.rearrangement import (
 from gridpush_drake.planning.scene.rollouts import SceneRollouts
 from gridpush_drake.planning.scene.rules import SceneRules
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
-from gridpush_drake.planning.scene.world import SceneWorld, SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import PushWorld, SimulatedWorld
 from tests.helpers.random_pushes import make_random_contents
-from tests.helpers.scene_cases import make_row
+from tests.helpers.scene_cases import Layout, make_row, run_task
 from tests.helpers.shapes import make_shape
 
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.2, 1.2))
@@ -36,34 +34,34 @@ def make_truth(shapes, poses, seed=0):
     bodies = []
     for shape, pose in zip(shapes, poses, strict=True):
         obj = make_shape(shape, 20)
-        bodies.append(SceneBody(obj, make_random_contents(rng, obj), pose))
-    return Scene(bodies, 0.25)
+        bodies.append((obj, make_random_contents(rng, obj), pose))
+    return Layout.of(bodies, 0.25)
 
 
 def rearrange(truth, goals, options=COARSE, seed=0, **more):
-    world = SimulatedSceneWorld(truth, TABLE, position_std=0.0005, angle_std=0.003, seed=seed)
+    world = SimulatedWorld(*truth, TABLE, position_std=0.0005, angle_std=0.003, seed=seed)
     planner = RearrangePlanner(truth.objects, goals, options, SceneRules(TABLE), seed=seed)
-    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2, seed=seed)
-    return run_scene_task(world, planner, belief, seed=seed, **more), world, planner
+    belief = SceneBelief.of_prior(truth.objects, draws=2, seed=seed)
+    return run_task(world, planner, belief, seed=seed, **more), world, planner
 
 
 def test_objects_are_brought_to_goals():
     truth = make_truth(["square", "bar"], [(0, 0, 0), (0.2, 0.05, 0.4)])
     goals = [(-0.1, 0.15, 0.8), (0.1, -0.2, 0.0)]
     run, world, planner = rearrange(truth, goals)
-    assert run.done and run.last.action is SceneAction.DONE
-    assert planner.find_reached(world.truth.poses).all()
-    assert len(run.poses) == run.pushes + 1 == world.pushes + 1
-    assert run.time == world.time > 0
+    assert run.state.done and run.state.last.action is SceneAction.DONE
+    assert planner.find_reached(world.truth.pose).all()
+    assert len(run.state.poses) == world.pushes == len(run.log)
+    assert world.time > 0
     again, *_ = rearrange(truth, goals)
-    np.testing.assert_array_equal(again.poses, run.poses)
+    np.testing.assert_array_equal(again.state.poses, run.state.poses)
 
 
 def test_two_objects_change_places():
     truth = make_truth(["square", "bar"], [(-0.12, 0, 0), (0.12, 0, 0.3)])
     goals = truth.poses[::-1].copy()
     run, world, planner = rearrange(truth, goals)
-    assert run.done and planner.find_reached(world.truth.poses).all()
+    assert run.state.done and planner.find_reached(world.truth.pose).all()
     # whoever goes first must not lie in the other's goal for good
     first = planner.choose_targets(truth.poses, [])
     assert first.aside.sum() == 1
@@ -71,7 +69,7 @@ def test_two_objects_change_places():
 
 def test_threads_choose_the_same_push():
     truth = make_truth(["square", "bar"], [(-0.12, 0, 0), (0.12, 0, 0.3)])
-    belief = SceneBelief.of_prior(truth.objects, truth.poses)
+    belief = SceneBelief.of_prior(truth.objects)
     chosen = []
     for workers in (1, 2):
         options = RearrangeOptions(search=replace(QUICK, workers=workers))
@@ -88,17 +86,20 @@ def test_an_object_without_a_goal_is_moved_out_of_one():
     truth = make_truth(["square", "bar"], [(-0.25, 0, 0), (0.0, 0, 0.3)])
     goals = [(0.0, 0.0, 0.0), (np.nan, np.nan, np.nan)]
     run, world, planner = rearrange(truth, goals)
-    assert run.done and planner.find_reached(world.truth.poses).all()
-    assert {step.decision.body for step in run.steps} == {0, 1}
+    assert run.state.done and planner.find_reached(world.truth.pose).all()
+    assert {step.decision.body for step in run.state.steps} == {0, 1}
 
 
 def test_fine_goals_are_reached_after_learning():
-    truth = make_truth(["square"], [(0, 0, 0)], seed=3)
+    truth = make_truth(["square", "bar"], [(0, 0, 0), (0.4, -0.4, 0)], seed=3)
     options = replace(FINE, search=QUICK)
     learning = SceneLearning(after=(2,), amplitudes=(0.7,))
-    run, world, planner = rearrange(truth, [(0.12, 0.1, 1.0)], options, learning=learning)
-    distance, turn = planner.calc_errors(world.truth.poses)
-    assert run.done and run.learned == [2] and run.belief.identification is not None
+    goals = [(0.12, 0.1, 1.0), (np.nan, np.nan, np.nan)]
+    run, world, planner = rearrange(truth, goals, options, learning=learning)
+    distance, turn = planner.calc_errors(world.truth.pose)
+    assert (
+        run.state.done and run.state.learned[0] == 2 and run.state.belief.identification is not None
+    )
     assert distance.max() < 0.006 and turn.max() < np.radians(3.5)
 
 
@@ -106,31 +107,33 @@ def test_nothing_comes_nearer_to_the_edge_than_it_may():
     truth = make_truth(["bar", "square"], [(0.4, 0.0, 0.0), (0.25, 0.1, 0.0)])
     goals = [(0.4, 0.25, 1.2), (0.1, 0.1, 0.5)]
     run, world, _ = rearrange(truth, goals)
-    assert run.done and not any(world.truth.fallen)
-    assert all(TABLE.contains_cells(truth.objects[0], poses[0]) for poses in run.poses)
+    assert run.state.done and not np.any(world.truth.fallen)
+    assert all(TABLE.contains_cells(truth.objects[0], poses[0]) for poses in run.state.poses)
 
 
 def test_a_fallen_object_ends_the_task_and_is_out_of_the_way():
     truth = make_truth(["square", "bar"], [(0.55, 0.0, 0.0), (0.0, 0.0, 0.0)])
-    world = SimulatedSceneWorld(truth, TABLE)
-    assert isinstance(world, SceneWorld)
+    world = SimulatedWorld(*truth, TABLE)
+    assert isinstance(world, PushWorld)
     world.execute(Push((0.45, 0.0), (0.05, 0.0), 4.0, 0.008))
-    assert world.truth.fallen == (True, False)
+    assert world.truth.fallen.tolist() == [True, False]
     assert world.observe() is None
-    before = world.truth.poses[0].copy()
+    before = world.truth.pose[0].copy()
     world.execute(Push((0.45, 0.0), (0.05, 0.0), 4.0, 0.008))
-    np.testing.assert_array_equal(world.truth.poses[0], before)
+    np.testing.assert_array_equal(world.truth.pose[0], before)
 
 
 def test_rollouts_are_those_of_the_simulator():
     scene, push = make_row(1, ["square", "bar", "triangle"])
-    rollouts = SceneRollouts(scene, tip_step=0.002)
+    rollouts = SceneRollouts(scene.bodies, tip_step=0.002)
     rolled = rollouts.roll(push, scene.poses)
     times = np.linspace(0.0, push.duration, len(rolled.traveled))
-    motion = simulate_scene(scene, push, times=times)
+    motion = scene.simulate(push, times=times)
     np.testing.assert_allclose(rolled.poses, motion.poses, atol=1e-9)
     assert rolled.touched and rolled.solved and rollouts.simulations == 1
-    threaded = SceneRollouts(scene, tip_step=0.002, workers=2).roll_all([push] * 3, scene.poses)
+    threaded = SceneRollouts(scene.bodies, tip_step=0.002, workers=2).roll_all(
+        [push] * 3, scene.poses
+    )
     for each in threaded:
         np.testing.assert_array_equal(each.poses, rolled.poses)
 
@@ -144,9 +147,9 @@ def test_a_push_stops_between_the_steps_of_its_simulation():
         def cost(poses, goal=goal):
             return 1e4 * np.abs(np.hypot(poses[:, 0, 0], poses[:, 0, 1]) - goal)
 
-        search = SceneSearch(SceneBelief.of_truth(truth), options=one)
+        search = SceneSearch(SceneBelief.of_truth(truth.bodies), options=one)
         found = search.find_push(truth.poses, cost, [0], np.random.default_rng(seed))
-        last = simulate_scene(truth, found.push).final_poses[0]
+        last = truth.simulate(found.push).final_pose[0]
         assert abs(np.hypot(*last[:2]) - goal) < 5e-4
         np.testing.assert_allclose(last, found.poses[0], atol=5e-4)
 
@@ -159,7 +162,7 @@ def test_a_good_second_push_is_made_at_once():
     def cost(poses):
         return 100.0 * np.hypot(poses[:, 0, 0] - 0.06, poses[:, 0, 1] - 0.06)
 
-    search = SceneSearch(SceneBelief.of_truth(truth), options=few)
+    search = SceneSearch(SceneBelief.of_truth(truth.bodies), options=few)
     left = [
         search.find_push(truth.poses, cost, [0], np.random.default_rng(seed)).left
         for seed in range(6)
@@ -174,10 +177,11 @@ def test_draws_surround_what_was_learned():
         [(-0.1, 0.15, 0.8), (0.1, -0.2, 0.0)],
         learning=SceneLearning(after=(2,), amplitudes=(0.7,)),
     )
-    found = run.belief.identification
-    assert len(run.belief.draws) > 0
+    found = run.state.belief.identification
+    assert len(run.state.belief.draws) > 0
     log_ratio = [
-        np.log(draw.params[0].mass / found.scene.params[0].mass) for draw in run.belief.draws
+        np.log(draw.parameters[0].mass / found.parameters[0].mass)
+        for draw in run.state.belief.draws
     ]
     spread = np.sqrt(np.diag(found.covariance)[: truth.objects[0].n])
     assert 0.2 < np.std(log_ratio) / spread.mean() < 3.0
@@ -201,7 +205,7 @@ def test_what_is_refused():
     with pytest.raises(PlanningError, match="min_move"):
         SceneLearning(min_move=0.0)
     with pytest.raises(PlanningError, match="position_std"):
-        SimulatedSceneWorld(truth, position_std=-1.0)
+        SimulatedWorld(*truth, position_std=-1.0)
 
 
 def test_an_object_that_no_finger_reaches_is_named_with_what_is_around_it():
@@ -213,7 +217,7 @@ def test_an_object_that_no_finger_reaches_is_named_with_what_is_around_it():
         RearrangeOptions(search=huge),
         SceneRules(TABLE),
     )
-    belief = SceneBelief.of_prior(truth.objects, truth.poses)
+    belief = SceneBelief.of_prior(truth.objects)
     decision = planner.decide(truth.poses, belief, [])
     assert decision.action is SceneAction.FAIL
     assert "square" in decision.reason and "between bar" in decision.reason

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import describe_object
+from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.robot_status import (
     GraspOutcome,
@@ -16,8 +17,9 @@ from gridpush_drake.planning.robot_status import (
     PushStatus,
 )
 from gridpush_drake.planning.scene.belief import SceneBelief
+from gridpush_drake.planning.scene.joint_loop import JointLoop, SceneMode
 from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision
-from gridpush_drake.planning.scene.scene_loop import SceneLoop, SceneMode, SceneObservation
+from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shapes import make_shape
 
 POSES = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 3.1]])
@@ -44,20 +46,23 @@ class Counting:
 
     def learn(self, belief, pushes, seed, *, last=False):
         self.asked.append((len(pushes), last))
-        return SceneBelief(belief.scene)
+        return SceneBelief(belief.bodies)
 
 
 def make_loop(decisions, **options):
     objects = [make_shape("square", 20), make_shape("bar", 20)]
     planner = Scripted(decisions)
-    belief = SceneBelief.of_prior(objects, POSES, draws=0)
-    return SceneLoop(planner, belief, **options), planner
+    belief = SceneBelief.of_prior(objects, draws=0)
+    return JointLoop(planner, belief, **options), planner
+
+
+def look(time, poses, robot, gripper=None):
+    return Observation(time, np.array(poses), robot, PushLog(()), gripper=gripper or GraspStatus())
 
 
 def watch(loop, now, poses, robot, begin, times=6, gripper=None):
     for i in range(times):
-        seen = SceneObservation(begin + 0.05 * i, np.array(poses), robot, gripper or GraspStatus())
-        now = loop.step(now, seen)
+        now = loop.step(now, look(begin + 0.05 * i, poses, robot, gripper))
     return now
 
 
@@ -76,7 +81,7 @@ def test_a_push_is_made_seen_and_learned_from():
     # while it is under way nothing is decided
     busy = PushStatus(PushPhase.PUSHING, command_id=1)
     working = watch(loop, now, POSES, busy, 0.3)
-    assert (working.status, working.push_id, working.seen) == (now.status, 1, ())
+    assert (working.status, working.push_id, len(working.filter)) == (now.status, 1, 0)
     now = working
     after = POSES + [[0.05, 0.0, 0.1], [0.0, 0.0, 0.05]]
     wrapped = after - [[0.0, 0.0, 0.0], [0.0, 0.0, 2 * np.pi]]
@@ -84,7 +89,7 @@ def test_a_push_is_made_seen_and_learned_from():
     assert now.status.mode is SceneMode.DONE and now.status.pushes == 1
     # it is asked after the push, and once more as the task is done
     assert learner.asked == [(1, False), (1, True)] and now.belief is not loop.belief
-    np.testing.assert_allclose(now.log[0].poses, POSES)
+    np.testing.assert_allclose(now.log[0].pose, POSES)
     np.testing.assert_allclose(now.log[0].poses_observed[0], after)
     # what is over stays so
     assert watch(loop, now, POSES, PushStatus(), 2.0) is now
@@ -95,7 +100,7 @@ def test_objects_that_move_are_waited_for():
     now = loop.begin()
     for i in range(10):
         moving = POSES + [[0.01 * i, 0.0, 0.0], [0.0, 0.0, 0.0]]
-        now = loop.step(now, SceneObservation(0.05 * i, moving, PushStatus()))
+        now = loop.step(now, look(0.05 * i, moving, PushStatus()))
     assert not planner.shown
     now = watch(loop, now, moving, PushStatus(), 1.0)
     np.testing.assert_allclose(planner.shown[0][0], moving)

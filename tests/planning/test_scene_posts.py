@@ -6,21 +6,20 @@ import numpy as np
 import pytest
 import shapely
 
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.scene.belief import SceneBelief
-from gridpush_drake.planning.scene.loop import SceneAction, run_scene_task
+from gridpush_drake.planning.scene.loop import SceneAction
 from gridpush_drake.planning.scene.rearrangement import RearrangeOptions, RearrangePlanner
 from gridpush_drake.planning.scene.rules import POST_LEEWAY, POST_MARGIN, SceneRules, place_outlines
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 from gridpush_drake.planning.scene.separation import SeparatePlanner
-from gridpush_drake.planning.scene.world import SimulatedSceneWorld
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from tests.helpers.random_pushes import make_random_contents
-from tests.helpers.scene_cases import make_row
+from tests.helpers.scene_cases import Layout, make_row, run_task
 from tests.helpers.shapes import make_shape
 
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.2, 1.2))
@@ -48,7 +47,7 @@ def calc_distances(truth, poses, post):
 @pytest.fixture(scope="module")
 def bar():
     obj = make_shape("bar", 20)
-    return Scene([SceneBody(obj, CellParameters.uniform(obj), (0.0, 0.0, 0.0))])
+    return Layout.of([(obj, CellParameters.uniform(obj), (0.0, 0.0, 0.0))])
 
 
 def test_a_push_stops_before_an_object_comes_to_a_post(bar):
@@ -56,7 +55,7 @@ def test_a_push_stops_before_an_object_comes_to_a_post(bar):
     (obj,) = bar.objects
     right = obj.outline.bounds[2]
     post = make_post(right + 0.05 + RADIUS, 0.0)
-    belief = SceneBelief(bar)
+    belief = SceneBelief(bar.bodies)
 
     def find(rules):
         search = SceneSearch(belief, rules, QUICK)
@@ -74,7 +73,7 @@ def test_a_push_stops_before_an_object_comes_to_a_post(bar):
 
 def test_what_lies_at_a_post_is_pushed_away_from_it(bar):
     post = make_post(bar.objects[0].outline.bounds[2] + 0.004 + RADIUS, 0.0)
-    search = SceneSearch(SceneBelief(bar), make_rules(post), QUICK)
+    search = SceneSearch(SceneBelief(bar.bodies), make_rules(post), QUICK)
     rng = np.random.default_rng(1)
     found = search.find_push(bar.poses, lambda poses: 100.0 * poses[:, 0, 0], [0], rng)
     before, after = calc_distances(bar, [bar.poses, found.poses], post)[:, 0]
@@ -85,10 +84,10 @@ def make_truth(seed):
     truth, _ = make_row(seed, ["square", "bar", "triangle"], cells=20)
     rng = np.random.default_rng(seed)
     bodies = [
-        SceneBody(obj, make_random_contents(rng, obj), pose)
+        (obj, make_random_contents(rng, obj), pose)
         for obj, pose in zip(truth.objects, truth.poses, strict=True)
     ]
-    return Scene(bodies, 0.25)
+    return Layout.of(bodies, 0.25)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -98,13 +97,13 @@ def test_objects_are_separated_beside_a_post(seed):
     middle = heap.centroid
     post = make_post(middle.x, heap.bounds[3] + 0.025 + RADIUS)
     rules = make_rules(post)
-    world = SimulatedSceneWorld(truth, TABLE, position_std=0.0005, angle_std=0.003, seed=seed)
+    world = SimulatedWorld(*truth, TABLE, position_std=0.0005, angle_std=0.003, seed=seed)
     planner = SeparatePlanner(truth.objects, rules=rules, search=QUICK, seed=seed)
-    belief = SceneBelief.of_prior(truth.objects, truth.poses, draws=2, seed=seed)
-    run = run_scene_task(world, planner, belief, seed=seed)
-    assert run.done and run.last.action is SceneAction.DONE
+    belief = SceneBelief.of_prior(truth.objects, draws=2, seed=seed)
+    run = run_task(world, planner, belief, seed=seed)
+    assert run.state.done and run.state.last.action is SceneAction.DONE
     # whatever their masses are, no object was pushed against it
-    seen = [step.poses for step in run.steps] + [each.poses_observed[-1] for each in run.log]
+    seen = [step.poses for step in run.state.steps] + [each.poses_observed[-1] for each in run.log]
     assert calc_distances(truth, seen, post).min() > POST_MARGIN - POST_LEEWAY - 0.002
 
 

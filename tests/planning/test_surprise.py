@@ -83,7 +83,7 @@ def push_a_hammer(hammer, changes, seed, ratio=20.0):
     def is_over(state):
         return state.status.mode in (ContactPointMode.REACHED, ContactPointMode.FAILED)
 
-    run = run_loop(loop, hammer, world, is_over, learn=Learner(), goal=GOAL, progress=note)
+    run = run_loop(loop, world, is_over, obj=hammer, learn=Learner(), goal=GOAL, progress=note)
     return statuses, run
 
 
@@ -100,7 +100,7 @@ def test_a_push_that_nothing_is_learned_from_ends_no_task(hammer) -> None:
     world = ChangingWorld(hammer, load_end(hammer, 1), START, seed=0, **NOISE)
     loop = PushToGoalLoop(Model(hammer), RULES, options=ONE_LOOK)
     over = lambda state: state.push_id > 3  # noqa: E731
-    run = run_loop(loop, hammer, world, over, learn=learn, goal=GOAL)
+    run = run_loop(loop, world, over, obj=hammer, learn=learn, goal=GOAL)
     bad = shown[1][-1]
     assert run.left_out == {bad: "its equations cannot be solved"}
     assert bad not in shown[2] and len(shown[2]) == 2
@@ -545,13 +545,14 @@ def test_a_changed_object_at_the_edge_is_brought_back_and_learned_anew(hammer) -
     prior = replace(hammer.prior, friction=0.35, friction_min=0.3, friction_max=0.4)
     obj = replace(hammer, prior=prior)
     table = SupportSurface.rectangle((0.0, 0.0), (1.2, 0.9))
-    world = ChangingEdgeWorld(obj, load_end(obj, 1, 4.0), (-0.1, 0.05, 0.3), table, seed=1, **NOISE)
+    world = ChangingEdgeWorld(
+        Model(obj, load_end(obj, 1, 4.0)), (-0.1, 0.05, 0.3), table, seed=1, **NOISE
+    )
     world.changes = {4: load_end(obj, -1, 4.0)}
     planner = PreGraspPlanner(obj, table)
     loop = PreGraspLoop(planner, lambda *_: None, options=PreGraspLoopOptions(observations=1))
     asked = []
-    run = run_loop(
-        loop, obj, world, is_over, learn=LEARNER, surface=table,
+    run = run_loop(loop, world, is_over, obj=obj, learn=LEARNER, surface=table,
         progress=lambda state, seen, learned: asked.append(state),
     )  # fmt: skip
     # Three pokes, a slide with the load that was learned, and one with the other load, which ends at
@@ -574,12 +575,12 @@ def test_no_object_falls_whose_load_is_turned_when_it_comes_to_the_edge(seed) ->
     table = SupportSurface.rectangle((0.0, 0.0), (1.2, 0.9))
     rng = np.random.default_rng((seed, 77))
     start = (*rng.uniform(-0.15, 0.15, 2), rng.uniform(-3, 3))
-    world = ChangingEdgeWorld(obj, load_end(obj, 1, 4.0), start, table, seed=seed, **NOISE)
+    world = ChangingEdgeWorld(Model(obj, load_end(obj, 1, 4.0)), start, table, seed=seed, **NOISE)
     world.changes = {4: load_end(obj, -1, 4.0)}
     loop = PreGraspLoop(
         PreGraspPlanner(obj, table), lambda *_: None, options=PreGraspLoopOptions(observations=1)
     )
-    run = run_loop(loop, obj, world, is_over, learn=LEARNER, surface=table)
+    run = run_loop(loop, world, is_over, obj=obj, learn=LEARNER, surface=table)
     assert not world.truth.fallen
     # The first push with the other load, or the next one, is noticed.
     assert run.state.surprises.total >= 1

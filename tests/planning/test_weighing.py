@@ -521,7 +521,7 @@ def test_a_run_goes_on_where_another_one_ended():
     loop = PreGraspLoop(planner, lambda *_: None)
     state = loop.begin().turn_to("weighing", "It is weighed.")
     before = LoopRun(state=state, identification=describe_prior(BAR))
-    after = run_loop(loop, BAR, None, lambda _: True, begun=before)
+    after = run_loop(loop, None, lambda _: True, obj=BAR, begun=before)
     assert after is before
     assert after.state.shown_push is None
 

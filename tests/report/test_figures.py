@@ -16,7 +16,6 @@ from PIL import Image
 from shapely import Polygon
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.outliers import Outlier
@@ -56,6 +55,7 @@ from gridpush_drake.report.plan_figures import (
 from gridpush_drake.report.progress import Progress, draw_progress
 from gridpush_drake.report.scene_run import draw_scene_run
 from tests.helpers.made_identifications import make_block, make_identification
+from tests.helpers.scene_cases import Layout
 from tests.helpers.shapes import make_shape
 from tests.helpers.simulated_pushes import make_pushes
 
@@ -152,9 +152,9 @@ def motion():
 def scene_motion():
     block = make_block()
     params = CellParameters.uniform(block)
-    scene = Scene([SceneBody(block, params), SceneBody(block, params, (0.3, 0, 0))])
+    scene = Layout.of([(block, params, (0.0, 0.0, 0.0)), (block, params, (0.3, 0, 0))])
     poses = np.linspace(scene.poses, scene.poses + (0.05, 0.02, 0.4), 30)
-    return draw_scene_motion(scene, Push((-0.1, 0), (0.1, 0), 1.0, 0.01), poses)
+    return draw_scene_motion(scene.objects, Push((-0.1, 0), (0.1, 0), 1.0, 0.01), poses)
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,11 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.identification.model_file import read_model
+from gridpush_drake.planning.scene.joint_loop import SceneMode, SceneStatus
 from gridpush_drake.planning.scene.loop import SceneAction, SceneDecision, SceneLearning
-from gridpush_drake.planning.scene.scene_loop import SceneMode, SceneStatus
 from gridpush_drake.planning.scene.separation import MARGIN
-from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
+from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.others import draw_other_truth
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.run_recorder import RunRecorder
@@ -240,7 +241,7 @@ def make_record(task, name):
     record = task.make_record()
     push = Push((0.5, -0.2), (0.05, 0.0), 1.0, 0.01)
     moved = record.begin + [0.0, 0.05, 0.1]
-    seen = ObservedScenePush("push_1", push, record.begin, np.array([1.0]), moved[None])
+    seen = ObservedPush("push_1", push, record.begin, np.array([1.0]), moved[None])
     command = PushCommand.from_push(1, push)
     status = SceneStatus(SceneMode.PUSHING, "The pliers away.", 0, 1, "clear")
     record.steps.append(TaskStep(0.4, status, record.begin[0], push=command))
@@ -267,7 +268,7 @@ def test_a_run_is_summarized_and_reported(name, tmp_path):
     page = (tmp_path / "report.html").read_text()
     assert "The pliers away." in page and "recording.html" not in page
     assert "recording.html" in kind.make_report(record, "recording.html")
-    log = SceneLog.read_csv(tmp_path / "pushes.csv")
+    log = PushLog.read_csv(tmp_path / "pushes.csv")
     np.testing.assert_array_equal(log[0].poses_observed, record.scene_log[0].poses_observed)
     assert len(list_rest_poses(record)) == 2
     # what is not done yet

@@ -32,7 +32,7 @@ def test_the_robot_makes_a_push_and_the_object_is_put_back(world):
     np.testing.assert_allclose(motion.poses[-1], end, atol=1e-3)
     assert motion.times[-1] > 2.0
     np.testing.assert_allclose(seen.final_pose[:2], end[:2], atol=0.005)
-    assert world.truth.params.n == world.station.obj.n
+    assert world.truth.bodies.params.n == world.station.obj.n
 
     world.put(start)
     np.testing.assert_allclose(world.truth.pose, start, atol=1e-3)

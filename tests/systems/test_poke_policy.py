@@ -242,7 +242,7 @@ def test_a_poke_that_was_not_logged_is_made_up_for_but_not_for_ever():
 
 def make_observed_pushes(obj):
     """Two pushes of an object, as they are written down."""
-    world = SimulatedWorld(obj, CellParameters.uniform(obj), np.zeros(3))
+    world = SimulatedWorld(Model(obj, CellParameters.uniform(obj)), np.zeros(3))
     pushes = []
     for place in (0.05, 0.15):
         world.put(np.zeros(3))

@@ -10,8 +10,6 @@ from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -20,11 +18,12 @@ from gridpush_drake.perception.pose_prediction import ScenePushModel
 from gridpush_drake.systems import ObjectsPoseEstimator
 from tests.helpers.hidden_pictures import ARM, HEIGHT, PERIOD, ROWS, WIDTH, HiddenPictures
 from tests.helpers.pictures import make_camera
+from tests.helpers.scene_cases import Layout
 
 SQUARE = GridObject.from_outline(shapely.box(-0.05, -0.05, 0.05, 0.05), max_cells=25, name="square")
 BLOCK = GridObject.from_outline(shapely.box(-0.03, -0.02, 0.03, 0.02), max_cells=20, name="block")
 START = np.array([[0.0, -0.02, 0.0], [-0.02, 0.07, 0.2]])
-SCENE = Scene(
+SCENE = Layout.of(
     [(obj, CellParameters.uniform(obj), q) for obj, q in zip((SQUARE, BLOCK), START, strict=True)]
 )
 RADIUS = 0.006
@@ -37,7 +36,7 @@ def push():
     t = PERIOD * np.arange(1, count + 1)
     along = np.linspace(0.0, 0.11, count)
     xy = np.column_stack([np.full(count, 0.042), START[0, 1] - 0.0565 + along])
-    motion = simulate_scene(SCENE, Push.along(t, xy, RADIUS))
+    motion = SCENE.simulate(Push.along(t, xy, RADIUS))
     assert motion.status == MotionStatus.OK
     return t, xy, motion
 
@@ -83,7 +82,7 @@ def test_objects_that_a_push_took_out_of_sight_are_told_by_the_model():
     moved = true - START
     assert np.radians(50) < moved[0, 2] < np.radians(85)
     assert np.linalg.norm(moved[1, :2]) > 0.03  # by the square alone: the tip is not near it
-    poses = run(ScenePushModel(SCENE, top=HEIGHT, radius=RADIUS))
+    poses = run(ScenePushModel(SCENE.bodies, top=HEIGHT, radius=RADIUS))
     np.testing.assert_allclose(poses[:, :2], true[:, :2], atol=3e-3)
     assert np.abs(wrap_angle(poses[:, 2] - true[:, 2])).max() < np.radians(2)
 

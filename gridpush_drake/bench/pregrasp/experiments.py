@@ -75,6 +75,7 @@ from gridpush_drake.bench.table import Table
 from gridpush_drake.bench.truth.sets import KINDS
 from gridpush_drake.bench.worlds import LCP, find_world
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
@@ -414,12 +415,12 @@ def _slide(
             make_world = find_world(job.truth)
     # Object and world are made; the truth of MuJoCo's bodies is known only now.
     world = make_world(
-        obj, truth, start, surface, position_std=POSITION_STD, angle_std=ANGLE_STD, seed=rng
+        Model(obj, truth), start, surface, position_std=POSITION_STD, angle_std=ANGLE_STD, seed=rng
     )
-    hidden = world.truth.params
+    hidden = world.truth.bodies
     if job.truth in KINDS and hidden is not None:
         # MuJoCo's body stands where it can, and is pushed at a height that is known only then.
-        obj = know_height(obj, hidden.push_height)
+        obj = know_height(obj, hidden.params.push_height)
 
     # Methods that learn nothing need no pokes.
     known = PreGraspOptions().min_pokes

@@ -210,7 +210,7 @@ def _poke(
     found = None
     model = UncertainModel.of_prior(obj)
     pose = np.zeros(3)
-    world = SimulatedWorld(obj, truth, pose)
+    world = SimulatedWorld(Model(obj, truth), pose)
     log = list[ObservedPush]()
     std = np.inf
     error = np.inf

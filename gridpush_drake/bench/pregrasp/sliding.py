@@ -207,9 +207,9 @@ def run_method(world: PushWorld, planner: PreGraspPlanner, method: str) -> Outco
         return run_pregrasp(world, planner, paper.learn, paper.make_inference(planner.obj))
     params = CellParameters.uniform(planner.obj)
     if method == TRUE:
-        hidden = world.truth.params
+        hidden = world.truth.bodies
         assert hidden is not None
-        params = hidden
+        params = hidden.params
     granted = UncertainModel.of_parameters(Model(planner.obj, params))
     return run_pregrasp(world, planner, None, lambda found, log: granted)
 

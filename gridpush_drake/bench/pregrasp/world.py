@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, MujocoWorld, TruthBody
 from gridpush_drake.bench.truth.sets import HALF_HEIGHT, make_body
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import ObjectError, PlanningError
@@ -23,8 +24,8 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.loop_run import Learn, Learner, run_loop
-from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
@@ -73,17 +74,15 @@ class EdgeWorld(TrackedWorld):
     says nothing of its masses.
 
     Attributes:
-        obj: the object.
-        params: its true masses and frictions.
+        bodies: the object with its true masses and frictions.
         surface: the table.
     """
 
-    params: CellParameters
+    bodies: Bodies
 
     def __init__(
         self,
-        obj: GridObject,
-        params: CellParameters,
+        bodies: Bodies,
         pose: ArrayLike,
         surface: SupportSurface | None = None,
         *,
@@ -96,8 +95,7 @@ class EdgeWorld(TrackedWorld):
         Raises:
             PlanningError: there is no table, or a number is out of range.
         """
-        self.obj = obj
-        self.params = params
+        self.bodies = bodies
         self.surface = require_table(surface)
         super().__init__(
             pose,
@@ -115,19 +113,19 @@ class EdgeWorld(TrackedWorld):
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
         """Simulates a push of the object from a pose (3,), up to where it falls."""
         times = make_path_times(push, REGIME)
-        motion = simulate_near_edge(Model(self.obj, self.params), push, pose, self.surface)
+        motion = simulate_near_edge(self.bodies, push, pose, self.surface)
         return WorldMotion(
             times=times[: len(motion.poses)],
             poses=motion.poses,
             fell=motion.fell,
-            overhang=not find_supported(self.obj, motion.poses, self.surface).all(),
+            overhang=not find_supported(self.bodies.obj, motion.poses, self.surface).all(),
         )
 
     @property
     def truth(self) -> WorldTruth:
         """What is true of the object now, for judges only."""
         truth = super().truth
-        loads = calc_loads(Model(self.obj, self.params), truth.pose, self.surface.corners)
+        loads = calc_loads(self.bodies, truth.pose, self.surface.corners)
         return replace(truth, stays=loads is not None)
 
 
@@ -138,16 +136,14 @@ class MujocoEdgeWorld(MujocoWorld):
     does within REST_TIME after a push.
 
     Attributes:
-        obj: the object, of which is known at what height it is pushed.
-        params: its true masses, of a sum of 1 kg, its frictions, and the height at which it is
-            pushed.
+        bodies: the object, of which is known at what height it is pushed, with its true masses, of
+            a sum of 1 kg, its frictions, and that height.
         surface: the table.
     """
 
     def __init__(
         self,
-        obj: GridObject,
-        params: CellParameters,
+        bodies: Bodies,
         pose: ArrayLike,
         surface: SupportSurface | None = None,
         *,
@@ -159,8 +155,7 @@ class MujocoEdgeWorld(MujocoWorld):
         """Puts a body down; the other arguments are those of `planning.world.WorldMaker`.
 
         Args:
-            obj: the object.
-            params: its true masses, up to a common scale, and frictions.
+            bodies: the object with its true masses, up to a common scale, and frictions.
             pose: (3,) where it lies, m and rad.
             surface: the table, a rectangle along the world's axes.
             position_std: standard deviation of seen positions, per axis, m.
@@ -182,9 +177,10 @@ class MujocoEdgeWorld(MujocoWorld):
                 f"table: is {self.surface!r}; expected a rectangle along the world's axes"
             )
         rng = np.random.default_rng(seed)
+        obj = bodies.obj
+        params = bodies.params
         light = replace(params, mass=params.mass / params.total_mass)
         body = replace(_stand(support, obj, light, rng).harden(), time_step=TIME_STEP)
-        self.obj = know_height(obj, body.push_height)
         super().__init__(
             body,
             choose_pusher_radius(obj),
@@ -196,7 +192,9 @@ class MujocoEdgeWorld(MujocoWorld):
             observations=1,
             looks_anew=True,
         )
-        self.params = replace(light, push_height=body.push_height)
+        self.bodies = Bodies(
+            know_height(obj, body.push_height), replace(light, push_height=body.push_height)
+        )
 
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
         """Pushes the body, and waits until it rests; the motion ends where it falls."""
@@ -220,7 +218,7 @@ class MujocoEdgeWorld(MujocoWorld):
             poses=poses,
             fell=fell,
             tilt=np.interp(times[: len(poses)], made.times, made.tilt),
-            overhang=not find_supported(self.obj, poses, self.surface).all(),
+            overhang=not find_supported(self.bodies.obj, poses, self.surface).all(),
         )
 
     @property
@@ -304,7 +302,7 @@ def run_pregrasp(
         infer: says what is held possible; by default what the identification's posterior says.
     """
     loop = PreGraspLoop(planner, lambda *_: None, infer=infer, options=ONE_OBSERVATION)
-    run = run_loop(loop, planner.obj, world, is_over, learn=learn, surface=planner.surface)
+    run = run_loop(loop, world, is_over, obj=planner.obj, learn=learn, surface=planner.surface)
     status = run.state.status
     truth = world.truth
     grasped = False
@@ -313,7 +311,7 @@ def run_pregrasp(
         grasped = bool(overhangs.max() >= 0) and truth.stays
     return Outcome(
         grasped=grasped,
-        dropped=truth.fallen,
+        dropped=bool(truth.fallen),
         pokes=status.pokes,
         slides=status.slides,
         reason=status.reason,

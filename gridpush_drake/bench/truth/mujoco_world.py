@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.extras import import_extra
@@ -167,13 +168,13 @@ class MujocoWorld(TrackedWorld):
 
     Attributes:
         body: the body that is pushed.
-        params: its cells' true masses and frictions.
+        bodies: the object with its true masses and frictions.
         radius: radius of the pusher, m.
         foot_loads: (F,) what each foot bears at rest, wholly on the table, N.
         loads: (n,) what the feet of each cell bear at rest, wholly on the table, N.
     """
 
-    params: CellParameters
+    bodies: Bodies
 
     def __init__(
         self,
@@ -211,7 +212,7 @@ class MujocoWorld(TrackedWorld):
         """
         mujoco = import_extra("mujoco", "bench")
         self.body = body
-        self.params = body.params
+        self.bodies = Bodies(body.obj, body.params)
         self.radius = radius
         self._mujoco = mujoco
         self._settle = settle

@@ -248,7 +248,7 @@ def _make_world(
     """Makes a world of a body, and says at what height the pusher touches it, m."""
     if name == "drake":
         world = PlantWorld(
-            obj, params, radius=radius, base="free", edge=0.0, spheres_per_cell=PLANT_SPHERES
+            Model(obj, params), radius=radius, base="free", edge=0.0, spheres_per_cell=PLANT_SPHERES
         )
         return world, PUSH_HEIGHT
     body = make_body(HALF_HEIGHT, obj, params, rng).harden()

@@ -190,7 +190,7 @@ def make_set(
         name=name,
         seed=seed,
         obj=obj,
-        params=world.params,
+        params=world.bodies.params,
         loads=world.loads,
         push_height=world.body.push_height,
         training=PushLog(tuple(pushes[:training])),

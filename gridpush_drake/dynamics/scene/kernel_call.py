@@ -7,12 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.contact import Edges
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.scene.records import (
     IDENTITY,
     NUMBERS,
-    Bodies,
+    BodyArrays,
     Contacts,
     Pusher,
     SceneState,
@@ -21,7 +22,7 @@ from gridpush_drake.dynamics.kernels.scene.records import (
 )
 from gridpush_drake.dynamics.kernels.scene.rollout import rollout_scene
 from gridpush_drake.dynamics.physics import Physics
-from gridpush_drake.dynamics.scene.bodies import Scene, calc_outline_reach, get_core
+from gridpush_drake.dynamics.scene.cores import calc_outline_reach, get_core
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import Array, IntArray
 
@@ -29,34 +30,35 @@ CONTACTS_A_BODY = 16
 """Contacts within reach for which there is room, for each body."""
 
 
-def make_bodies(scene: Scene, physics: Physics) -> Bodies:
-    """Collects what the kernels know of a scene's objects."""
+def make_bodies(bodies: Bodies) -> BodyArrays:
+    """Collects what the kernels know of several objects."""
     # what every cell can bear, and the law of each object
-    k = [params.friction * params.mass * physics.gravity for params in scene.params]
+    physics = bodies.physics
+    k = [params.friction * params.mass * physics.gravity for params in bodies.parameters]
     laws = [
         physics.law.make(loads, calc_spin_arm(obj, params), physics.used_spin)
-        for obj, params, loads in zip(scene.objects, scene.params, k, strict=True)
+        for (obj, params), loads in zip(bodies, k, strict=True)
     ]
     # outlines for the pusher, cores for each other
-    cores = [get_core(obj) for obj in scene.objects]
-    outlines = [obj.edges for obj in scene.objects]
-    cells = np.concatenate([obj.p_BC for obj in scene.objects])
-    return Bodies(
-        first_cell=_count_up([obj.n for obj in scene.objects]),
+    cores = [get_core(obj) for obj in bodies.objects]
+    outlines = [obj.edges for obj in bodies.objects]
+    cells = np.concatenate([obj.p_BC for obj in bodies.objects])
+    return BodyArrays(
+        first_cell=_count_up([obj.n for obj in bodies.objects]),
         cells=np.array(cells.T, order="C"),
         k=np.concatenate(k),
         spin=np.array([law.spin for law in laws]),
         load=np.array([float(loads.sum()) for loads in k]),
-        arm=np.array([float(obj.radius_of_gyration) for obj in scene.objects]),
-        reach=np.array([calc_outline_reach(obj) for obj in scene.objects]),
+        arm=np.array([float(obj.radius_of_gyration) for obj in bodies.objects]),
+        reach=np.array([calc_outline_reach(obj) for obj in bodies.objects]),
         box=np.array(
             [
                 np.concatenate([core.edges.start.min(axis=0), core.edges.start.max(axis=0)])
                 for core in cores
             ]
         ),
-        finger_friction=np.array([float(params.contact_friction) for params in scene.params]),
-        pair_friction=np.array(scene.pair_friction),
+        finger_friction=np.array([float(params.contact_friction) for params in bodies.parameters]),
+        pair_friction=np.array(bodies.pair_friction),
         outline=_join_edges(outlines),
         first_edge=_count_up([len(edges.start) for edges in outlines]),
         core=_join_edges([core.edges for core in cores]),
@@ -94,7 +96,7 @@ def make_scene_contacts(n: int) -> Contacts:
 
 
 def run_scene_kernel(
-    bodies: Bodies,
+    bodies: BodyArrays,
     physics: Physics,
     *,
     pusher: Pusher,

@@ -1,83 +1,77 @@
-"""`simulate_scene`: several grid objects under a push, which push each other.
+"""`simulate_together`: several grid objects under a push, which push each other.
 
-The model is that of `simulate` with contacts between bodies, in the quasi-static regime
-(`docs/theory/model.md`, section 9). For one object it gives the same motion.
-
-Not supported, and refused: the inertial regime, loads that shift (a `push_height`, a table's edge),
-friction laws other than "isotropic", and pushes by a force.
+The model is that of one object with contacts between bodies, in the quasi-static regime
+(`docs/theory/model.md`, section 9). For one object it gives the motion that `simulate` gives, by
+which it is tested; `simulate` calls it where there are more.
 """
 
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridpush_drake.dynamics.bodies import Bodies, describe_object
 from gridpush_drake.dynamics.kernels.isotropic_friction import ISOTROPIC
 from gridpush_drake.dynamics.kernels.scene.records import Pusher, SceneSteps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
-from gridpush_drake.dynamics.motion import MotionStatus
-from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics, check_word
-from gridpush_drake.dynamics.push import Push, check_times, make_times, measure_steps
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody, describe_object
+from gridpush_drake.dynamics.motion import (
+    NO_BODY,
+    OVERLAP_TOLERANCE,
+    Jacobian,
+    Motion,
+    MotionStatus,
+)
+from gridpush_drake.dynamics.push import (
+    Push,
+    check_record,
+    check_times,
+    make_times,
+    measure_steps,
+)
 from gridpush_drake.dynamics.scene.kernel_call import (
     make_bodies,
     make_scene_contacts,
     make_scene_state,
     run_scene_kernel,
 )
-from gridpush_drake.dynamics.scene.motion import SceneJacobian, SceneMotion
-from gridpush_drake.dynamics.simulation import OVERLAP_TOLERANCE, check_record
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.geometry.se2 import Array, IntArray
+from gridpush_drake.geometry.se2 import Array, IntArray, rotate
 
 PUSH_COLUMNS = 4
 """Columns of derivatives of the push: start x, start y, direction, length."""
 
-NO_BODY = -2
-"""What stands in `SceneMotion.bodies` where there is no contact."""
 
-
-def simulate_scene(
-    scene: Scene | Iterable[SceneBody | Sequence[object]],
+def simulate_together(
+    bodies: Bodies,
     push: Push,
+    poses: Array,
     dt: float | None = None,
     gradients: bool = False,
-    *,
-    physics: Physics | None = None,
     times: ArrayLike | None = None,
     record: ArrayLike | None = None,
-) -> SceneMotion:
+) -> Motion:
     """Simulates one push of several objects, quasi-statically.
 
     Args:
-        scene: the objects; or those of which to make one, with the default friction between them.
+        bodies: the objects; the regime "auto" is "quasi_static" here.
         push: the pusher's motion.
-        dt: step, s; the last one is shortened to end with the push. By default so short that the
-            pusher moves at most `DEFAULT_TIP_STEP` a step.
+        poses: (N, 3) of the objects at the beginning, m and rad. They may overlap, as poses that
+            were seen with noise do; in the push the objects are moved apart little by little.
+        dt: as of `simulate`, as all that follows.
         gradients: whether the exact Jacobian of every recorded pose is added.
-        physics: spin, gravity and tolerances; `Physics()` by default. The regime "auto" is
-            "quasi_static" here.
-        times: (T+1,) the steps' times, s from the push's beginning, instead of `dt`.
-        record: indices into the T+1 steps whose Jacobian is wanted, negative ones from the end; all
-            by default.
+        times: (T+1,) the steps' times, s.
+        record: indices of the poses whose Jacobian is wanted.
 
     Returns:
-        The motion. Its `status` says whether the pusher touched an object and every step was
-        solved.
+        The motion; its arrays have an axis for the objects, even where there is one.
 
     Raises:
-        SimulationError: an argument is out of range, two objects overlap, or something is asked for
-            that scenes do not support, see above.
+        SimulationError: an argument is out of range, or the physics asks for something that several
+            objects do not know.
     """
-    whole = scene if isinstance(scene, Scene) else Scene(scene)
-    check_word("gradients", gradients, (False, True))
-    used = check_scene_physics(physics, whole)
-    if not isinstance(push, Push):
-        raise SimulationError(
-            f"push is a {type(push).__name__}; expected a Push: a scene is quasi-static, and a "
-            "force alone has no speed there"
-        )
+    bodies = check_together(bodies)
+    used = bodies.physics
+    n = len(bodies)
     # When the steps end, and which of their poses are differentiated.
     times = make_times(push, dt, used.regime) if times is None else check_times(times, False)
     dts = measure_steps(push, times, used.regime)
@@ -85,18 +79,18 @@ def simulate_scene(
     rows = np.arange(steps + 1) if record is None else check_record(record, steps)
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
-    J = np.empty((0, len(whole), 3, 0))
+    J = np.empty((0, n, 3, 0))
     if gradients:
-        J = np.empty((len(rows), len(whole), 3, count_scene_columns(whole)))
+        J = np.empty((len(rows), n, 3, count_scene_columns(bodies)))
 
     # The kernel, from rest.
     tip = push.tip_at(times)
-    contacts = make_scene_contacts(len(whole))
+    contacts = make_scene_contacts(n)
     result = run_scene_kernel(
-        make_bodies(whole, used),
+        make_bodies(bodies),
         used,
         pusher=Pusher(tip=tip, path_length=push.length, radius=push.radius),
-        state=make_scene_state(whole.poses),
+        state=make_scene_state(poses),
         contacts=contacts,
         dts=dts,
         row_of_step=row_of_step,
@@ -104,91 +98,110 @@ def simulate_scene(
     )
     # Rows beyond a step's contacts hold what an earlier step left there.
     beyond = np.arange(result.modes.shape[1]) >= result.counts[:, None]
-    bodies = result.ids[:, :, :2].copy()
-    bodies[beyond] = NO_BODY
+    pairs = result.ids[:, :, :2].copy()
+    pairs[beyond] = NO_BODY
     result.points[beyond] = np.nan
     room = int(result.counts.max(initial=0))
-    return SceneMotion(
-        names=tuple(describe_object(whole.objects, i) for i in range(len(whole))),
+    return Motion(
         times=times,
         poses=result.poses,
+        velocities=_calc_velocities(result, dts / np.diff(times)),
         tip=tip,
-        bodies=bodies[:, :room],
-        forces=result.forces[:, :room],
-        points=result.points[:, :room],
+        contact_forces=result.forces[:, :room],
+        contact_points=result.points[:, :room],
         modes=result.modes[:, :room],
-        gaps=result.gaps[:, :room],
-        finger_gaps=result.finger_gaps,
+        gaps=result.finger_gaps,
         status=_find_status(result, int(contacts.lost[0])),
-        residuals=result.residuals,
+        load_centers=np.full((steps, n, 2), np.nan),
+        tips=np.zeros((steps, n), dtype=bool),
         iterations=result.statuses[:, 1],
         physics=used,
-        _jacobian=expand_columns(whole, used, J, rows) if gradients else None,
+        contact_bodies=pairs[:, :room],
+        contact_gaps=result.gaps[:, :room],
+        residuals=result.residuals,
+        _jacobian=expand_columns(bodies, J, rows) if gradients else None,
     )
 
 
-def check_scene_physics(physics: Physics | None, scene: Scene) -> Physics:
-    """Refuses what scenes do not support, and replaces the regime "auto" by "quasi_static".
+def check_together(bodies: Bodies) -> Bodies:
+    """Refuses what several objects do not know, and makes the regime "auto" "quasi_static".
 
     Raises:
         SimulationError: names what it is, and what is expected.
     """
-    used = physics or DEFAULT_PHYSICS
-    if used.regime == "inertial":
+    physics = bodies.physics
+    if physics.regime == "inertial":
         raise SimulationError(
-            "regime is 'inertial'; expected 'quasi_static': a scene's bodies have no momentum"
+            "regime is 'inertial'; expected 'quasi_static': several objects have no momentum"
         )
-    if used.law is not ISOTROPIC:
+    if physics.law is not ISOTROPIC:
         raise SimulationError(
-            f"friction_law is {used.friction_law!r}; expected 'isotropic', the one that scenes know"
+            f"friction_law is {physics.friction_law!r}; expected 'isotropic', the one that several "
+            "objects know"
         )
-    for i, params in enumerate(scene.params):
-        name = describe_object(scene.objects, i)
+    for i, params in enumerate(bodies.parameters):
+        name = describe_object(bodies.objects, i)
         if params.push_height > 0:
             raise SimulationError(
                 f"{name}: push_height is {params.push_height:g} m; expected 0: loads do not shift "
-                "in a scene"
+                "where there are several objects"
             )
-        if params.friction @ params.mass * used.gravity <= 0:
+        if params.friction @ params.mass * physics.gravity <= 0:
             raise SimulationError(
                 f"{name}: friction is zero; the quasi-static regime needs some friction with the "
                 "support"
             )
-    return replace(used, regime="quasi_static")
+    return bodies.with_physics(replace(physics, regime="quasi_static"))
 
 
-def count_scene_columns(scene: Scene) -> int:
+def count_scene_columns(bodies: Bodies) -> int:
     """Counts the kernel's columns of derivatives, see `kernels.scene.step_derivative`."""
-    n = len(scene)
-    cells = sum(obj.n for obj in scene.objects)
+    n = len(bodies)
+    cells = sum(obj.n for obj in bodies.objects)
     return cells + n + n * (n - 1) // 2 + PUSH_COLUMNS + 3 * n
 
 
-def expand_columns(scene: Scene, physics: Physics, J: Array, rows: IntArray) -> SceneJacobian:
+def expand_columns(bodies: Bodies, J: Array, rows: IntArray) -> Jacobian:
     """Makes named blocks of the kernel's columns J (R, N, 3, width), by k_i = mu_i m_i g."""
     # the columns, in the kernel's order
-    n = len(scene)
-    sizes = [obj.n for obj in scene.objects]
+    n = len(bodies)
+    cells = sum(obj.n for obj in bodies.objects)
     pairs = n * (n - 1) // 2
-    ends = np.cumsum([*sizes, n, pairs, 2, 1, 1, 3 * n])
-    *loads, finger, pair, start, direction, length, pose = np.split(J, ends[:-1], axis=-1)
+    ends = np.cumsum([cells, n, pairs, 2, 1, 1, 3 * n])
+    load, finger, pair, start, direction, length, pose = np.split(J, ends[:-1], axis=-1)
     by_pair = np.zeros((*J.shape[:3], n, n))
     # one number stands in two places of the matrix
     i, j = np.triu_indices(n, 1)
     by_pair[..., i, j] = pair
     by_pair[..., j, i] = pair
-    each = list(zip(loads, scene.params, strict=True))
-    return SceneJacobian(
+    gravity = bodies.physics.gravity
+    mass = np.concatenate([params.mass for params in bodies.parameters])
+    friction = np.concatenate([params.friction for params in bodies.parameters])
+    return Jacobian(
         steps=rows,
-        mass=tuple(load * (params.friction * physics.gravity) for load, params in each),
-        friction=tuple(load * (params.mass * physics.gravity) for load, params in each),
+        mass=load * (friction * gravity),
+        friction=load * (mass * gravity),
         contact_friction=finger,
-        pair_friction=by_pair,
         start=start,
         direction=direction[..., 0],
         length=length[..., 0],
         pose=pose.reshape(*J.shape[:3], n, 3),
+        pair_friction=by_pair,
     )
+
+
+def _calc_velocities(result: SceneSteps, rates: Array) -> Array:
+    """Calculates velocities (T+1, N, 3) in W, m/s and rad/s, of the twists by the pusher's path.
+
+    Args:
+        result: what the kernel recorded.
+        rates: (T,) speed of the pusher along its path in each step, m/s.
+    """
+    velocities = np.zeros_like(result.poses)
+    twists = result.twists * rates[:, None, None]
+    velocities[1:, :, :2] = rotate(result.poses[1:, :, 2], twists[..., :2])
+    velocities[1:, :, 2] = twists[..., 2]
+    return velocities
 
 
 def _find_status(result: SceneSteps, lost: int) -> MotionStatus:

@@ -139,7 +139,7 @@ def push_to_goal(
     def is_over(state: PushToGoalState) -> bool:
         return state.status.mode in (ContactPointMode.REACHED, FAILED, LOST)
 
-    run = run_loop(loop, obj, world, is_over, learn=learn, goal=aim, progress=note)
+    run = run_loop(loop, world, is_over, obj=obj, learn=learn, goal=aim, progress=note)
     status = run.state.status
     found = run.identification
     return PushRun(

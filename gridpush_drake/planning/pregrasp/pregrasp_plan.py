@@ -15,7 +15,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import MM, count, describe_pose, draw_paths, make_page, make_table
-from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
+from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel

@@ -33,8 +33,8 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, calc_goal_error
+from gridpush_drake.planning.edge_motion import COMPARED_TIP_STEP, follow_near_edge
 from gridpush_drake.planning.model_rollouts import count_agreed, count_exceptions, count_kept
-from gridpush_drake.planning.pregrasp.edge_motion import COMPARED_TIP_STEP, follow_near_edge
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
 from gridpush_drake.planning.pregrasp.stability import (
     SUPPORT_INSET,

@@ -19,12 +19,11 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.dynamics.scene.bodies import describe_object
+from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.decision import PreGraspDecision, PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, find_pregrasp_goals
@@ -42,8 +41,7 @@ from gridpush_drake.planning.scene.loop import (
 from gridpush_drake.planning.scene.rules import SceneRules, place_outlines
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-from gridpush_drake.pushes.scene_log import ObservedScenePush
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog, choose_pusher_radius
 
 POKE = "poke"
 SLIDE = "slide"
@@ -287,7 +285,7 @@ class FetchPlanner:
                 describe_no_room(
                     self.objects,
                     bodies,
-                    find_pusher_radius(self.objects, self.options.search.radius),
+                    choose_pusher_radius(self.objects, self.options.search.radius),
                 ),
             )
         return SceneDecision(
@@ -372,7 +370,7 @@ class FetchLearning:
     def learn(
         self,
         belief: SceneBelief,
-        pushes: Sequence[ObservedScenePush],
+        pushes: Sequence[ObservedPush],
         seed: int,
         *,
         last: bool = False,
@@ -390,7 +388,7 @@ class FetchLearning:
             found = self.scene.learn(belief, lying, seed, last=last)
         if last or not pushes or not self._tells(pushes[-1], obj):
             return found
-        clean = [self._single_out(seen) for seen in pushes if self._tells(seen, obj)]
+        clean = [seen.single_out(self.wanted) for seen in pushes if self._tells(seen, obj)]
         log = PushLog(tuple(clean))
         alone = identify(Model(obj), log, seed=seed)
         learned = UncertainModel.of_identification(
@@ -403,9 +401,9 @@ class FetchLearning:
             learned_alone={**belief.learned_alone, self.wanted: alone},
         )
 
-    def _tells(self, seen: ObservedScenePush, obj: GridObject) -> bool:
+    def _tells(self, seen: ObservedPush, obj: GridObject) -> bool:
         """Says whether only the wanted object moved in a push, and lay wholly on the table."""
-        change = seen.poses_observed[-1] - seen.poses
+        change = seen.final_pose - seen.pose
         moved = np.linalg.norm(change[:, :2], axis=1)
         turned = obj.radius_of_gyration * np.abs(change[:, 2])
         others = np.delete(moved + turned, self.wanted)
@@ -413,16 +411,6 @@ class FetchLearning:
             return False
         return self._lies(seen, obj)
 
-    def _lies(self, seen: ObservedScenePush, obj: GridObject) -> bool:
+    def _lies(self, seen: ObservedPush, obj: GridObject) -> bool:
         """Says whether the wanted object lay wholly on the table throughout a push."""
-        return stayed_supported(obj, self._single_out(seen), self.surface)
-
-    def _single_out(self, seen: ObservedScenePush) -> ObservedPush:
-        """Makes the push of the wanted object alone."""
-        return ObservedPush(
-            name=seen.name,
-            push=seen.push,
-            pose=seen.poses[self.wanted],
-            t_observed=seen.t_observed,
-            poses_observed=seen.poses_observed[:, self.wanted],
-        )
+        return stayed_supported(obj, seen.single_out(self.wanted), self.surface)

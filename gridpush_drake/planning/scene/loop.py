@@ -1,31 +1,29 @@
-"""How a task with several objects is carried out, whatever the task: look, decide, push, learn.
+"""Who decides in a task with several objects, and who learns: look, decide, push, learn.
 
 A planner decides by what is seen and believed now and by the pushes made so far, on nothing else.
-So the same planner leads a simulated world here and a robot in a station.
+So the same planner leads a simulated world and a robot in a station (`joint_loop`).
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import describe_object
-from gridpush_drake.errors import PlanningError, PushRefusedError, require_positive
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, wrap_angle
-from gridpush_drake.identification.scene_learning import NOISE, identify_scene
+from gridpush_drake.identification.joint_fit import NOISE, identify_together
+from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.scene.belief import SceneBelief
-from gridpush_drake.planning.scene.world import SceneWorld
-from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
-
-MAX_REFUSED = 8
-"""Number of pushes that a robot may refuse one after another before a task is given up."""
+from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_log import PushLog
 
 
 class SceneAction(StrEnum):
@@ -98,7 +96,7 @@ class SceneLearner(Protocol):
     def learn(
         self,
         belief: SceneBelief,
-        pushes: Sequence[ObservedScenePush],
+        pushes: Sequence[ObservedPush],
         seed: int,
         *,
         last: bool = False,
@@ -120,7 +118,7 @@ class SceneLearner(Protocol):
 
 @dataclass(frozen=True)
 class SceneLearning:
-    """Learns all objects together, by `identify_scene`, after certain numbers of pushes.
+    """Learns all objects together, by `identify_together`, after certain numbers of pushes.
 
     Attributes:
         after: numbers of pushes after which the objects are learned anew.
@@ -143,7 +141,7 @@ class SceneLearning:
     def learn(
         self,
         belief: SceneBelief,
-        pushes: Sequence[ObservedScenePush],
+        pushes: Sequence[ObservedPush],
         seed: int,
         *,
         last: bool = False,
@@ -157,9 +155,9 @@ class SceneLearning:
             return None
         names = tuple(f"object_{i}" for i in range(len(belief.objects)))
         with threadpool_limits(limits=1, user_api="blas"):
-            found = identify_scene(
-                belief.objects,
-                SceneLog(tuple(telling), names),
+            found = identify_together(
+                Model(belief.objects),
+                PushLog(tuple(telling), names=names),
                 amplitudes=self.amplitudes,
                 noise=self.noise,
                 start=belief.identification,
@@ -168,121 +166,10 @@ class SceneLearning:
         return replace(learned, models=belief.models, learned_alone=belief.learned_alone)
 
 
-def _moves(seen: ObservedScenePush) -> float:
+def _moves(seen: ObservedPush) -> float:
     """Says by how much the object that moved most was seen to move in a push, m."""
-    change = seen.poses_observed[-1] - seen.poses
+    change = seen.final_pose - seen.pose
     return float(np.linalg.norm(change[:, :2], axis=1).max())
-
-
-@dataclass(eq=False)
-class SceneRun:
-    """What came of a task.
-
-    Attributes:
-        done: whether the planner ended it well.
-        reason: how it ended, in half a sentence.
-        poses: (P+1, N, 3) the objects before each push and at last, as they were seen, m and rad.
-        steps: the pushes that were made or refused.
-        log: what was seen of those that were made.
-        time: time that passed in the world, s.
-        belief: what is believed of the objects at last.
-        last: the decision that ended the task; None where an object was lost before any.
-        learned: numbers of pushes after which the objects were learned anew.
-    """
-
-    done: bool
-    reason: str
-    poses: Array
-    steps: list[SceneStep]
-    log: list[ObservedScenePush]
-    time: float
-    belief: SceneBelief
-    last: SceneDecision | None = None
-    learned: list[int] = field(default_factory=list)
-
-    @property
-    def pushes(self) -> int:
-        """Number of pushes that were made."""
-        return len(self.log)
-
-
-def run_scene_task(
-    world: SceneWorld,
-    planner: ScenePlanner,
-    belief: SceneBelief,
-    *,
-    learning: SceneLearner | None = None,
-    max_pushes: int = 60,
-    seed: int = 0,
-    watch: Callable[[SceneStep], None] | None = None,
-) -> SceneRun:
-    """Carries a task out.
-
-    Args:
-        world: the world with the objects.
-        planner: decides.
-        belief: what is believed of the objects beforehand.
-        learning: learns the objects from the pushes; None for nobody.
-        max_pushes: number of pushes after which the task is given up.
-        seed: seed of what is drawn of the models.
-        watch: called after each push; None for nobody.
-
-    Returns:
-        What came of it.
-    """
-    steps: list[SceneStep] = []
-    log: list[ObservedScenePush] = []
-    seen: list[Array] = []
-    learned: list[int] = []
-    refused = 0
-    decision: SceneDecision | None = None
-    while True:
-        # Look.
-        poses = world.observe()
-        if poses is None:
-            reason = "an object is not seen any more: it has left the table"
-            break
-        seen.append(straighten(poses, seen))
-        # Decide.
-        decision = planner.decide(seen[-1], belief, steps)
-        reason = decision.reason
-        push = decision.push
-        if push is None:
-            break
-        if len(log) >= max_pushes or refused >= MAX_REFUSED:
-            decision = SceneDecision(SceneAction.FAIL, f"not done after {len(log)} pushes")
-            reason = decision.reason
-            break
-        # Push. A push that a robot refuses is noted, so that another one is drawn.
-        try:
-            log.append(world.execute(push))
-        except PushRefusedError as error:
-            steps.append(SceneStep(seen[-1], decision, str(error)))
-            seen.pop()
-            refused += 1
-            continue
-        refused = 0
-        steps.append(SceneStep(seen[-1], decision))
-        if watch is not None:
-            watch(steps[-1])
-        # Learn, where something new can be learned.
-        found = None if learning is None else learning.learn(belief, log, seed)
-        if found is not None:
-            belief = found
-            learned.append(len(log))
-    return SceneRun(
-        done=decision is not None
-        and poses is not None
-        and decision.action in (SceneAction.DONE, SceneAction.GRASP),
-        reason=reason,
-        poses=np.array(seen),
-        steps=steps,
-        log=log,
-        time=world.time,
-        belief=belief,
-        last=decision,
-        learned=learned,
-    )
 
 
 def straighten(poses: Array, before: Sequence[Array]) -> Array:

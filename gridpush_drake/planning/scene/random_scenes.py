@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_shape
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -60,19 +60,18 @@ class HiddenRanges:
 
 def hide(
     objects: Sequence[GridObject],
-    poses: Array,
     rng: np.random.Generator,
     ranges: HiddenRanges | None = None,
-) -> Scene:
-    """Draws the true masses and frictions of objects that lie at poses (N, 3), m and rad."""
+) -> Bodies:
+    """Draws the true masses and frictions of objects."""
     drawn = ranges or HiddenRanges()
-    bodies = []
-    for obj, pose in zip(objects, poses, strict=True):
+    hidden = []
+    for obj in objects:
         seed = int(rng.integers(np.iinfo(np.int32).max))
         params = CellParameters.random(obj, seed, drawn.mass, drawn.friction)
         rough = float(rng.uniform(*drawn.contact_friction))
-        bodies.append(SceneBody(obj, replace(params, contact_friction=rough), pose))
-    return Scene(bodies, float(rng.uniform(*drawn.pair_friction)))
+        hidden.append(replace(params, contact_friction=rough))
+    return Bodies(objects, hidden, None, float(rng.uniform(*drawn.pair_friction)))
 
 
 def scatter(

@@ -31,7 +31,8 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.affinity import translate
 
-from gridpush_drake.dynamics.scene.bodies import OVERLAP_TOLERANCE, describe_object
+from gridpush_drake.dynamics.bodies import describe_object
+from gridpush_drake.dynamics.scene.cores import OVERLAP_TOLERANCE
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import (
     Array,
@@ -40,7 +41,6 @@ from gridpush_drake.geometry.se2 import (
     transform_shape,
     wrap_angle,
 )
-from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.scene.belief import SceneBelief
@@ -52,6 +52,7 @@ from gridpush_drake.planning.scene.loop import (
 )
 from gridpush_drake.planning.scene.rules import ANYWHERE, POST_MARGIN, SceneRules, place_outlines
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 GOAL_GAP = 0.002
 """An object that is nearer than this to another one's goal lies in it, m."""
@@ -234,7 +235,7 @@ class RearrangePlanner:
                 poses, lambda some: self.calc_cost(some, targets), range(len(poses)), rng
             )
         if found is None:
-            radius = find_pusher_radius(self.objects, search.options.radius)
+            radius = choose_pusher_radius(self.objects, search.options.radius)
             return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, bodies, radius))
         left = len(poses) - int(reached.sum())
         name = describe_object(self.objects, found.body)

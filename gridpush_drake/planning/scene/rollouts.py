@@ -10,18 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.scene.records import Pusher
 from gridpush_drake.dynamics.kernels.step import CONVERGED
-from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.dynamics.push import Push, make_path_times, measure_steps
-from gridpush_drake.dynamics.scene.bodies import Scene
 from gridpush_drake.dynamics.scene.kernel_call import (
     make_bodies,
     make_scene_contacts,
     make_scene_state,
     run_scene_kernel,
 )
-from gridpush_drake.dynamics.scene.simulation import check_scene_physics
+from gridpush_drake.dynamics.scene.simulation import check_together
 from gridpush_drake.geometry.se2 import Array
 
 TIP_STEP = 0.003
@@ -63,17 +62,16 @@ class Rollout:
 
 
 class SceneRollouts:
-    """Simulates pushes of one scene from any poses.
+    """Simulates pushes of the same objects from any poses.
 
     Attributes:
-        scene: the objects; their poses do not matter here.
+        bodies: the objects.
         simulations: number of pushes that were simulated.
     """
 
     def __init__(
         self,
-        scene: Scene,
-        physics: Physics = QUASI_STATIC,
+        bodies: Bodies,
         *,
         tip_step: float = TIP_STEP,
         workers: int = 1,
@@ -81,18 +79,17 @@ class SceneRollouts:
         """Prepares what does not depend on poses.
 
         Args:
-            scene: the objects.
-            physics: spin, gravity and tolerances.
+            bodies: the objects, and how they slide.
             tip_step: farthest that the pusher moves in a step, m.
             workers: number of threads; no result depends on it.
         """
-        self.scene = scene
+        self.bodies = check_together(bodies)
         self.simulations = 0
-        self._physics = check_scene_physics(physics, scene)
-        self._bodies = make_bodies(scene, self._physics)
+        self._physics = self.bodies.physics
+        self._bodies = make_bodies(self.bodies)
         self._tip_step = tip_step
         self._workers = workers
-        self._no_derivatives = np.empty((0, len(scene), 3, 0))
+        self._no_derivatives = np.empty((0, len(bodies), 3, 0))
 
     def roll(self, push: Push, poses: Array) -> Rollout:
         """Simulates a push of the objects from poses (N, 3), m and rad."""

@@ -24,11 +24,11 @@ import numpy as np
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.rollouts import Rollout, SceneRollouts, roll_models
 from gridpush_drake.planning.scene.rules import ANYWHERE, SLACK, RoomLimits, SceneRoom, SceneRules
 from gridpush_drake.planning.scene.scene_push import PushStop, ScenePush, cut_push
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 CostToGo = Callable[[Array], Array]
 """Takes poses (K, N, 3), m and rad, and returns what each state of the scene costs, (K,) s."""
@@ -64,7 +64,7 @@ class SceneSearchOptions:
         lengths: least and greatest length of a push, its clearance left out, m.
         slant: greatest angle of a push from the outline's inward normal, rad.
         radius: of the pusher, m; by default that of the objects' files, or that of the shipped
-            finger (`find_pusher_radius`).
+            finger (`choose_pusher_radius`).
         speed: of the pusher, m/s.
         clearance: distance between pusher and object where a push begins, m.
         approach_time: approximate time that the finger takes from one push to the next, s.
@@ -130,7 +130,7 @@ class SceneSearch:
         self.rules = rules
         self.options = options or SceneSearchOptions()
         workers = self.options.workers
-        self._best = SceneRollouts(belief.scene, workers=workers)
+        self._best = SceneRollouts(belief.bodies, workers=workers)
         self._others = [SceneRollouts(scene, workers=workers) for scene in belief.draws]
         self.room = SceneRoom(belief.objects, rules)
 
@@ -247,7 +247,7 @@ class SceneSearch:
     ) -> list[tuple[int, float, float, Push]]:
         """Makes pushes of (object, place, angle), and keeps those that can begin where they do."""
         options = self.options
-        radius = find_pusher_radius(self.belief.objects, options.radius)
+        radius = choose_pusher_radius(self.belief.objects, options.radius)
         made = []
         for body, place, angle in drawn:
             push = Push.on_outline(

@@ -1,4 +1,4 @@
-"""Objects that touch are pushed until each has room around it: `SeparatePlanner` and `separate`.
+"""Objects that touch are pushed until each has room around it: `SeparatePlanner`.
 
 What is left to do in a state of the scene is the room that is lacking,
 
@@ -10,7 +10,7 @@ is weighed by where all of them end, and not forbidden. The theory is in `docs/t
 section 6.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -18,11 +18,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, describe_object
+from gridpush_drake.dynamics.bodies import describe_object
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
-from gridpush_drake.identification.scene_learning import find_pusher_radius
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.scene.belief import SceneBelief
@@ -35,6 +33,7 @@ from gridpush_drake.planning.scene.loop import (
 from gridpush_drake.planning.scene.rules import ANYWHERE, SceneRules
 from gridpush_drake.planning.scene.scene_push import ScenePush
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
+from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 MARGIN = 0.03
 """Room that every object should have around it, m."""
@@ -62,9 +61,8 @@ class SeparationOptions:
         lengths: least and greatest length of a push, m.
         slant: greatest angle of a push from the outline's inward normal, rad.
         radius: of the pusher, m; by default that of the objects' files, or that of the shipped
-            finger (`find_pusher_radius`).
+            finger (`choose_pusher_radius`).
         speed: of the pusher, m/s.
-        max_pushes: number of pushes after which it is given up.
         clearance: distance between pusher and object where a push begins, m.
 
     Raises:
@@ -77,7 +75,6 @@ class SeparationOptions:
     slant: float = 0.6
     radius: float | None = None
     speed: float = 0.05
-    max_pushes: int = 30
     clearance: float = 0.002
 
     def __post_init__(self) -> None:
@@ -87,7 +84,6 @@ class SeparationOptions:
             candidates=self.candidates,
             slant=self.slant,
             speed=self.speed,
-            max_pushes=self.max_pushes,
             least_length=self.lengths[0],
         )
         if self.radius is not None:
@@ -111,23 +107,6 @@ class SeparationOptions:
             speed=self.speed,
             clearance=self.clearance,
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Separation:
-    """What came of it.
-
-    Attributes:
-        done: whether every object has the room that was asked for.
-        poses: (P+1, N, 3) the objects before each push and at last, as they were seen, m and rad.
-        clearances: (P+1, N) distance of each object from the nearest other one, m.
-        pushes: the pushes that were made.
-    """
-
-    done: bool
-    poses: Array
-    clearances: Array
-    pushes: tuple[Push, ...]
 
 
 class SeparatePlanner:
@@ -174,7 +153,7 @@ class SeparatePlanner:
             return SceneDecision(SceneAction.DONE, f"every object has {room} around it")
         found = self._find_push(poses, belief, lacking, (self._seed, len(steps)))
         if found is None:
-            radius = find_pusher_radius(self.objects, self._search.radius)
+            radius = choose_pusher_radius(self.objects, self._search.radius)
             return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, lacking, radius))
         name = describe_object(self.objects, found.body)
         return SceneDecision(
@@ -238,71 +217,3 @@ def calc_clearances_along(objects: Sequence[GridObject], poses: Array) -> Array:
         nearest[:, i] = np.minimum(nearest[:, i], apart)
         nearest[:, j] = np.minimum(nearest[:, j], apart)
     return nearest
-
-
-def separate(
-    scene: Scene,
-    execute: Callable[[Push, Array], Array],
-    options: SeparationOptions | None = None,
-    *,
-    seed: int = 0,
-) -> Separation:
-    """Pushes objects until each has room around it, on a table without end.
-
-    `run_scene_task` with a `SeparatePlanner` does the same in a world, with a table's edge, and
-    learns the objects on the way.
-
-    Args:
-        scene: the objects as they are believed to be, where they are seen at the beginning.
-        execute: makes a push of the objects at poses (N, 3), and returns where they are seen then.
-        options: how.
-        seed: seed of the pushes that are drawn.
-
-    Returns:
-        What came of it.
-
-    Raises:
-        PlanningError: no place was found from which an object can be pushed.
-    """
-    used = options or SeparationOptions()
-    rng = np.random.default_rng(seed)
-    poses = np.array(scene.poses)
-    seen = [poses]
-    clearances = [calc_clearances(scene.objects, poses)]
-    pushes: list[Push] = []
-    while clearances[-1].min() < used.margin and len(pushes) < used.max_pushes:
-        push = plan_separating_push(scene.with_poses(poses, may_overlap=True), used, rng)
-        poses = np.array(execute(push, poses))
-        pushes.append(push)
-        seen.append(poses)
-        clearances.append(calc_clearances(scene.objects, poses))
-    return Separation(
-        done=bool(clearances[-1].min() >= used.margin),
-        poses=np.array(seen),
-        clearances=np.array(clearances),
-        pushes=tuple(pushes),
-    )
-
-
-def plan_separating_push(
-    scene: Scene, options: SeparationOptions, rng: np.random.Generator
-) -> Push:
-    """Chooses the best of many pushes: the one after which the least room is missing.
-
-    Args:
-        scene: the objects, where they lie.
-        options: how.
-        rng: draws the pushes.
-
-    Returns:
-        The push.
-
-    Raises:
-        PlanningError: no place was found from which an object can be pushed.
-    """
-    seed = int(rng.integers(np.iinfo(np.int64).max))
-    planner = SeparatePlanner(scene.objects, options, seed=seed)
-    decision = planner.decide(scene.poses, SceneBelief.of_truth(scene), [])
-    if decision.push is None:
-        raise PlanningError(f"scene: {decision.reason}")
-    return decision.push

@@ -8,7 +8,6 @@ from gridpush_drake.dynamics.kernels.scene.complementary_pivoting import (
     solve_complementarity,
 )
 from gridpush_drake.dynamics.kernels.scene.contact_system import solve_banded
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from tests.helpers.scene_cases import make_row
 from tests.helpers.shapes import SHAPES
 
@@ -88,7 +87,7 @@ def test_every_step_of_concave_objects_is_solved(seed):
     """Rows in which the modes went round in circles, or no active set was found."""
     shapes = np.random.default_rng(seed).permutation(list(SHAPES))[:3]
     scene, push = make_row(seed, shapes)
-    motion = simulate_scene(scene, push)
+    motion = scene.simulate(push)
     assert motion.status == "ok"
     assert motion.residuals.max() < 1e-6
     assert motion.penetration < 1e-3

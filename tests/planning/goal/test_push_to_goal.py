@@ -139,7 +139,7 @@ def test_the_path_is_as_long_as_the_cells_go(block):
 @pytest.mark.parametrize("known", [True, False])
 def test_reaches_the_goal_with_hidden_masses(block, hidden, known):
     world = SimulatedWorld(
-        block, hidden, START, TABLE, position_std=0.0005, angle_std=0.003, seed=1
+        Model(block, hidden), START, TABLE, position_std=0.0005, angle_std=0.003, seed=1
     )
     run = push_to_goal(
         world,
@@ -156,7 +156,7 @@ def test_reaches_the_goal_with_hidden_masses(block, hidden, known):
 
 
 def test_learns_on_the_way(block, hidden):
-    world = SimulatedWorld(block, hidden, START, TABLE)
+    world = SimulatedWorld(Model(block, hidden), START, TABLE)
     seen = []
     run = push_to_goal(
         world, Model(make_block(24)), GOAL, GoalRules(PushConstraints(TABLE)), progress=seen.append
@@ -219,7 +219,7 @@ def test_an_object_falls_where_its_center_of_mass_does(block, hidden):
     com = hidden.center_of_mass(block)
     assert com[0] > 0.02
     for reach, falls in ((-0.012, False), (0.012, True)):
-        world = SimulatedWorld(block, hidden, (0.1, 0.0, 0.0), table)
+        world = SimulatedWorld(Model(block, hidden), (0.1, 0.0, 0.0), table)
         start = world.observe()[0] - 0.06 - 0.008
         way = 0.2 + reach - com[0] - world.observe()[0]
         world.execute(Push((start, 0.0), (0.03, 0.0), way / 0.03, 0.008))
@@ -230,7 +230,7 @@ def test_an_object_falls_where_its_center_of_mass_does(block, hidden):
 
 def test_a_fallen_object_is_lost(block, hidden):
     world = SimulatedWorld(
-        block, hidden, (0.3, 0.0, 0.0), SupportSurface.rectangle((0.0, 0.0), (0.4, 0.4))
+        Model(block, hidden), (0.3, 0.0, 0.0), SupportSurface.rectangle((0.0, 0.0), (0.4, 0.4))
     )
     world.execute(Push((0.3, -0.1), (0.0, 0.03), 2.0, 0.008))
     run = push_to_goal(world, Model(block, hidden), GOAL, learner=None)
@@ -242,7 +242,7 @@ def test_noise_follows_its_seed(block, hidden):
     push = Push((-0.068, 0.0), (0.03, 0.0), 1.0, 0.008)
     first, again, other = (
         SimulatedWorld(
-            block, hidden, (0, 0, 0), position_std=0.001, angle_std=0.01, seed=seed
+            Model(block, hidden), (0, 0, 0), position_std=0.001, angle_std=0.01, seed=seed
         ).execute(push)
         for seed in (1, 1, 2)
     )
@@ -274,7 +274,7 @@ def test_learning_predicts_better_than_not(block):
             np.where(obj.p_BC[:, 0] > 0.02, 4.0, 0.4 + 0.1 * seed), np.full(obj.n, 0.4)
         )
         for learns in later:
-            world = SimulatedWorld(obj, masses, START, TABLE, seed=seed)
+            world = SimulatedWorld(Model(obj, masses), START, TABLE, seed=seed)
             options = {} if learns else {"learner": None}
             run = push_to_goal(
                 world,

@@ -57,7 +57,7 @@ def test_samples_lean_to_every_side(bar, even):
 
 def test_learning_narrows_the_samples(bar):
     hidden = CellParameters(np.where(bar.p_BC[:, 0] > 0.05, 0.4, 0.05), np.full(bar.n, 0.4))
-    world = SimulatedWorld(bar, hidden, POSE)
+    world = SimulatedWorld(Model(bar, hidden), POSE)
     seen = []
     for _ in range(3):
         plan = optimize_contact(Model(bar), world.observe(), GOAL)
@@ -100,7 +100,7 @@ def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
         for params in robustness.models if cut is not None else ():
             motion = simulate(Model(bar, params), cut.push, POSE, regime="quasi_static")
             assert TABLE.contains_cells(bar, motion.poses, -OPTIONS.leeway - 1e-3).all()
-            world = SimulatedWorld(bar, params, POSE, TABLE)
+            world = SimulatedWorld(Model(bar, params), POSE, TABLE)
             world.execute(cut.push)
             assert not world.truth.fallen
 

@@ -174,7 +174,7 @@ def test_about_half_of_all_pokes_leave_more_than_was_forecast():
         mass = np.where(side > rng.uniform(-0.05, 0.05), rng.uniform(3.0, 10.0), 1.0)
         truth = CellParameters(mass / mass.sum(), np.full(obj.n, obj.prior.friction), 0.5)
         world = SimulatedWorld(
-            obj, truth, HERE, position_std=5e-4, angle_std=3e-3, seed=seed, observations=4
+            Model(obj, truth), HERE, position_std=5e-4, angle_std=3e-3, seed=seed, observations=4
         )
         log = PushLog((replace(world.execute(poke.push), name="poke"),))
         model = UncertainModel.of_identification(

@@ -12,8 +12,8 @@ from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.decision import PokeForecast, PreGraspOptions
-from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import (
     GOAL_ROOM,
     ArmLimits,
@@ -399,7 +399,7 @@ def test_a_plan_without_a_safe_goal_says_so(pan, parts):
 def test_the_whole_task_with_hidden_masses(pan, parts):
     truth = CellParameters.random(pan, 3, friction_range=(0.25, 0.5))
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
-    world = EdgeWorld(pan, truth, (0.02, 0.03, 0.5), TABLE, **NOISE)
+    world = EdgeWorld(Model(pan, truth), (0.02, 0.03, 0.5), TABLE, **NOISE)
     outcome = run_pregrasp(world, planner)
     assert outcome.grasped, outcome
     assert not outcome.dropped
@@ -415,7 +415,7 @@ def test_hidden_masses_never_fall(pan, parts, seed):
     planner = PreGraspPlanner(pan, surface, parts=parts)
     middle = surface.polygon.centroid
     start = np.array([middle.x, middle.y, float(seed)])
-    world = EdgeWorld(pan, truth, start, surface, **NOISE, seed=seed)
+    world = EdgeWorld(Model(pan, truth), start, surface, **NOISE, seed=seed)
     outcome = run_pregrasp(world, planner)
     assert not outcome.dropped, outcome
     assert outcome.grasped, outcome

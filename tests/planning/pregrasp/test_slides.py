@@ -14,12 +14,12 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.pregrasp import slides
-from gridpush_drake.planning.pregrasp.edge_motion import (
+from gridpush_drake.planning.edge_motion import (
     COMPARED_TIP_STEP,
     follow_near_edge,
     simulate_near_edge,
 )
+from gridpush_drake.planning.pregrasp import slides
 from gridpush_drake.planning.pregrasp.goals import find_pregrasp_goals
 from gridpush_drake.planning.pregrasp.grasp_parts import find_grasp_parts
 from gridpush_drake.planning.pregrasp.slides import SlideOptions, plan_slide

@@ -14,7 +14,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.edge_motion import simulate_near_edge
+from gridpush_drake.planning.edge_motion import simulate_near_edge
 from gridpush_drake.planning.pregrasp.stability import (
     calc_stability_margin,
     calc_stability_margins,

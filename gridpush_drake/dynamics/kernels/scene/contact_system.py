@@ -26,7 +26,7 @@ def invert_hessians(bodies, H, rhs, xi, awake, eps, work):
     """Fills in S^-1, S^-1 rhs, the axes and their weights, of the bodies that are awake.
 
     Args:
-        bodies: `Bodies`.
+        bodies: `BodyArrays`.
         H, rhs: (N, 3, 3), (N, 3) of the linearized step.
         xi: (N, 3) where it is linearized.
         awake: (N,) which bodies take part.

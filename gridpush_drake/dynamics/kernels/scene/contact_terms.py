@@ -58,7 +58,7 @@ def calc_contact_terms(z, bodies, ids, numbers, radius, h, dt, xi, lam, out):
 
     Args:
         z: (16,) complex, what it depends on, see above.
-        bodies: `Bodies`.
+        bodies: `BodyArrays`.
         ids: (4,) identity of the contact.
         numbers: (16,) its numbers, of which those that say which features touch are used.
         radius: of the pusher, m.

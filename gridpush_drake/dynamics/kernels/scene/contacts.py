@@ -80,7 +80,7 @@ def find_scene_contacts(bodies, state, disc, dt, h, found, ahead, contacts):
     """Finds the contacts of a step; their modes are those of the step before, where they were.
 
     Args:
-        bodies: `Bodies`.
+        bodies: `BodyArrays`.
         state: `SceneState`.
         disc: `Disc`, the pusher.
         dt, h: the step, and the time after which it looks at the bodies, s.

@@ -44,7 +44,7 @@ NUMBERS = 16
 """Numbers that describe a contact."""
 
 
-class Bodies(NamedTuple):
+class BodyArrays(NamedTuple):
     """The bodies, as the kernels know them; all cells, edges and corners stand one after another.
 
     Attributes:

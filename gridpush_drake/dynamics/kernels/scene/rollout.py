@@ -54,7 +54,7 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
     """Simulates T steps.
 
     Args:
-        bodies: `Bodies`.
+        bodies: `BodyArrays`.
         pusher: `Pusher`.
         tolerances: `Tolerances`.
         state: `SceneState` at the beginning; that of the end when it is done.

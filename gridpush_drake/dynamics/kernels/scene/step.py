@@ -311,7 +311,7 @@ def solve_scene_step(bodies, contacts, count, dt, scales, eps, xi, work):
     """Solves one step of the bodies that are awake, from the guess in `xi`.
 
     Args:
-        bodies: `Bodies`.
+        bodies: `BodyArrays`.
         contacts: `Contacts`; modes to begin with in, modes and forces out.
         count: number of bodies that are awake.
         dt: the step, s.

@@ -326,7 +326,7 @@ def step_columns(bodies, state, disc, ray_x, ray_y, path_length, eps, xi, dt, sh
     """Carries every column over one step.
 
     Args:
-        bodies: `Bodies`.
+        bodies: `BodyArrays`.
         state: `SceneState` at the step's beginning.
         disc: `Disc` of the step.
         ray_x, ray_y: how far the disc is from where the push began, m.

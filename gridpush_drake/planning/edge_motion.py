@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.model_batch import simulate_models
 from gridpush_drake.dynamics.physics import QUASI_STATIC, Physics
 from gridpush_drake.dynamics.push import DEFAULT_TIP_STEP, Push, make_path_times
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.geometry.se2 import Array, IntArray
-from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -49,7 +49,7 @@ class EdgeMotion:
 
 
 def simulate_near_edge(
-    model: Model,
+    model: Bodies,
     push: Push,
     pose: ArrayLike,
     surface: SupportSurface,

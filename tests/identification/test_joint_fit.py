@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.joint_fit import identify_together
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.identification.result import IdentificationStatus
 from gridpush_drake.identification.robust_least_squares import MAX_CHANGE
-from gridpush_drake.identification.scene_learning import identify_scene
-from gridpush_drake.identification.scene_models import make_object_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
+from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.scene_page import explain_scene, tell_scene
+from tests.helpers.scene_cases import Layout
 from tests.helpers.shapes import rectangle
 
 PAIR_FRICTION = 0.25
@@ -33,8 +33,8 @@ def make_truth():
         obj = GridObject.from_outline(rectangle(0.10, 0.05), max_cells=18, name=f"block {b}")
         mass = np.where(heavy * obj.p_BC[:, 0] > 0.015, 6.0, 1.0)
         params = CellParameters(total * mass / mass.sum(), np.full(obj.n, 0.35), 0.3)
-        bodies.append(SceneBody(obj, params, (0.106 * b, 0.0, 0.0)))
-    return Scene(bodies, PAIR_FRICTION)
+        bodies.append((obj, params, (0.106 * b, 0.0, 0.0)))
+    return Layout.of(bodies, PAIR_FRICTION)
 
 
 def push_scene(truth, seed, noise=NOISE):
@@ -48,36 +48,30 @@ def push_scene(truth, seed, noise=NOISE):
     start = (middle - side * (0.103 + RADIUS + 1e-3), place)
     push = Push(start, np.array([side, 0.3 * spread[0]]) * 0.04, LENGTH / 0.04, RADIUS)
     scene = truth.with_poses(poses)
-    motion = simulate_scene(scene, push)
+    motion = scene.simulate(push)
     times = np.linspace(0, push.duration, 7)[1:]
     rows = np.searchsorted(motion.times, times - 1e-9)
     seen = motion.poses[rows] + rng.normal(size=(6, 2, 3)) * noise
-    return ObservedScenePush(f"push {seed}", push, poses, motion.times[rows], seen)
+    return ObservedPush(f"push {seed}", push, poses, motion.times[rows], seen)
 
 
-def calc_errors(scene, pushes):
+def calc_errors(model, pushes):
     """Mean cell error of each held-out push, m."""
     errors = []
     for seen in pushes:
-        moved = scene.with_poses(seen.poses)
-        last = simulate_scene(moved, seen.push).final_poses
-        for obj, mine, theirs in zip(scene.objects, last, seen.poses_observed[-1], strict=True):
+        last = model.simulate(seen.push, seen.pose).final_pose
+        for obj, mine, theirs in zip(model.objects, last, seen.final_pose, strict=True):
             errors.append(calc_pose_error(obj, mine, theirs).cell)
     return np.array(errors)
 
 
 def test_two_objects_are_learned_together():
     truth = make_truth()
-    log = SceneLog(tuple(push_scene(truth, seed) for seed in range(6)), ("block 0", "block 1"))
+    log = PushLog(tuple(push_scene(truth, seed) for seed in range(6)), names=("block 0", "block 1"))
     held_out = [push_scene(truth, seed, noise=0.0) for seed in range(100, 106)]
-    found = identify_scene(truth.objects, log, noise=NOISE, amplitudes=(0.3, 0.7))
-    even = Scene(
-        [
-            SceneBody(obj, CellParameters.uniform(obj), pose)
-            for obj, pose in zip(truth.objects, truth.poses, strict=True)
-        ]
-    )
-    learned = calc_errors(found.scene, held_out)
+    found = identify_together(Model(truth.objects), log, noise=NOISE, amplitudes=(0.3, 0.7))
+    even = Model(truth.objects)
+    learned = calc_errors(found, held_out)
     before = calc_errors(even, held_out)
     print(f"cell error {1e3 * before.mean():.2f} mm, learned {1e3 * learned.mean():.2f} mm")
     assert learned.mean() < 2.5e-3
@@ -95,7 +89,7 @@ def test_two_objects_are_learned_together():
         assert off @ np.linalg.solve(covariance, off) < 16
         assert np.sqrt(covariance[0, 0]) < 0.01
     i, j = np.triu_indices(2, 1)
-    off = np.log(found.scene.pair_friction[i, j] / PAIR_FRICTION)
+    off = np.log(found.pair_friction[i, j] / PAIR_FRICTION)
     assert (np.abs(off) < 4 * found.calc_pair_friction_std()).all()
 
 
@@ -105,25 +99,25 @@ def test_a_pusher_that_is_held_to_slip_can_be_learned_to_rub():
     objects = [
         replace(obj, prior=replace(obj.prior, contact_friction=0.0)) for obj in truth.objects
     ]
-    log = SceneLog(tuple(push_scene(truth, seed) for seed in range(3)), ("block 0", "block 1"))
-    found = identify_scene(objects, log, noise=NOISE, amplitudes=(0.3,))
+    log = PushLog(tuple(push_scene(truth, seed) for seed in range(3)), names=("block 0", "block 1"))
+    found = identify_together(Model(objects), log, noise=NOISE, amplitudes=(0.3,))
     assert np.isfinite(found.z).all()
     # what it begins with is small, and pushes may still raise it
-    begin = identify_scene(objects, log, noise=(10.0, 10.0, 10.0), amplitudes=(0.3,))
-    for before, after in zip(begin.scene.params, found.scene.params, strict=True):
+    begin = identify_together(Model(objects), log, noise=(10.0, 10.0, 10.0), amplitudes=(0.3,))
+    for before, after in zip(begin.parameters, found.parameters, strict=True):
         assert before.contact_friction == pytest.approx(0.05, rel=0.01)
         assert after.contact_friction > 0.05
 
 
 def test_what_is_refused():
     truth = make_truth()
-    log = SceneLog((push_scene(truth, 0),), ("block 0", "block 1"))
+    log = PushLog((push_scene(truth, 0),), names=("block 0", "block 1"))
     with pytest.raises(IdentificationError, match="holds no push"):
-        identify_scene(truth.objects, SceneLog((), ()))
+        identify_together(Model(truth.objects), PushLog((), names=()))
     with pytest.raises(IdentificationError, match=r"of 2 objects .* expected 1"):
-        identify_scene(truth.objects[:1], log)
+        identify_together(Model(truth.objects[:1]), log)
     with pytest.raises(IdentificationError, match="noise"):
-        identify_scene(truth.objects, log, noise=(0.0, 1.0, 1.0))
+        identify_together(Model(truth.objects), log, noise=(0.0, 1.0, 1.0))
 
 
 def test_a_push_that_no_loads_explain_is_named_and_spoils_nothing():
@@ -133,12 +127,12 @@ def test_a_push_that_no_loads_explain_is_named_and_spoils_nothing():
     moved = pushes[0].poses_observed + [[0.0, 0.02, 0.5], [0.0, 0.0, 0.0]]
     pushes[0] = replace(pushes[0], poses_observed=moved)
     held_out = [push_scene(truth, seed, noise=0.0) for seed in range(100, 104)]
-    log = SceneLog(tuple(pushes), ("block 0", "block 1"))
-    found = identify_scene(truth.objects, log, noise=NOISE, amplitudes=(0.7,))
+    log = PushLog(tuple(pushes), names=("block 0", "block 1"))
+    found = identify_together(Model(truth.objects), log, noise=NOISE, amplitudes=(0.7,))
     assert found.unexplained == ("push 0",)
     assert found.noise_scale < 2.0
-    assert calc_errors(found.scene, held_out).mean() < 1e-3
-    models = make_object_models(found)
+    assert calc_errors(found, held_out).mean() < 1e-3
+    models = found.parts
     assert all(model.status == IdentificationStatus.LEARNED for model in models)
     assert "It does not explain push 0." in models[0].message
     assert any("push 0" in line for line in explain_scene(found, models, log.names))
@@ -151,13 +145,13 @@ def test_loads_stay_where_the_model_can_be_solved_though_nothing_explains_the_lo
         replace(seen, poses_observed=seen.poses_observed + rng.normal(size=(6, 2, 3)) * 0.3)
         for seen in (push_scene(truth, seed) for seed in range(3))
     ]
-    log = SceneLog(tuple(pushes), ("block 0", "block 1"))
-    found = identify_scene(truth.objects, log, noise=NOISE, amplitudes=(0.7, 1.5))
+    log = PushLog(tuple(pushes), names=("block 0", "block 1"))
+    found = identify_together(Model(truth.objects), log, noise=NOISE, amplitudes=(0.7, 1.5))
     assert len(found.unexplained) == 3
     assert np.isfinite(found.covariance).all()
-    even = identify_scene(truth.objects, log, noise=(1e3, 1e3, 1e3), amplitudes=(0.7,))
+    even = identify_together(Model(truth.objects), log, noise=(1e3, 1e3, 1e3), amplitudes=(0.7,))
     assert np.abs(found.z - even.z).max() < MAX_CHANGE + 0.1
-    statuses = {model.status for model in make_object_models(found)}
+    statuses = {model.status for model in found.parts}
     assert statuses == {IdentificationStatus.EXPLAINS_LITTLE}
 
 
@@ -165,18 +159,18 @@ def test_it_is_said_what_pushes_of_one_object_alone_do_not_tell():
     truth = make_truth()
     apart = truth.with_poses([[0.0, 0.0, 0.0], [0.4, 0.3, 0.0]])
     push = Push((-0.05 - RADIUS - 1e-3, 0.01), (0.04, 0.0), 2.0, RADIUS)
-    motion = simulate_scene(apart, push)
-    seen = ObservedScenePush("push", push, apart.poses, motion.times[-1:], motion.poses[-1:])
-    log = SceneLog((seen,), ("block 0", "block 1"))
-    found = identify_scene(truth.objects, log, noise=NOISE, amplitudes=(0.7,))
-    assert not found.tells_load_ratio(1, 0)
-    assert not found.tells_pair_friction().any()
+    motion = apart.simulate(push)
+    seen = ObservedPush("push", push, apart.poses, motion.times[-1:], motion.poses[-1:])
+    log = PushLog((seen,), names=("block 0", "block 1"))
+    found = identify_together(Model(truth.objects), log, noise=NOISE, amplitudes=(0.7,))
+    assert not found.shows_load_ratio(1, 0)
+    assert not found.shows_pair_friction().any()
     document = tell_scene(found, log.names)
     assert document["pair_friction"][0]["told"] is False
     assert document["objects"][1]["load_ratio_told"] is False
-    together = SceneLog(tuple(push_scene(truth, seed) for seed in range(2)), log.names)
-    found = identify_scene(truth.objects, together, noise=NOISE, amplitudes=(0.7,))
-    assert found.tells_load_ratio(1, 0)
+    together = PushLog(tuple(push_scene(truth, seed) for seed in range(2)), names=log.names)
+    found = identify_together(Model(truth.objects), together, noise=NOISE, amplitudes=(0.7,))
+    assert found.shows_load_ratio(1, 0)
 
 
 def test_learning_goes_on_from_what_was_learned():
@@ -184,11 +178,15 @@ def test_learning_goes_on_from_what_was_learned():
     pushes = tuple(push_scene(truth, seed) for seed in range(5))
     names = ("block 0", "block 1")
     options = {"noise": NOISE, "amplitudes": (0.7,)}
-    few = identify_scene(truth.objects, SceneLog(pushes[:4], names), **options)
-    cold = identify_scene(truth.objects, SceneLog(pushes, names), **options)
-    warm = identify_scene(truth.objects, SceneLog(pushes, names), start=few, **options)
+    few = identify_together(Model(truth.objects), PushLog(pushes[:4], names=names), **options)
+    cold = identify_together(Model(truth.objects), PushLog(pushes, names=names), **options)
+    warm = identify_together(
+        Model(truth.objects), PushLog(pushes, names=names), start=few, **options
+    )
     assert warm.simulations < cold.simulations
     assert abs(warm.evidence[0] - cold.evidence[0]) < 1.0
     third = GridObject.from_outline(rectangle(0.10, 0.05), max_cells=30, name="block 0")
     with pytest.raises(IdentificationError, match=r"start: has .* unknowns; expected"):
-        identify_scene((third, truth.objects[1]), SceneLog(pushes, names), start=few, **options)
+        identify_together(
+            Model((third, truth.objects[1])), PushLog(pushes, names=names), start=few, **options
+        )

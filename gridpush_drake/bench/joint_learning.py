@@ -1,7 +1,7 @@
 """The learning part of `gridpush bench scene`: objects of hidden masses, learned together.
 
 Rows of objects are pushed at one end, so that each push moves all of them. From some of the pushes,
-seen with noise, all objects are learned (`identification.scene_learning`); others are held out.
+seen with noise, all objects are learned (`identify`); others are held out.
 """
 
 from collections.abc import Sequence
@@ -17,17 +17,16 @@ from gridpush_drake.bench.scene_rows import (
     make_mujoco_scene,
 )
 from gridpush_drake.bench.table import MM, PERCENT, Table, mean_of
+from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.scene_learning import (
-    SceneIdentification,
-    calc_scene_errors,
-    identify_scene,
-)
+from gridpush_drake.identification.joint_fit import calc_end_errors, identify_together
+from gridpush_drake.identification.joint_result import JointIdentification
+from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
+from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_log import PushLog
 
 TRAINING = 6
 """Number of pushes that are learned from."""
@@ -96,46 +95,44 @@ def run_learn_job(job: LearnJob) -> LearnScore:
     rng = np.random.default_rng((job.seed, 7))
     seen = []
     for i in range(TRAINING + HELD_OUT):
-        scene, push = draw_row(objects, SEEDS * job.seed + i, truth)
+        true, begin, push = draw_row(objects, SEEDS * job.seed + i, truth)
         noise = NOISE if i < TRAINING else (0.0, 0.0, 0.0)
-        seen.append(_observe(f"push {i}", scene, push, job.world, noise, rng))
+        seen.append(_observe(f"push {i}", true, begin, push, job.world, noise, rng))
     names = tuple(f"object {b}" for b in range(job.count))
-    log = SceneLog(tuple(seen[:TRAINING]), names)
-    found = identify_scene(objects, log, noise=MODEL_NOISE[job.world])
-    params = [CellParameters.uniform(obj) for obj in objects]
-    even = Scene(list(map(SceneBody, objects, params, seen[0].poses)))
-    true, _ = draw_row(objects, SEEDS * job.seed, truth)
+    log = PushLog(tuple(seen[:TRAINING]), names=names)
+    found = identify_together(Model(objects), log, noise=MODEL_NOISE[job.world])
     return LearnScore(
         count=job.count,
         world=job.world,
-        even=float(calc_scene_errors(even, seen[TRAINING:]).mean()),
-        learned=float(calc_scene_errors(found.scene, seen[TRAINING:]).mean()),
-        true=float(calc_scene_errors(true, seen[TRAINING:]).mean()),
+        even=float(calc_end_errors(Model(objects), seen[TRAINING:]).mean()),
+        learned=float(calc_end_errors(found, seen[TRAINING:]).mean()),
+        true=float(calc_end_errors(true, seen[TRAINING:]).mean()),
         held=_calc_held(found, truth),
     )
 
 
 def _observe(
     name: str,
-    scene: Scene,
+    bodies: Bodies,
+    begin: Array,
     push: Push,
     world: str,
     noise: tuple[float, float, float],
     rng: np.random.Generator,
-) -> ObservedScenePush:
+) -> ObservedPush:
     """Makes a push in a world, and sees the objects with noise."""
     times = push.duration * np.arange(1, OBSERVED + 1) / OBSERVED
     if world == "mujoco":
-        poses = make_mujoco_scene(scene, push)(times)
+        poses = make_mujoco_scene(bodies, begin, push)(times)
     else:
         steps = round(push.length / 1e-3 / OBSERVED) * OBSERVED
-        motion = simulate_scene(scene, push, times=np.linspace(0, push.duration, steps + 1))
+        motion = simulate(bodies, push, begin, times=np.linspace(0, push.duration, steps + 1))
         poses = motion.poses[steps // OBSERVED :: steps // OBSERVED]
     drawn = poses + rng.normal(size=poses.shape) * noise
-    return ObservedScenePush(name, push, scene.poses, times, drawn)
+    return ObservedPush(name, push, begin, times, drawn)
 
 
-def _calc_held(found: SceneIdentification, truth: Sequence[CellParameters]) -> float:
+def _calc_held(found: JointIdentification, truth: Sequence[CellParameters]) -> float:
     """Calculates the share of the 95 % intervals that hold what is true."""
     offs: list[float] = []
     n = len(truth)
@@ -145,10 +142,10 @@ def _calc_held(found: SceneIdentification, truth: Sequence[CellParameters]) -> f
         offs.append((ratio - np.log(true_loads[0] / true_loads[1])) / std)
     for b, params in enumerate(truth):
         center, covariance = found.calc_center(b)
-        true_center: Array = params.relative_friction() @ found.scene.objects[b].p_BC
+        true_center: Array = params.relative_friction() @ found.objects[b].p_BC
         offs.extend((center - true_center) / np.sqrt(np.diag(covariance)))
     i, j = np.triu_indices(n, 1)
-    friction = np.log(found.scene.pair_friction[i, j] / PAIR_FRICTION)
+    friction = np.log(found.pair_friction[i, j] / PAIR_FRICTION)
     offs.extend(friction / found.calc_pair_friction_std())
     return float(np.mean(np.abs(offs) <= INTERVAL))
 

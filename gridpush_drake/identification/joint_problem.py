@@ -1,26 +1,23 @@
-"""The residuals of a log of several objects as a function of all unknowns: `SceneProblem`.
+"""The residuals of a log of several objects as a function of all unknowns: `JointProblem`.
 
 The unknowns are z = (log k of every object's cells; log of the frictions with the pusher; log of
-the pairs' frictions); see `scene_learning`.
+the pairs' frictions); see `joint_fit`.
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 
-from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.motion import Jacobian
 from gridpush_drake.dynamics.push import make_times_with
-from gridpush_drake.dynamics.scene.bodies import Scene, SceneBody
-from gridpush_drake.dynamics.scene.motion import SceneJacobian
-from gridpush_drake.dynamics.scene.simulation import simulate_scene
+from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.problem import make_even_parameters
-from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.scene_log import ObservedScenePush, SceneLog
+from gridpush_drake.pushes.observed_push import ObservedPush
+from gridpush_drake.pushes.push_log import PushLog
 
 
-class SceneProblem:
+class JointProblem:
     """Simulates the pushes of a log with what z says of the objects.
 
     Attributes:
@@ -31,45 +28,31 @@ class SceneProblem:
         simulations: number of pushes that were simulated so far.
     """
 
-    def __init__(
-        self,
-        objects: Sequence[GridObject],
-        log: SceneLog,
-        pair_friction: float,
-        noise: Array,
-        physics: Physics,
-    ) -> None:
+    def __init__(self, model: Model, log: PushLog, noise: Array) -> None:
         """Takes what is known beforehand.
 
         Args:
-            objects: the objects.
+            model: the objects, how they slide, and the friction of two against each other that is
+                expected.
             log: their pushes, at least one.
-            pair_friction: friction of two objects against each other that is expected.
             noise: (3,) standard deviations of poses, m, m and rad.
-            physics: spin, gravity and tolerances.
         """
-        self.objects = tuple(objects)
+        self.objects = model.objects
         self.log = log
         self.simulations = 0
         self.push_of_block = np.repeat(np.arange(len(log)), [len(seen.t_observed) for seen in log])
         self._noise = noise
-        self._physics = physics
-        self._even = [make_even_parameters(obj) for obj in objects]
-        n = len(objects)
-        self._pairs = np.triu_indices(n, 1)
+        self._physics = model.physics
+        self._even = [make_even_parameters(obj) for obj in model.objects]
+        self._pairs = np.triu_indices(len(model), 1)
         k = [np.log(each.mass * each.friction) for each in self._even]
         finger = np.log([each.contact_friction for each in self._even])
-        pair = np.full(len(self._pairs[0]), np.log(pair_friction))
-        self.z0 = np.concatenate([*k, finger, pair])
+        self.z0 = np.concatenate([*k, finger, np.log(model.pair_friction[self._pairs])])
 
-    def make_scene(self, z: Array, poses: Array) -> Scene:
-        """Makes the scene of z at poses (N, 3), m and rad."""
+    def make_model(self, z: Array) -> Model:
+        """Makes the model of z."""
         params, friction = self._make_params(z)
-        bodies = [
-            SceneBody(obj, each, pose)
-            for obj, each, pose in zip(self.objects, params, poses, strict=True)
-        ]
-        return Scene(bodies, friction, may_overlap=True)
+        return Model(self.objects, params, self._physics, friction)
 
     def linearize(self, z: Array) -> tuple[Array, Array]:
         """Simulates all pushes, each from where it was seen to begin.
@@ -84,13 +67,8 @@ class SceneProblem:
             self.simulations += 1
             times = make_times_with(seen.push, seen.t_observed, "quasi_static")
             rows = np.searchsorted(times, seen.t_observed)
-            motion = simulate_scene(
-                self.make_scene(z, seen.poses),
-                seen.push,
-                gradients=True,
-                physics=self._physics,
-                times=times,
-                record=rows,
+            motion = simulate_together(
+                self.make_model(z), seen.push, seen.pose, gradients=True, times=times, record=rows
             )
             residuals.append(self._calc_residual(motion.poses[rows], seen))
             by_z = self._chain(z, motion.jacobian) / self._noise[:, None]
@@ -110,17 +88,18 @@ class SceneProblem:
         friction[self._pairs] = np.exp(pair)
         return params, friction + friction.T
 
-    def _calc_residual(self, poses: Array, seen: ObservedScenePush) -> Array:
+    def _calc_residual(self, poses: Array, seen: ObservedPush) -> Array:
         """Calculates a push's residuals (K, 3 N), in units of the noise."""
         off = poses - seen.poses_observed
         off[..., 2] = np.arctan2(np.sin(off[..., 2]), np.cos(off[..., 2]))
         return np.asarray((off / self._noise).reshape(len(poses), -1))
 
-    def _chain(self, z: Array, jacobian: SceneJacobian) -> Array:
+    def _chain(self, z: Array, jacobian: Jacobian) -> Array:
         """Makes the derivatives (K, N, 3, Z) of the poses by z."""
         params, friction = self._make_params(z)
-        by_k = [block * each.mass for block, each in zip(jacobian.mass, params, strict=True)]
+        by_k = jacobian.mass * np.concatenate([each.mass for each in params])
         finger = jacobian.contact_friction * np.array([each.contact_friction for each in params])
         i, j = self._pairs
+        assert jacobian.pair_friction is not None
         pair = jacobian.pair_friction[..., i, j] * friction[i, j]
-        return np.concatenate([*by_k, finger, pair], axis=-1)
+        return np.concatenate([by_k, finger, pair], axis=-1)
