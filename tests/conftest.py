@@ -1,4 +1,8 @@
-"""`--budget SECONDS`: tests that would begin later are skipped, and say so; CI runs slow ones while there is time."""
+"""Two options for CI, which has no time for everything.
+
+`--budget SECONDS`: tests that would begin later are skipped, and named at the end. `--per-file N`: of each file only
+the first N tests are run, a parametrized one counting once, with its first parameters.
+"""
 
 import signal
 import subprocess
@@ -9,6 +13,9 @@ import pytest
 
 BEGIN = monotonic()
 
+
+USED_UP = "the budget is used up"
+"""Why a test was skipped for which there was no time."""
 
 WARM_UP = "from gridpush_drake.dynamics.warm_up import compile_rollouts; compile_rollouts()"
 """Python code that compiles the kernels, or finds them compiled."""
@@ -30,9 +37,38 @@ def pytest_addoption(parser):
     parser.addoption(
         "--budget", type=float, metavar="SECONDS", help="After so long no further test begins."
     )
+    parser.addoption(
+        "--per-file", type=int, metavar="N", help="Of each file only the first N tests are run."
+    )
+
+
+def pytest_collection_modifyitems(config, items):
+    limit = config.getoption("--per-file")
+    if limit is None:
+        return
+    taken = {}
+    kept = []
+    for item in items:
+        names = taken.setdefault(item.path, set())
+        name = item.nodeid.partition("[")[0]
+        if len(names) < limit and name not in names:
+            names.add(name)
+            kept.append(item)
+    config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
+    items[:] = kept
 
 
 def pytest_runtest_setup(item):
     budget = item.config.getoption("--budget")
     if budget is not None and monotonic() - BEGIN > budget:
-        pytest.skip(f"the budget of {budget:g} s is used up")
+        pytest.skip(f"{USED_UP}: {budget:g} s")
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Names the tests for which there was no time."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    late = [each.nodeid for each in skipped if USED_UP in str(each.longrepr)]
+    if late:
+        terminalreporter.section(f"{len(late)} tests were not run, for the budget was used up")
+        for name in late:
+            terminalreporter.line(name)

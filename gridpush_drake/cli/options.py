@@ -35,7 +35,12 @@ from gridpush_drake.objects.object_file import find_shipped_object, speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import MAX_FIRST_ANGLE, MAX_TABLE
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog, choose_pusher_radius
+from gridpush_drake.pushes.push_log import (
+    DEFAULT_PUSHER_RADIUS,
+    PushLog,
+    choose_pusher_radius,
+    find_pusher_radius,
+)
 
 ObjectOrModel = Annotated[
     str,
@@ -472,27 +477,33 @@ def choose_height(given: float | None, obj: GridObject) -> float:
     return obj.height or DEFAULT_HEIGHT
 
 
-def load_log(path: Path, obj: GridObject, *, require_final: bool = True) -> PushLog:
+def load_log(
+    path: Path, objects: GridObject | Sequence[GridObject], *, require_final: bool = True
+) -> PushLog:
     """Reads a push log.
 
-    If the log does not say how thick the pusher was, the object's file does. If that does not say
-    it either, a default is used, which is printed on standard error.
+    If the log does not say how thick the pusher was, the objects' files do. If they do not say it
+    either, a default is used, which is printed on standard error.
 
     Args:
         path: the CSV file.
-        obj: the object that was pushed.
+        objects: the object that was pushed, or the objects.
         require_final: whether a push whose last pose is unknown is refused.
     """
+    many = [objects] if isinstance(objects, GridObject) else objects
     log = PushLog.read_csv(path, require_final=require_final)
+    log.check_objects(many)
     if log.radius_given:
         return log
-    if obj.prior.pusher_radius is None:
+    radius = find_pusher_radius(many)
+    if radius is None:
+        names = ", ".join(speak_name(obj.name) for obj in many)
         print_notice(
-            f"{speak_name(obj.name)}: its file has no pusher.radius; the pusher's radius is "
+            f"{names}: its file has no pusher.radius; the pusher's radius is "
             f"assumed to be {DEFAULT_PUSHER_RADIUS:g} m"
         )
         return log
-    return log.with_radius(obj.prior.pusher_radius)
+    return log.with_radius(radius)
 
 
 def choose_radius(radius: float | None, obj: GridObject) -> float:

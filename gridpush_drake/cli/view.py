@@ -14,6 +14,7 @@ from gridpush_drake.cli.view_log import (
     ViewError,
     describe_pushes,
     find_target,
+    find_targets,
     pick_pushes,
     predict_pushes,
 )
@@ -22,7 +23,6 @@ from gridpush_drake.cli.view_page import (
     describe_target,
     draw_model_page,
     draw_pushes_page,
-    draw_scene_log_page,
     open_recording,
     serve,
 )
@@ -187,10 +187,11 @@ def view(
     # A page that is only written needs no port of its own, so that any free one does
     look = Look(shows=shows, height=height, port=port if out is None else 0)
     if others:
-        scene = draw_scene_log_page(Path(source), others, push, look, largest_piece)
+        targets = find_targets(Path(source), others, largest_piece)
+        scene = draw_pushes_page(Path(source), targets, push, look)
     elif kind == ".csv":
         target = find_target(Path(source), object_file, model_file, largest_piece)
-        scene = draw_pushes_page(Path(source), target, push, look)
+        scene = draw_pushes_page(Path(source), [target], push, look)
     else:
         scene = draw_model_page(options.load_target(source, largest_piece), look)
     scene.page.overlay = scene.overlay
@@ -277,8 +278,8 @@ def _show_in_rerun(
             of_pushes.model_file,
             largest_piece,
         )
-        picked = pick_pushes(path, target, of_pushes.names)
-        predictions = predict_pushes(target, picked)
+        picked = pick_pushes(path, [target], of_pushes.names)
+        predictions = predict_pushes([target], picked)
         draw = partial(
             show_pushes,
             target=target,
@@ -286,7 +287,7 @@ def _show_in_rerun(
             predictions=predictions,
             shows=shows,
         )
-        found, lines = describe_pushes(target, picked, predictions, shows)
+        found, lines = describe_pushes([target], picked, predictions, shows)
     else:
         target = options.load_target(source, largest_piece)
         draw = partial(

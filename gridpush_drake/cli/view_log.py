@@ -1,18 +1,26 @@
 """The push log that `gridpush view` shows: its object, its pushes, and their predictions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import count_noun
+from gridpush_drake.cli.console import MM, count_noun
 from gridpush_drake.cli.view_scene import describe_colors
 from gridpush_drake.display.cell_colors import Shown
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import exists, is_file
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import looks_like_model
-from gridpush_drake.identification.prediction import Prediction, predict, summarize_errors
+from gridpush_drake.identification.prediction import (
+    Prediction,
+    calc_pose_error,
+    predict,
+    summarize_errors,
+)
 from gridpush_drake.objects.object_file import speak_name
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -65,13 +73,36 @@ def find_target(
     return options.load_target(str(told), largest_piece)
 
 
+def find_targets(
+    log: Path, named: Sequence[str], largest_piece: bool
+) -> tuple[options.Target, ...]:
+    """Reads the models or objects of a push log of several objects, in the order of the log's.
+
+    Args:
+        log: the log.
+        named: the objects, as NAME=FILE or FILE, with the names that they have in the log.
+        largest_piece: as of `options.LargestPiece`.
+    """
+    targets = {}
+    for text in named:
+        name, file = options.split_name(text)
+        target = options.load_target(file, largest_piece)
+        targets[name or target.obj.name] = target
+    read = PushLog.read_csv(log, require_final=False)
+    options.check_names(log, read, targets)
+    return tuple(targets[name] for name in read.names)
+
+
 def describe_pushes(
-    target: options.Target,
+    targets: Sequence[options.Target],
     picked: PushLog,
     predictions: list[Prediction] | None,
     shows: Shown,
 ) -> tuple[dict[str, Any], list[str]]:
     """Says which pushes are shown, and how well they are predicted; for machines and in lines."""
+    if len(targets) > 1:
+        return _describe_several(targets, picked, predictions)
+    (target,) = targets
     # The model assumes a table below all of the object, so pushes over its edge are not judged
     overhanging = [seen.name for seen in picked.overhanging]
     judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
@@ -95,17 +126,49 @@ def describe_pushes(
     return found, lines
 
 
-def predict_pushes(target: options.Target, picked: PushLog) -> list[Prediction] | None:
-    """Predicts pushes by a learned model; None where nothing was learned."""
-    if target.model is None:
+def _describe_several(
+    targets: Sequence[options.Target], picked: PushLog, predictions: list[Prediction] | None
+) -> tuple[dict[str, Any], list[str]]:
+    """Says the same of pushes of several objects, of which only the cell error is summed up."""
+    found: dict[str, Any] = {"kind": "pushes", "objects": list(picked.names)}
+    found["pushes"] = [seen.name for seen in picked]
+    lines = [f"{', '.join(picked.names)}: {count_noun(len(picked), 'push')}"]
+    if predictions is not None:
+        errors = [
+            [
+                calc_pose_error(target.obj, mine, theirs).cell
+                for target, mine, theirs in zip(
+                    targets, each.at_observations[-1], seen.final_pose, strict=True
+                )
+            ]
+            for each, seen in zip(predictions, picked, strict=True)
+            if len(seen.t_observed)
+        ]
+        found["cell_errors"] = errors
+        lines.append("Solid: as observed. Orange: as the models predict it.")
+        lines.append(f"Mean cell error of the final poses: {np.mean(errors) * MM:.1f} mm")
+    return found, lines
+
+
+def predict_pushes(targets: Sequence[options.Target], picked: PushLog) -> list[Prediction] | None:
+    """Predicts pushes by learned models; None where not all objects are learned.
+
+    The friction of several objects on each other is the default one, for a model's file does not
+    hold it.
+    """
+    if any(target.model is None for target in targets):
         return None
     options.compile_kernels()
-    return predict(Model(target.obj, target.params, target.make_physics("auto")), picked)
+    objects = [target.obj for target in targets]
+    parameters = [target.params for target in targets]
+    physics = targets[0].make_physics("auto") if len(targets) == 1 else None
+    return predict(Model(objects, parameters, physics), picked)
 
 
-def pick_pushes(path: Path, target: options.Target, names: list[str] | None) -> PushLog:
+def pick_pushes(path: Path, targets: Sequence[options.Target], names: list[str] | None) -> PushLog:
     """Reads the pushes with some names, or all pushes, from a log."""
-    log = options.load_log(path, target.obj, require_final=False)
+    objects = [target.obj for target in targets]
+    log = options.load_log(path, objects, require_final=False)
     known = [seen.name for seen in log]
     for name in names or ():
         if name not in known:

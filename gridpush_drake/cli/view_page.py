@@ -3,6 +3,7 @@
 import os
 import sys
 import webbrowser
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -10,21 +11,13 @@ from typing import Any
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_found
-from gridpush_drake.cli.view_log import ViewError, describe_pushes, pick_pushes, predict_pushes
+from gridpush_drake.cli.view_log import describe_pushes, pick_pushes, predict_pushes
 from gridpush_drake.cli.view_scene import AddModel, AddPushes, describe_colors, make_overlay
-from gridpush_drake.cli.view_scene_log import (
-    AddScenePushes,
-    describe_scene_pushes,
-    make_bodies,
-    make_scene_overlay,
-    predict_scene,
-)
 from gridpush_drake.display.cell_colors import Shown
 from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.display.overlay import Overlay
 from gridpush_drake.display.server import PublishOnce
 from gridpush_drake.objects.object_file import speak_name
-from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
 
 
 @dataclass(frozen=True)
@@ -80,74 +73,35 @@ def draw_model_page(target: options.Target, look: Look) -> Scene:
     AddModel(page.meshcat, target, look.shows, options.choose_height(look.height, target.obj))
     return Scene(
         page=page,
-        overlay=make_overlay(target, look.shows),
+        overlay=make_overlay([target], look.shows),
         found=describe_target(target),
         lines=[f"{speak_name(target.obj.name)}: {target.obj.n} cells", describe_colors(look.shows)],
     )
 
 
 def draw_pushes_page(
-    path: Path, target: options.Target, names: list[str] | None, look: Look
+    path: Path, targets: Sequence[options.Target], names: list[str] | None, look: Look
 ) -> Scene:
     """Records a replay of pushes, beside their predictions if there is a learned model.
 
     Args:
         path: the push log.
-        target: the model or the object that was pushed.
+        targets: the models or the objects that were pushed, in the order of the log's.
         names: names of the pushes to replay; None for all.
         look: how they are shown.
 
     Raises:
         ViewError: the log has no push of a name.
     """
-    picked = pick_pushes(path, target, names)
-    predictions = predict_pushes(target, picked)
+    picked = pick_pushes(path, targets, names)
+    predictions = predict_pushes(targets, picked)
     page = LivePage(look.port)
-    height = options.choose_height(look.height, target.obj)
-    AddPushes(page.meshcat, target, picked, predictions, look.shows, height)
+    height = options.choose_height(look.height, targets[0].obj)
+    AddPushes(page.meshcat, targets, picked, predictions, look.shows, height)
 
-    found, lines = describe_pushes(target, picked, predictions, look.shows)
-    overlay = make_overlay(target, look.shows, picked, predictions)
+    found, lines = describe_pushes(targets, picked, predictions, look.shows)
+    overlay = make_overlay(targets, look.shows, picked, predictions)
     return Scene(page=page, overlay=overlay, found=found, lines=lines)
-
-
-def draw_scene_log_page(
-    path: Path, named: list[str], names: list[str] | None, look: Look, largest_piece: bool
-) -> Scene:
-    """Records a replay of pushes of several objects, beside their predictions if all are learned.
-
-    Args:
-        path: the log.
-        named: the objects, as NAME=FILE or FILE.
-        names: names of the pushes to replay; None for all.
-        look: how they are shown.
-        largest_piece: as of `options.LargestPiece`.
-
-    Raises:
-        ViewError: the log has other objects, or no push of a name.
-    """
-    targets = {}
-    for text in named:
-        name, file = options.split_name(text)
-        target = options.load_target(file, largest_piece)
-        targets[name or target.obj.name] = target
-    objects = [target.obj for target in targets.values()]
-    log = PushLog.read_csv(path, choose_pusher_radius(objects))
-    options.check_names(path, log, targets)
-    known = [seen.name for seen in log]
-    for name in names or ():
-        if name not in known:
-            raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
-    picked = tuple(seen for seen in log if not names or seen.name in names)
-    log = PushLog(picked, names=log.names)
-    options.compile_kernels()
-    believed = make_bodies(targets, log)
-    motions = predict_scene(believed, log)
-    page = LivePage(look.port)
-    height = options.choose_height(look.height, objects[0])
-    AddScenePushes(page.meshcat, targets, log, motions, look.shows, height)
-    found, lines = describe_scene_pushes(believed, log)
-    return Scene(page=page, overlay=make_scene_overlay(log, motions), found=found, lines=lines)
 
 
 def serve(scene: Scene, open_page: bool, json: bool) -> None:

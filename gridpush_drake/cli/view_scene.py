@@ -32,13 +32,13 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import Prediction
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 OBJECT = "object"
-"""Path of the object in Meshcat."""
+"""Path of the object in Meshcat; below it each of several has its number."""
 
 GHOST = "predicted"
-"""Path in Meshcat of the object as the model predicts it."""
+"""Path in Meshcat of the object as the model predicts it, likewise."""
 
 FINGER = "finger"
 """Path of the finger in Meshcat, below the path of its push."""
@@ -103,12 +103,12 @@ def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> N
         shows: what the colors of the cells stand for.
         height: height of the object, m.
     """
-    _AddObject(meshcat, target, CellColors(shows), height)
+    _AddObject(meshcat, OBJECT, target, CellColors(shows), height)
     FrameScene(meshcat, np.array(target.obj.outline.bounds).reshape(2, 2))
 
 
 def make_overlay(
-    target: Target,
+    targets: Sequence[Target],
     shows: Shown,
     log: PushLog | None = None,
     predictions: Sequence[Prediction] | None = None,
@@ -116,19 +116,19 @@ def make_overlay(
     """Makes the legend and the captions of a page that shows a model or a replay of pushes.
 
     Args:
-        target: the model or object that is shown.
+        targets: the models or objects that are shown.
         shows: what the colors of the cells stand for.
         log: the pushes that `AddPushes` records; None if no pushes are shown.
         predictions: the predictions that are shown beside the pushes; None if there are none.
     """
-    scale = make_color_scale([target.obj], CellColors(shows)) if target.model is not None else None
-    marks = list_center_marks() if target.model is not None else ()
+    learned = [target.obj for target in targets if target.model is not None]
+    scale = make_color_scale(learned, CellColors(shows)) if learned else None
+    marks = list_center_marks() if learned else ()
     if log is not None:
         marks += (Mark(to_css(PLAN_COLOR), "the finger's push", "line"),)
     if predictions is not None:
-        marks += (
-            Mark(to_css(PLAN_COLOR), "the object as the model predicts it; solid: as observed"),
-        )
+        what = "the object" if len(targets) == 1 else "the objects"
+        marks += (Mark(to_css(PLAN_COLOR), f"{what} as the model predicts; solid: as observed"),)
     phases = list_push_phases(
         (seen.name, seen.push, OVERHANGS if seen.overhang else "") for seen in log or ()
     )
@@ -152,7 +152,7 @@ def list_push_phases(pushes: Iterable[tuple[str, Push, str]]) -> tuple[Phase, ..
 
 def AddPushes(
     meshcat: Meshcat,
-    target: Target,
+    targets: Sequence[Target],
     log: PushLog,
     predictions: Sequence[Prediction] | None,
     shows: Shown,
@@ -160,23 +160,29 @@ def AddPushes(
 ) -> None:
     """Records a replay of pushes, one after the other.
 
-    Shown are the object as it was observed, the finger, and as a ghost the object as it is
-    predicted. Between two observations the object is drawn on the straight line from one to the
+    Shown are the objects as they were observed, the finger, and as ghosts the objects as they are
+    predicted. Between two observations an object is drawn on the straight line from one to the
     other. The caller has to publish the recording.
 
     Args:
         meshcat: where to draw it.
-        target: the model or object that was pushed.
+        targets: the models or objects that were pushed, in the order of the log's.
         log: the pushes.
         predictions: the predicted motion of each push, in the order of the log; None for no ghost.
         shows: what the colors of the cells stand for.
-        height: height of the object, m.
+        height: height of the objects, m.
     """
-    obj = target.obj
-    _AddObject(meshcat, target, CellColors(shows), height)
-    if predictions is not None:
-        AddGhost(meshcat, GHOST, obj, height)
-    FrameScene(meshcat, _calc_extent(obj, log))
+    one = len(targets) == 1
+    paths = (
+        [("", target) for target in targets]
+        if one
+        else [(f"/{b}", target) for b, target in enumerate(targets)]
+    )
+    for number, target in paths:
+        _AddObject(meshcat, OBJECT + number, target, CellColors(shows), height)
+        if predictions is not None:
+            AddGhost(meshcat, GHOST + number, target.obj, height)
+    FrameScene(meshcat, _calc_extent([target.obj for target in targets], log))
     meshcat.StartRecording(FRAMES_PER_SECOND)
     begin = 0.0
     for i, seen in enumerate(log):
@@ -184,20 +190,32 @@ def AddPushes(
         first = begin + HOLD
         last = first + seen.push.duration
         times = np.append(0.0, seen.t_observed)
-        poses = np.vstack([seen.pose, seen.poses_observed])
-        RecordPoses(meshcat, OBJECT, first + times, poses, begin=begin, end=last + HOLD)
-        if predictions is not None:
+        observed = list_poses(seen)
+        for b, (number, _) in enumerate(paths):
+            path = OBJECT + number
+            RecordPoses(meshcat, path, first + times, observed[:, b], begin=begin, end=last + HOLD)
+            if predictions is None:
+                continue
             motion = predictions[i]
             at = sample_times(motion.times)
-            poses = np.column_stack(
-                [np.interp(at, motion.times, column) for column in motion.poses.T]
-            )
-            RecordPoses(meshcat, GHOST, first + at, poses, begin=begin, end=last + HOLD)
+            predicted = motion.poses.reshape(len(motion.times), -1, 3)[:, b]
+            poses = np.column_stack([np.interp(at, motion.times, column) for column in predicted.T])
+            path = GHOST + number
+            RecordPoses(meshcat, path, first + at, poses, begin=begin, end=last + HOLD)
         begin = last + HOLD
     meshcat.StopRecording()
 
 
-def _AddObject(meshcat: Meshcat, target: Target, colors: CellColors, height: float) -> None:
+def list_poses(seen: ObservedPush) -> Array:
+    """Lists all poses (K+1, N, 3) that were seen of the N objects of a push, m and rad."""
+    return np.concatenate([seen.pose[None], seen.poses_observed]).reshape(
+        len(seen.t_observed) + 1, -1, 3
+    )
+
+
+def _AddObject(
+    meshcat: Meshcat, path: str, target: Target, colors: CellColors, height: float
+) -> None:
     """Draws the cells of an object, and the center of mass of a learned model."""
     obj = target.obj
     params = target.params
@@ -207,12 +225,10 @@ def _AddObject(meshcat: Meshcat, target: Target, colors: CellColors, height: flo
         if model is None
         else colors.calc_colors(params.mass, params.friction)
     )
-    AddCells(meshcat, f"{OBJECT}/cells", obj, drawn, height)
+    AddCells(meshcat, f"{path}/cells", obj, drawn, height)
     if model is not None:
         covariance = model.identifiability.center_of_friction_covariance
-        AddCenter(
-            meshcat, f"{OBJECT}/center", params.center_of_mass(obj), covariance, height + LAYER
-        )
+        AddCenter(meshcat, f"{path}/center", params.center_of_mass(obj), covariance, height + LAYER)
 
 
 def AddPusher(meshcat: Meshcat, push: Push, i: int, begin: float, height: float) -> None:
@@ -278,10 +294,11 @@ def sample_times(times: Array) -> Array:
     return times if len(times) <= count else np.linspace(times[0], times[-1], count)
 
 
-def _calc_extent(obj: GridObject, log: PushLog) -> Array:
+def _calc_extent(objects: Sequence[GridObject], log: PushLog) -> Array:
     """Returns the smallest and largest x, y (2, 2) of observed cells and finger paths, m."""
-    poses = np.concatenate([np.vstack([seen.pose, seen.poses_observed]) for seen in log])
-    points = np.concatenate([obj.cells_at(poses).reshape(-1, 2), *(seen.push.xy for seen in log)])
+    poses = np.concatenate([list_poses(seen) for seen in log])
+    cells = [obj.cells_at(poses[:, b]).reshape(-1, 2) for b, obj in enumerate(objects)]
+    points = np.concatenate([*cells, *(seen.push.xy for seen in log)])
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import Regime
+from gridpush_drake.dynamics.push import make_times_with
+from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.problem import TimedPush, find_fastest
 from gridpush_drake.notebook import DEGREES, MM, describe_pose, draw_paths, make_page
@@ -32,8 +34,9 @@ class Prediction:
     Attributes:
         name: name of the push.
         times: (T+1,) s from its beginning.
-        poses: (T+1, 3) predicted q = (x, y, theta), m and rad, world frame.
-        at_observations: (K, 3) predicted poses at the times the log observed one.
+        poses: (T+1, 3) predicted q = (x, y, theta), m and rad, world frame; (T+1, N, 3) of several
+            objects.
+        at_observations: (K, 3), or (K, N, 3), predicted poses at the times the log observed one.
         status: how the simulation ended.
     """
 
@@ -45,15 +48,16 @@ class Prediction:
 
     def __repr__(self) -> str:
         """Name, status and where the object ends, in a line."""
-        return (
-            f"Prediction of {self.name!r}, {self.status}: ends at {describe_pose(self.poses[-1])}"
-        )
+        ends = "; ".join(describe_pose(pose) for pose in self.poses[-1].reshape(-1, 3))
+        return f"Prediction of {self.name!r}, {self.status}: ends at {ends}"
 
     def _repr_html_(self) -> str:
-        """The object's predicted path."""
-        return make_page(
-            repr(self), draw_paths([(self.poses[:, :2], "teal", "object's body frame")])
-        )
+        """The predicted path of each object."""
+        several = self.poses.reshape(len(self.poses), -1, 3)
+        paths = [
+            (several[:, b, :2], "teal", "object's body frame") for b in range(several.shape[1])
+        ]
+        return make_page(repr(self), draw_paths(paths))
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ def predict(
     """Predicts every push of a log from its first observed pose.
 
     Args:
-        bodies: one object, with its parameters and physics.
+        bodies: the object, or the objects in the order of the log's, with parameters and physics.
         log: pushes, with or without later observations, or the name of their CSV file.
         regime: takes the place of the one in the physics. "auto", the default, is the one that
             suits the log's fastest push, for all of them.
@@ -98,7 +102,8 @@ def predict(
     """
     check_types("predict", model=(bodies, (Bodies,)), log=(log, LOG_TYPES))
     log = read_log(log, bodies.objects, require_final=False)
-    check_plausible(bodies.obj, log, learning=False)
+    if len(bodies) == 1:
+        check_plausible(bodies.obj, log, learning=False)
     resolved = bodies.resolve(find_fastest(log), regime)
     return [_predict_push(resolved, push, log.table) for push in log]
 
@@ -121,6 +126,16 @@ def _predict_push(
     table: Array | None,
 ) -> Prediction:
     """Predicts one push; the regime of the physics is not "auto"."""
+    if len(bodies) > 1:
+        times = make_times_with(push.push, push.t_observed, "quasi_static")
+        motion = simulate_together(bodies, push.push, push.pose, times=times)
+        return Prediction(
+            name=push.name,
+            times=times,
+            poses=motion.poses,
+            at_observations=motion.poses[np.searchsorted(times, push.t_observed)],
+            status=motion.status,
+        )
     timed = TimedPush.of(push, bodies.physics.regime, table)
     motion = timed.simulate(bodies)
     return Prediction(

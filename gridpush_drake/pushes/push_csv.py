@@ -84,6 +84,9 @@ TABLE = "table"
 KNOWN = (*FORCE, LIFT_FORCE, OVERHANG, TABLE)
 """Columns of what may be known besides."""
 
+COLUMNS = (*REQUIRED, *KNOWN)
+"""All columns that are read of an object without a name."""
+
 FLAGS = {"0": False, "1": True, "0.0": False, "1.0": True}
 """Texts that say no or yes in a column; pandas writes numbers of such a column with points."""
 
