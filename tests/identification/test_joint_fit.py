@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import IdentificationError
+from gridpush_drake.errors import IdentificationError, PushLogError
+from gridpush_drake.identification.friction_gradient import HeldFriction
 from gridpush_drake.identification.joint_fit import identify_together
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.identification.result import IdentificationStatus
@@ -113,11 +115,23 @@ def test_what_is_refused():
     truth = make_truth()
     log = PushLog((push_scene(truth, 0),), names=("block 0", "block 1"))
     with pytest.raises(IdentificationError, match="holds no push"):
-        identify_together(Model(truth.objects), PushLog((), names=()))
-    with pytest.raises(IdentificationError, match=r"of 2 objects .* expected 1"):
-        identify_together(Model(truth.objects[:1]), log)
+        identify(Model(truth.objects), PushLog((), names=log.names))
+    with pytest.raises(PushLogError, match=r"of 2 objects .* expected 1"):
+        identify(Model(truth.objects[0]), log)
     with pytest.raises(IdentificationError, match="noise"):
         identify_together(Model(truth.objects), log, noise=(0.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"method": "cma_es"}, {"regime": "inertial"}, {"budget": 5}, {"friction": HeldFriction(None)}],
+)
+def test_what_is_for_one_object_alone_is_refused(options):
+    truth = make_truth()
+    log = PushLog((push_scene(truth, 0),), names=("block 0", "block 1"))
+    (name,) = options
+    with pytest.raises(IdentificationError, match=f"{name}: is for one object"):
+        identify(Model(truth.objects), log, **options)
 
 
 def test_a_push_that_no_loads_explain_is_named_and_spoils_nothing():
