@@ -27,6 +27,7 @@ from gridpush_drake.display.shapes import (
 )
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, wrap_angle
@@ -35,7 +36,6 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.robot_status import PushStatus
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 

@@ -24,6 +24,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.dynamics.physics import Physics, Regime, make_physics
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
@@ -39,7 +40,7 @@ from gridpush_drake.identification.weighed_learning import learn_with_weighings
 from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import (
     NOT_FELT,
     UNUSABLE,

@@ -25,6 +25,7 @@ from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.motion import RawJacobian
 from gridpush_drake.dynamics.physics import Physics, make_physics
 from gridpush_drake.dynamics.push import DEFAULT_DT
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import count_columns, get_edges
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, check_vector
@@ -33,7 +34,6 @@ from gridpush_drake.interop.differentiable import calc_velocity_block
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 POSE_SIZE = 3
 """Numbers of a pose in the plane."""

@@ -30,13 +30,13 @@ from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, make_memory
 from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
 from gridpush_drake.dynamics.physics import Regime, make_physics
 from gridpush_drake.dynamics.push import DEFAULT_DT
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import count_columns, get_edges
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 NO_PUSHER = -1.0
 """Radius of the pusher by which the kernel is told that there is no pusher, m."""

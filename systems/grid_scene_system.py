@@ -22,11 +22,12 @@ from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.kernels.scene.records import (
     IDENTITY,
     Contacts,
-    Pusher,
+    PusherPath,
     SceneState,
 )
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.push import DEFAULT_DT
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.scene.cores import check_overlap
 from gridpush_drake.dynamics.scene.kernel_call import (
     make_bodies,
@@ -38,7 +39,6 @@ from gridpush_drake.dynamics.scene.simulation import check_together
 from gridpush_drake.errors import SimulationError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 _POSES, _MEMORY, _CONTACTS, _FORCE, _UNSOLVED = map(DiscreteStateIndex, range(5))
 
@@ -164,7 +164,7 @@ class GridSceneSystem(LeafSystem):
         record = run_scene_kernel(
             self._bodies,
             self.bodies.physics,
-            pusher=Pusher(
+            pusher=PusherPath(
                 tip=np.array([pusher[:2], pusher[:2] + path]),
                 path_length=float(np.hypot(*path)),
                 radius=self.pusher_radius,

@@ -18,6 +18,7 @@ from pydrake.systems.framework import BasicVector, Context
 from shapely import LineString, Point, Polygon
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array, transform_shape
@@ -25,7 +26,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.closed_loop import LoopOptions, Pose
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushStatus
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.worker import Request, Worker, make_worker

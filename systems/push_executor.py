@@ -15,11 +15,11 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.systems.messages import (
     PUSH_COMMAND_SIZE,
     GraspStatus,

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.bench.feedback_worlds import FINGER, SIGHT, Case, make_case
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.geometry.se2 import Array, make_direction, transform, wrap_angle
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
@@ -320,7 +321,7 @@ def run_strokes(job: Job, case: Case, pose: Array, goal: Array, tip: Array) -> F
         angle_std=SIGHT.angle_std,
         seed=job.seed,
     )
-    contact = ContactOptions(radius=FINGER.radius, speed=FINGER.speed)
+    contact = ContactOptions(Pusher(FINGER.radius, FINGER.speed))
     rules = GoalRules(contact=contact, robustness=None, tolerance=STROKE_TOLERANCE)
     run = push_to_goal(
         world, Model(obj, learned.params, learned.physics), goal, rules, learner=None

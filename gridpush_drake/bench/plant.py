@@ -36,6 +36,7 @@ from gridpush_drake.bench.table import ALL, DEGREES, MM, Table, by_object, mean_
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array
@@ -63,7 +64,6 @@ from gridpush_drake.planning.world import (
     WorldMotion,
     WorldTruth,
 )
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 OBJECTS = ("claw_hammer", "combination_wrench", "toolbox", "spray_bottle")
 """Shipped objects that are pushed."""

@@ -15,13 +15,14 @@ from scipy.io import whosmat
 
 from gridpush_drake.bench.plant import draw_push
 from gridpush_drake.bench.protocol import MASS_RANGE, add_pose_noise, check_folder, hide_parts
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.importers.cmu import POSE_SIZE
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 PUSHES = 50
 """Number of pushes of a simulated log, as many as the CMU's have."""

@@ -25,6 +25,7 @@ from gridpush_drake.bench.truth.sets import FLAT, OWN_WEIGHT, THREE_FEET, VERTIC
 from gridpush_drake.bench.weighing_story import make_table, tell_story
 from gridpush_drake.bench.weighing_world import EDGE, MadePress, WeighingNoise, WeighingWorld
 from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.absolute import TiltingLine
@@ -49,7 +50,7 @@ from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
 from gridpush_drake.planning.weighing.press import PressOutcome, has_slid
 from gridpush_drake.planning.weighing.sequence import plan_next_press
 from gridpush_drake.planning.world import FALLEN_TILT
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog, choose_pusher_radius
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.pushes.weighings import WeighingLog
 
 SCALE = "scale"

@@ -7,6 +7,7 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import count_noun, print_found, work_progress
+from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.identification.learning import identify
@@ -14,7 +15,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.result import IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.scene_page import (
     explain_scene,
     make_scene_report,

@@ -20,6 +20,11 @@ from gridpush_drake.bench.results import Results
 from gridpush_drake.cli.console import count_noun, print_notice, work_progress
 from gridpush_drake.cli.kernels import compile_all
 from gridpush_drake.dynamics.physics import Physics
+from gridpush_drake.dynamics.pusher import (
+    DEFAULT_PUSHER_RADIUS,
+    choose_pusher_radius,
+    find_pusher_radius,
+)
 from gridpush_drake.errors import (
     MAX_NUMBER,
     GridPushError,
@@ -35,12 +40,7 @@ from gridpush_drake.objects.object_file import find_shipped_object, speak_name
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import MAX_FIRST_ANGLE, MAX_TABLE
-from gridpush_drake.pushes.push_log import (
-    DEFAULT_PUSHER_RADIUS,
-    PushLog,
-    choose_pusher_radius,
-    find_pusher_radius,
-)
+from gridpush_drake.pushes.push_log import PushLog
 
 ObjectOrModel = Annotated[
     str,

@@ -8,6 +8,7 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.object_file import speak_name
@@ -119,7 +120,7 @@ def plan(
     rules = GoalRules(
         PushConstraints(surface, tuple(obstacles), edge_margin=-overhang),
         ContactOptions(
-            radius=radius, speed=speed, physics=target.make_physics("auto").with_regime("auto")
+            Pusher(radius, speed), physics=target.make_physics("auto").with_regime("auto")
         ),
         horizon=horizon,
         tolerance=tolerance,

@@ -10,6 +10,7 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found, to_json
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.objects.grid_object import GridObject
@@ -140,7 +141,8 @@ def slide(
         pad_force=pad_force,
         goal=GoalOptions(margin=margin),
         slide=SlideOptions(
-            margin=ACCEPTED_SHARE * margin, contact=replace(SlideOptions().contact, radius=radius)
+            margin=ACCEPTED_SHARE * margin,
+            contact=replace(SlideOptions().contact, pusher=Pusher(radius)),
         ),
         poke=PokeOptions(radius=radius),
     )

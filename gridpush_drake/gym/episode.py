@@ -285,7 +285,7 @@ class PushGame:
             pushes,
             np.reshape([episode.true_pose for episode in episodes], (-1, 3)),
             workers=self.options.workers,
-            dt=TIP_STEP / FINGER.speed,
+            dt=TIP_STEP / FINGER.pusher.speed,
             regime="quasi_static",
             table=self.surface.corners,
         )

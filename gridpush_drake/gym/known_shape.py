@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS, Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform_back
 from gridpush_drake.objects.grid_object import GridObject
@@ -23,7 +24,6 @@ from gridpush_drake.planning.contact.reachable_outline import (
 )
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, find_grasp_parts
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 PLACES = 64
 """Number of places on the outline that are observed."""
@@ -40,7 +40,7 @@ OCCUPIED = 255
 FINGER_RADIUS = DEFAULT_PUSHER_RADIUS
 """Radius of the games' finger, whatever the objects' files say, m."""
 
-FINGER = ContactOptions(radius=FINGER_RADIUS, distance_range=(0.01, 0.15))
+FINGER = ContactOptions(Pusher(FINGER_RADIUS), distance_range=(0.01, 0.15))
 """The finger and the pushes that it can make."""
 
 
@@ -65,7 +65,7 @@ class KnownShape:
     @cached_property
     def reachable(self) -> ReachableOutline:
         """The part of the outline that the finger can touch."""
-        return find_reachable_outline(self.obj, FINGER_RADIUS, FINGER.clearance)
+        return find_reachable_outline(self.obj, FINGER_RADIUS, FINGER.pusher.clearance)
 
     @cached_property
     def outline(self) -> Array:
@@ -118,9 +118,9 @@ class KnownShape:
             low + (high - low) * angle,
             least + (greatest - least) * distance,
             radius=FINGER_RADIUS,
-            speed=FINGER.speed,
+            speed=FINGER.pusher.speed,
             pose=pose,
-            clearance=FINGER.clearance,
+            clearance=FINGER.pusher.clearance,
         )
 
     def find_action(self, push: Push, pose: Array) -> NDArray[np.float32]:
@@ -133,7 +133,7 @@ class KnownShape:
         # The piece of the outline that is nearest to the finger's surface.
         reach = self.reachable
         normal = reach.normal
-        away = (FINGER_RADIUS + FINGER.clearance) * normal
+        away = (FINGER_RADIUS + FINGER.pusher.clearance) * normal
         start = transform_back(pose, push.start[None])[0] - away
         along = np.clip(((start - reach.origin) * reach.tangent).sum(axis=1), reach.low, reach.high)
         off = np.linalg.norm(reach.origin + along[:, None] * reach.tangent - start, axis=1)

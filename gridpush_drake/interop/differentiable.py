@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike
 from gridpush_drake.dynamics.motion import Jacobian
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import simulate_batch
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 ARGUMENTS = ("mass", "friction", "contact_friction", "start", "velocity", "pose")
 """The differentiable arguments, in the order in which all functions here take them."""

@@ -6,8 +6,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from gridpush_drake.dynamics.pusher import find_pusher_radius
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import PushLog, find_pusher_radius
+from gridpush_drake.pushes.push_log import PushLog
 
 PushLogOrFile = PushLog | str | Path
 """A push log, or the name of the CSV file that `PushLog.read_csv` reads it from."""

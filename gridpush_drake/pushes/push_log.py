@@ -14,51 +14,14 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.errors import ObjectError, PushLogError
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.errors import PushLogError
 from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM, count, describe_move, make_page, make_table
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.observed_push import ObservedPush as ObservedPush
 from gridpush_drake.pushes.push_csv import OBJECT, read_pushes, write_pushes
-
-DEFAULT_PUSHER_RADIUS = 0.008
-"""Radius of a pusher where neither the caller nor the object's file gives one, m: that of the
-shipped finger, `models/fingers/rod`. Learning and planning take the same one."""
-
-
-def find_pusher_radius(objects: Sequence[GridObject]) -> float | None:
-    """Finds the pusher's radius in objects' files, m; None where none has it.
-
-    Raises:
-        ObjectError: they name different ones.
-    """
-    known = [obj.prior.pusher_radius for obj in objects]
-    radii = {radius for radius in known if radius is not None}
-    if len(radii) > 1:
-        listed = ", ".join(f"{radius:g} m" for radius in sorted(radii))
-        raise ObjectError(
-            f"the objects' files name pushers of different radii, {listed}; expected one pusher"
-        )
-    return radii.pop() if radii else None
-
-
-def choose_pusher_radius(
-    objects: GridObject | Sequence[GridObject], radius: float | None = None
-) -> float:
-    """Chooses a pusher's radius, m: as given, else the objects' files', else the shipped finger's.
-
-    Args:
-        objects: the object, or the objects, that are pushed.
-        radius: as given, m; None where it is not.
-
-    Raises:
-        ObjectError: the objects' files name different ones.
-    """
-    if radius is not None:
-        return radius
-    known = find_pusher_radius([objects] if isinstance(objects, GridObject) else objects)
-    return DEFAULT_PUSHER_RADIUS if known is None else known
 
 
 @dataclass(frozen=True, eq=False)

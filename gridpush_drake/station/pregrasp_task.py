@@ -16,6 +16,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError, StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
@@ -386,9 +387,8 @@ def make_options(station: Station, gripper: Gripper, force: float) -> PreGraspOp
         speed = min(speed, FELT_SPEED)
     radius = station.robot.finger.tip_radius
     slide = SlideOptions()
-    contact: ContactOptions = replace(
-        slide.contact, radius=radius, speed=speed, clearance=CLEARANCE
-    )
+    pusher = Pusher(radius, speed, CLEARANCE)
+    contact: ContactOptions = replace(slide.contact, pusher=pusher)
     return PreGraspOptions(
         gripper=gripper,
         pad_force=force,

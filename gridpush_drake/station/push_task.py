@@ -8,6 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
@@ -16,7 +17,6 @@ from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_erro
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.goal_check import check_place, check_reach
 from gridpush_drake.station.push_station import MakePushStation
@@ -210,9 +210,7 @@ def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
         push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
     )
     contact = ContactOptions(
-        radius=station.robot.finger.tip_radius,
-        clearance=clearance,
-        speed=scenario.pokes.speed,
+        Pusher(station.robot.finger.tip_radius, scenario.pokes.speed, clearance),
         distance_range=(clearance + MIN_PUSH, MAX_PUSH),
     )
     return GoalRules(
@@ -237,7 +235,7 @@ def check_goal(obj: GridObject, goal: Array, rules: GoalRules, field: str = "goa
     # Without a region the finger comes everywhere.
     if rules.constraints.finger_region is not None:
         region = rules.constraints.finger_region
-        check_reach(field, obj, goal, region, choose_pusher_radius(obj, rules.contact.radius))
+        check_reach(field, obj, goal, region, rules.contact.pusher.choose_radius(obj))
 
 
 def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float) -> None:

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from gridpush_drake.display.rerun_scene import RerunScene
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.geometry.se2 import Array, make_rotation
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.station.run_recording import (
     PICTURE_TOPIC,
     SEEN_SIZE,

@@ -13,6 +13,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
@@ -47,7 +48,11 @@ from gridpush_drake.planning.scene.rearrangement import (
 )
 from gridpush_drake.planning.scene.rules import SceneRules
 from gridpush_drake.planning.scene.search import SceneSearchOptions
-from gridpush_drake.planning.scene.separation import SeparatePlanner, calc_clearances
+from gridpush_drake.planning.scene.separation import (
+    SeparatePlanner,
+    SeparationOptions,
+    calc_clearances,
+)
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.others import draw_other_truth, list_parts
@@ -288,9 +293,11 @@ class SceneTask(StationTask[SceneTaskRecord]):
         """Makes the options of the search for pushes from the robot's finger and the scenario."""
         return SceneSearchOptions(
             lengths=(0.005, MAX_PUSH),
-            radius=self.station.robot.finger.tip_radius,
-            speed=self.station.scenario.pokes.speed,
-            clearance=CLEARANCE,
+            pusher=Pusher(
+                self.station.robot.finger.tip_radius,
+                self.station.scenario.pokes.speed,
+                CLEARANCE,
+            ),
             workers=cpu_count() or 1,
         )
 
@@ -409,8 +416,8 @@ class SeparateTask(SceneTask):
         search = replace(self.make_search(), candidates=24, firsts=2, seconds=6, compared=3)
         return SeparatePlanner(
             self.objects,
-            rules=self.make_rules(),
-            search=search,
+            SeparationOptions(search=search),
+            self.make_rules(),
             seed=self.station.scenario.seed,
         )
 

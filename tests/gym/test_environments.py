@@ -101,7 +101,7 @@ def test_an_action_is_that_push_and_the_push_that_action():
         push = shape.make_push(action, pose)
         np.testing.assert_allclose(shape.find_action(push, pose), action, atol=1e-5)
         gap = shape.obj.outline.distance(Point(transform_back(pose, push.start[None])[0]))
-        assert gap == pytest.approx(FINGER.radius + FINGER.clearance, abs=1e-6)
+        assert gap == pytest.approx(FINGER.pusher.radius + FINGER.pusher.clearance, abs=1e-6)
 
 
 def test_a_push_moves_the_object_as_the_model_says():

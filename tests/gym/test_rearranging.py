@@ -8,6 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import gridpush_drake.gym  # noqa: F401
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.gym.rearranging import PICTURE_SIZE, RearrangeEnvironment
 from gridpush_drake.planning.scene.belief import SceneBelief
@@ -42,7 +43,7 @@ def test_our_planner_wins_by_the_games_actions():
     environment.reset(seed=3)
     objects = [shape.obj for shape in environment.shapes]
     search = SceneSearchOptions(
-        candidates=24, firsts=3, seconds=8, radius=0.01, lengths=(0.008, 0.14), clearance=0.002
+        candidates=24, firsts=3, seconds=8, lengths=(0.008, 0.14), pusher=Pusher(0.01, 0.05)
     )
     planner = RearrangePlanner(objects, environment.goals, RearrangeOptions(search=search))
     belief = SceneBelief.of_prior(objects, draws=2)

@@ -7,12 +7,13 @@ import numpy as np
 from shapely import Point
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 TRIES = 100
 """Pushes drawn, for each that is wanted, before giving up."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.scene.belief import SceneBelief
@@ -210,7 +211,7 @@ def test_what_is_refused():
 
 def test_an_object_that_no_finger_reaches_is_named_with_what_is_around_it():
     truth = make_truth(["square", "bar"], [(0, 0, 0), (0.3, 0, 0)])
-    huge = replace(QUICK, radius=2.0)
+    huge = replace(QUICK, pusher=Pusher(2.0))
     planner = RearrangePlanner(
         truth.objects,
         [(-0.3, 0, 0), (np.nan,) * 3],

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.objects.parameters import CellParameters
@@ -14,10 +15,9 @@ from gridpush_drake.planning.scene.loop import SceneAction
 from gridpush_drake.planning.scene.rearrangement import RearrangeOptions, RearrangePlanner
 from gridpush_drake.planning.scene.rules import POST_LEEWAY, POST_MARGIN, SceneRules, place_outlines
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
-from gridpush_drake.planning.scene.separation import SeparatePlanner
+from gridpush_drake.planning.scene.separation import SeparatePlanner, SeparationOptions
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from tests.helpers.random_pushes import make_random_contents
 from tests.helpers.scene_cases import Layout, make_row, run_task
 from tests.helpers.shapes import make_shape
@@ -98,7 +98,7 @@ def test_objects_are_separated_beside_a_post(seed):
     post = make_post(middle.x, heap.bounds[3] + 0.025 + RADIUS)
     rules = make_rules(post)
     world = SimulatedWorld(*truth, TABLE, position_std=0.0005, angle_std=0.003, seed=seed)
-    planner = SeparatePlanner(truth.objects, rules=rules, search=QUICK, seed=seed)
+    planner = SeparatePlanner(truth.objects, SeparationOptions(search=QUICK), rules, seed=seed)
     belief = SceneBelief.of_prior(truth.objects, draws=2, seed=seed)
     run = run_task(world, planner, belief, seed=seed)
     assert run.state.done and run.state.last.action is SceneAction.DONE

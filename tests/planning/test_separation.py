@@ -1,5 +1,7 @@
 """Objects that touch are moved apart, though their masses are other than believed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shapely import Point
@@ -20,13 +22,15 @@ from gridpush_drake.planning.world import SimulatedWorld
 from tests.helpers.scene_cases import make_row, run_task
 from tests.helpers.shapes import SHAPES
 
+SEARCH = SeparationOptions().search
+
 
 @pytest.mark.parametrize("seed", range(3))
 def test_objects_are_separated(seed):
     shapes = np.random.default_rng(seed).permutation(list(SHAPES))[:3]
     truth, _ = make_row(seed, shapes, cells=20)
     assert calc_clearances(truth.objects, truth.poses).min() < 0.002
-    options = SeparationOptions(candidates=25)
+    options = SeparationOptions(search=replace(SEARCH, candidates=25))
     planner = SeparatePlanner(truth.objects, options, seed=seed)
     believed = SceneBelief.of_truth(Bodies(truth.objects))
     worlds = [SimulatedWorld(*truth) for _ in range(2)]
@@ -47,12 +51,12 @@ def test_nothing_is_done_where_there_is_room():
 def test_what_is_refused():
     with pytest.raises(PlanningError, match="margin"):
         SeparationOptions(margin=0.0)
-    with pytest.raises(PlanningError, match="lengths"):
-        SeparationOptions(lengths=(0.2, 0.1))
     truth, _ = make_row(0, ["square", "bar"], cells=20)
     # the finger comes to none of them
     far = SceneRules(finger_region=Point(5.0, 5.0).buffer(0.1))
-    planner = SeparatePlanner(truth.objects, SeparationOptions(candidates=4), far)
+    planner = SeparatePlanner(
+        truth.objects, SeparationOptions(search=replace(SEARCH, candidates=4)), far
+    )
     decision = planner.decide(truth.poses, SceneBelief.of_truth(truth.bodies), [])
     assert decision.action is SceneAction.FAIL
     assert "square, bar: no place was found where a finger of 8 mm fits" in decision.reason
@@ -60,7 +64,9 @@ def test_what_is_refused():
 
 def test_a_push_apart_is_planned_by_itself():
     truth, _ = make_row(0, ["square", "bar"], cells=20)
-    planner = SeparatePlanner(truth.objects, SeparationOptions(candidates=12), seed=1)
+    planner = SeparatePlanner(
+        truth.objects, SeparationOptions(search=replace(SEARCH, candidates=12)), seed=1
+    )
     decision = planner.decide(truth.poses, SceneBelief.of_truth(truth.bodies), [])
     after = truth.simulate(decision.push).final_pose
     before = calc_clearances(truth.objects, truth.poses).min()
@@ -73,7 +79,7 @@ def test_objects_are_separated_in_a_world_and_stay_on_its_table():
     truth = truth.with_poses(truth.poses - middle)
     table = SupportSurface.rectangle((0.0, 0.0), (0.7, 0.7))
     world = SimulatedWorld(*truth, table, position_std=0.0005, angle_std=0.003, seed=2)
-    options = SeparationOptions(candidates=12)
+    options = SeparationOptions(search=replace(SEARCH, candidates=12))
     planner = SeparatePlanner(truth.objects, options, SceneRules(table), seed=2)
     belief = SceneBelief.of_prior(truth.objects, draws=2)
     run = run_task(world, planner, belief, seed=2)

@@ -9,6 +9,7 @@ from shapely import Polygon
 
 from gridpush_drake.bench.pregrasp.world import LEARNER, is_over
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification import surprise
@@ -45,7 +46,7 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.robot_status import PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.helpers.changing_world import ChangingEdgeWorld, ChangingWorld
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
@@ -347,9 +348,9 @@ def test_pokes_keep_to_the_rules_of_the_goal(learned) -> None:
         planned.angle,
         planned.distance,
         radius=planned.push.radius,
-        speed=ContactOptions.speed,
+        speed=ContactOptions.pusher.speed,
         pose=np.array(START),
-        clearance=ContactOptions.clearance,
+        clearance=ContactOptions.pusher.clearance,
     )
     np.testing.assert_allclose(again.start, planned.push.start, atol=1e-6)
     np.testing.assert_allclose(again.velocity, planned.push.velocity, atol=1e-6)

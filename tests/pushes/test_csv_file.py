@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.errors import OutputError, PushError, PushLogError, PushLogWarning
 from gridpush_drake.pushes import push_csv
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 HEADER = "push,t,tip_x,tip_y,object_x,object_y,object_theta"
 GOOD = f"""{HEADER}

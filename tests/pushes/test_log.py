@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS, Pusher
 from gridpush_drake.errors import PushError, PushLogError
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
@@ -16,7 +17,7 @@ from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import make_pokes
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.observed_push import ObservedPush, nearest_turn
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.pushes.push_log import PushLog
 
 
 def straight() -> Push:
@@ -138,7 +139,7 @@ def test_the_radius_that_is_assumed_is_the_shipped_finger_s_in_learning_and_plan
         assert plan.push.push.radius == poke.radius == radius
     # Whoever knows better says so.
     thin = optimize_contact(
-        Model(known, even), np.zeros(3), [0.05, 0.0, 0.0], options=ContactOptions(0.005)
+        Model(known, even), np.zeros(3), [0.05, 0.0, 0.0], options=ContactOptions(Pusher(0.005))
     )
     assert thin.push.push.radius == 0.005
 

@@ -126,7 +126,7 @@ def test_pushes_keep_clear_of_where_they_lie(station):
     assert region.distance(shapely.union_all(outlines)) > 0.99 * station.robot.finger.tip_radius
     rules = make_rules(station, make_surface(station.table_top))
     checker = rules.constraints.start_at(
-        station.obj, np.array([0.6, 0.0, 0.0]), rules.contact.radius
+        station.obj, np.array([0.6, 0.0, 0.0]), rules.contact.pusher.choose_radius(station.obj)
     )
     assert checker.allows_poses(np.array([[0.6, 0.0, 0.0], [0.6, 0.2, 0.0]])).tolist() == [
         True,

@@ -8,6 +8,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from shapely import box
 
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model import Model
@@ -27,7 +28,7 @@ TRUTH = CellParameters.by_part(OBJ, {1: 0.05, 2: 0.2}, 0.4, 0.4)
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
 RULES = GoalRules(
     PushConstraints(TABLE),
-    ContactOptions(clearance=0.005, speed=0.1, distance_range=(0.008, 0.3)),
+    ContactOptions(Pusher(speed=0.1, clearance=0.005), (0.008, 0.3)),
     max_pushes=12,
 )
 GOAL = (0.15, 0.1, 1.0)

@@ -10,6 +10,7 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import PortDataType
 
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.tool_motion import make_transform
 from gridpush_drake.objects.parameters import CellParameters
@@ -38,7 +39,7 @@ from tests.helpers.poke_diagram import REGION, make_poke_diagram
 OBJ = make_block(12)
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
 RULES = GoalRules(
-    PushConstraints(TABLE), ContactOptions(clearance=0.005, speed=0.1, distance_range=(0.008, 0.3))
+    PushConstraints(TABLE), ContactOptions(Pusher(speed=0.1, clearance=0.005), (0.008, 0.3))
 )
 POSE = np.array([0.01, 0.02, 0.3])
 PUSH = np.array([0.3, 0.0, np.pi, 0.05, 0.05])

@@ -14,6 +14,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
@@ -282,7 +283,7 @@ def test_a_dropped_diagram_leaves_no_thread_behind() -> None:
 GOAL_OBJ = make_block(12)
 RULES = GoalRules(
     PushConstraints(SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))),
-    ContactOptions(clearance=0.005, speed=0.1, distance_range=(0.008, 0.3)),
+    ContactOptions(Pusher(speed=0.1, clearance=0.005), (0.008, 0.3)),
     max_pushes=12,
 )
 

@@ -16,6 +16,7 @@ from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, MujocoWorld, Tr
 from gridpush_drake.bench.truth.sets import HALF_HEIGHT, make_body
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import ObjectError, PlanningError
 from gridpush_drake.geometry.se2 import Array
@@ -45,7 +46,7 @@ from gridpush_drake.planning.world import (
     WorldMotion,
     WorldTruth,
 )
-from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
+from gridpush_drake.pushes.push_log import PushLog
 
 LEARNER = Learner(memory=14)
 """Default method of learning, from the latest pushes: the cost of learning grows with their number,

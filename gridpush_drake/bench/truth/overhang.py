@@ -35,6 +35,7 @@ from gridpush_drake.bench.truth.sets import (
 )
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
@@ -43,7 +44,6 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import FALLEN_TILT, PushWorld, WorldMotion
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 WorldName = Literal["mujoco", "drake"]
 """Name of a world that the model is compared with."""

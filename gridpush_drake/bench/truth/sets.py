@@ -18,6 +18,7 @@ from gridpush_drake.bench.truth.mujoco_world import (
 )
 from gridpush_drake.dynamics.physics import GRAVITY
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import read_text, write_whole
 from gridpush_drake.geometry.se2 import Array
@@ -27,7 +28,7 @@ from gridpush_drake.multibody.mjcf import SINKAGE
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 OUTLINES = ("claw_hammer", "combination_wrench", "open_book", "toolbox", "spray_bottle")
 """Shipped objects."""

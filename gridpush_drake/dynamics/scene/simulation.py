@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.bodies import Bodies, describe_object
 from gridpush_drake.dynamics.kernels.isotropic_friction import ISOTROPIC
-from gridpush_drake.dynamics.kernels.scene.records import Pusher, SceneSteps
+from gridpush_drake.dynamics.kernels.scene.records import PusherPath, SceneSteps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.motion import (
     NO_BODY,
@@ -89,7 +89,7 @@ def simulate_together(
     result = run_scene_kernel(
         make_bodies(bodies),
         used,
-        pusher=Pusher(tip=tip, path_length=push.length, radius=push.radius),
+        pusher=PusherPath(tip=tip, path_length=push.length, radius=push.radius),
         state=make_scene_state(poses),
         contacts=contacts,
         dts=dts,

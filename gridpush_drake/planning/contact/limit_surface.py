@@ -43,7 +43,6 @@ from gridpush_drake.planning.contact.contact_kernels import (
     follow_roughly,
 )
 from gridpush_drake.planning.contact.trial import TrialRunner
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 TABLE_STEP = 0.003
 """Distance between nodes of the table of signed distances, m."""
@@ -203,8 +202,8 @@ def screen(runner: TrialRunner) -> Screening:
     s = np.repeat(s, ANGLES)
     piece = np.repeat(piece, ANGLES)
     normal = runner.reach.normal[piece]
-    radius = choose_pusher_radius(runner.model.obj, options.radius)
-    start = runner.reach.point(s, piece) + (radius + options.clearance) * normal
+    radius = options.pusher.choose_radius(runner.model.obj)
+    start = runner.reach.point(s, piece) + (radius + options.pusher.clearance) * normal
     direction = -rotate(angle, normal)
     # Those that begin where the finger may be.
     keep = runner.checker.allows_finger(transform(runner.pose, start))

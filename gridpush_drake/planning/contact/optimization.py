@@ -44,7 +44,6 @@ from gridpush_drake.planning.contact.trial import (
     calc_goal_error,
 )
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 ContactMethod = Literal["gradient", "finite_difference", "exhaustive"]
 
@@ -153,11 +152,11 @@ def make_runner(
 ) -> TrialRunner:
     """Makes what simulates the pushes of a search; arguments as of `optimize_contact`."""
     obj = model.obj
-    radius = choose_pusher_radius(obj, options.radius)
-    reach = find_reachable_outline(obj, radius, options.clearance)
+    radius = options.pusher.choose_radius(obj)
+    reach = find_reachable_outline(obj, radius, options.pusher.clearance)
     longest = float(np.linalg.norm(obj.cells_at(pose) - obj.cells_at(goal), axis=1).max())
     least, greatest = options.distance_range
-    greatest = max(least, min(greatest, REACH_FACTOR * longest + options.clearance + least))
+    greatest = max(least, min(greatest, REACH_FACTOR * longest + options.pusher.clearance + least))
     return TrialRunner(
         model=options.resolve(model),
         pose=pose,

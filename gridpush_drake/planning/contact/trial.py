@@ -31,8 +31,9 @@ from gridpush_drake.dynamics.kernel_call import get_cells
 from gridpush_drake.dynamics.motion import Motion, MotionStatus
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER, Pusher
 from gridpush_drake.dynamics.simulation import PushSteps, check_friction, simulate_steps
-from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.notebook import MM
@@ -43,7 +44,6 @@ from gridpush_drake.planning.contact.contact_kernels import (
 )
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
 from gridpush_drake.planning.push_constraints import PushChecker
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +117,10 @@ class ContactOptions:
     """What pushes may be chosen from, and how they are searched for.
 
     Attributes:
-        radius: of the finger, a disc, m; by default that of the object's file, or that of the
-            shipped finger (`choose_pusher_radius`).
-        clearance: gap between finger and object at the beginning, m.
-        speed: of the finger, m/s.
+        pusher: what pushes.
         distance_range: least and greatest distance, m.
         physics: takes the place of the model's, whose regime otherwise becomes the one that suits
-            `speed`; None for the model's.
+            the pusher's speed; None for the model's.
         angle_range: least and greatest angle of the motion from the inward normal, rad.
         starts: number of starts of the gradient and the finite-difference search.
         budget: greatest number of simulations of the gradient and the finite-difference search.
@@ -137,9 +134,7 @@ class ContactOptions:
         PlanningError: a value is out of range.
     """
 
-    radius: float | None = None
-    clearance: float = 0.002
-    speed: float = 0.03
+    pusher: Pusher = DEFAULT_PUSHER
     distance_range: tuple[float, float] = (0.005, 0.3)
     physics: Physics | None = None
     angle_range: tuple[float, float] = (-0.8, 0.8)
@@ -162,17 +157,14 @@ class ContactOptions:
             raise PlanningError(
                 f"angle_range is {(low, high)!r}; expected -pi/2 < least <= greatest < pi/2 (rad)"
             )
-        if self.radius is not None:
-            require_positive(PlanningError, unit="m", radius=self.radius)
-        require_positive(PlanningError, unit="m/s", speed=self.speed)
         for name in ("starts", "budget", "places", "angles"):
             if getattr(self, name) < 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 1")
 
     def resolve(self, model: Model) -> Model:
-        """The model with the physics of pushes at `speed`, whose regime is not "auto"."""
+        """The model with the physics of pushes at the pusher's speed, with a regime but "auto"."""
         physics = self.physics or replace(model.physics, regime="auto")
-        return model.with_physics(physics).resolve(self.speed)
+        return model.with_physics(physics).resolve(self.pusher.speed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,10 +231,10 @@ class TrialRunner:
             arc_length,
             angle,
             distance,
-            radius=choose_pusher_radius(self.model.obj, self.options.radius),
-            speed=self.options.speed,
+            radius=self.options.pusher.choose_radius(self.model.obj),
+            speed=self.options.pusher.speed,
             pose=self.pose,
-            clearance=self.options.clearance,
+            clearance=self.options.pusher.clearance,
         )
 
     def run(
@@ -290,7 +282,7 @@ class TrialRunner:
         if motion.status in (MotionStatus.STARTED_OVERLAPPING, MotionStatus.NOT_CONVERGED):
             return failed
         # The steps that are long enough, and allowed; of these the one nearest to the goal.
-        traveled = self.options.speed * times
+        traveled = self.options.pusher.speed * times
         usable = self.checker.count_allowed(motion.tip, motion.poses)
         first = int(np.searchsorted(traveled, least - DISTANCE_TOUCH))
         if usable <= first:

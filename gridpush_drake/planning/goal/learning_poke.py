@@ -47,9 +47,9 @@ def choose_poke_within(
     model = UncertainModel.of_identification(found, log=used)
     contact = rules.contact
     options = PokeOptions(
-        radius=contact.radius,
-        speed=contact.speed,
-        clearance=contact.clearance,
+        radius=contact.pusher.radius,
+        speed=contact.pusher.speed,
+        clearance=contact.pusher.clearance,
         distance=min(PokeOptions.distance, contact.distance_range[1]),
     )
     pokes = make_pokes(model, pose, options, rules.constraints)

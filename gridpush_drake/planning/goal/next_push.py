@@ -57,7 +57,6 @@ from gridpush_drake.planning.model_rollouts import (
     follow_pushes,
 )
 from gridpush_drake.planning.push_constraints import CIRCLE_ROOM, PushConstraints
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 DEFAULT_TOLERANCE = 0.02
 """Mean cell error at which a goal counts as reached, m: the paper's."""
@@ -206,7 +205,7 @@ class Robustness:
         usable = len(times)
         if bounded:
             usable = self._count_usable(pose, planned.push.tip_at(times), poses)
-        distance = self.contact.speed * times[usable - 1] if usable else 0.0
+        distance = self.contact.pusher.speed * times[usable - 1] if usable else 0.0
         if distance < self.contact.distance_range[0]:
             return None
         ends = poses[:, usable - 1]
@@ -236,7 +235,7 @@ class Robustness:
             edge_margin=self.constraints.edge_margin - self.options.leeway,
             pose_rule=None,
         )
-        radius = choose_pusher_radius(self.obj, self.contact.radius)
+        radius = self.contact.pusher.choose_radius(self.obj)
         checker = rules.start_at(self.obj, pose, radius)
         counts = np.minimum(
             checker.count_allowed_by_models(tip, poses), self._count_supported(poses)

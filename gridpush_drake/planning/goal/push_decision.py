@@ -21,7 +21,6 @@ from gridpush_drake.planning.goal.next_push import (
     draw_model_samples,
 )
 from gridpush_drake.planning.goal.push_plan import PushPlanStatus, check_ends, find_stop_reason
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 ALIKE_DISTANCE = 0.01
 """A push that begins nearer than this to one that was refused, m, in a direction that differs by
@@ -74,7 +73,7 @@ def decide_push(
     """
     obj = model.obj
     error = float(calc_goal_error(obj, pose, goal))
-    radius = choose_pusher_radius(obj, rules.contact.radius)
+    radius = rules.contact.pusher.choose_radius(obj)
     status = check_ends(obj, pose, goal, rules.constraints, radius)
     if status is not None:
         return PushDecision(status, error)

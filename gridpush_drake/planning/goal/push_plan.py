@@ -32,7 +32,6 @@ from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import find_supported
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 from gridpush_drake.yaml_file import dump_yaml
 
 
@@ -155,7 +154,7 @@ def plan_pushes(
     aim = check_vector(PlanningError, "goal", goal, 3)
     pushes: list[PlannedPush] = []
     simulations = 0
-    radius = choose_pusher_radius(obj, rules.contact.radius)
+    radius = rules.contact.pusher.choose_radius(obj)
     status = check_ends(obj, start, aim, rules.constraints, radius)
     if status is None:
         checker = rules.constraints.start_at(obj, start, radius)

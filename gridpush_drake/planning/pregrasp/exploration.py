@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
@@ -36,7 +37,7 @@ from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog, choose_pusher_radius
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,6 @@ from gridpush_drake.planning.push_constraints import (
     PushConstraints,
 )
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 OBSTACLE_MARGIN = 0.025
 """Least distance of object and finger from other things on the table that pushes are planned with,
@@ -231,7 +230,7 @@ def plan_slide(
         surface=surface,
         kept_margin=kept - ROUND_OFF_MARGIN,
         checker=constraints.start_at(
-            masses.obj, q, choose_pusher_radius(masses.obj, options.contact.radius)
+            masses.obj, q, options.contact.pusher.choose_radius(masses.obj)
         ),
         options=options,
     )
@@ -430,7 +429,7 @@ class _SlideWeighing:
             radius=planned.push.radius,
             speed=planned.push.length / planned.push.duration,
             pose=self.pose,
-            clearance=self.options.contact.clearance,
+            clearance=self.options.contact.pusher.clearance,
         )
 
     def _are_long_enough(self, cuts: Array) -> NDArray[np.bool_]:

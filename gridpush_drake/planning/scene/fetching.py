@@ -41,7 +41,7 @@ from gridpush_drake.planning.scene.loop import (
 from gridpush_drake.planning.scene.rules import SceneRules, place_outlines
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog, choose_pusher_radius
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 POKE = "poke"
 SLIDE = "slide"
@@ -285,7 +285,7 @@ class FetchPlanner:
                 describe_no_room(
                     self.objects,
                     bodies,
-                    choose_pusher_radius(self.objects, self.options.search.radius),
+                    self.options.search.pusher.choose_radius(self.objects),
                 ),
             )
         return SceneDecision(

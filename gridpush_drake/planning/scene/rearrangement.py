@@ -52,7 +52,6 @@ from gridpush_drake.planning.scene.loop import (
 )
 from gridpush_drake.planning.scene.rules import ANYWHERE, POST_MARGIN, SceneRules, place_outlines
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 GOAL_GAP = 0.002
 """An object that is nearer than this to another one's goal lies in it, m."""
@@ -235,7 +234,7 @@ class RearrangePlanner:
                 poses, lambda some: self.calc_cost(some, targets), range(len(poses)), rng
             )
         if found is None:
-            radius = choose_pusher_radius(self.objects, search.options.radius)
+            radius = search.options.pusher.choose_radius(self.objects)
             return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, bodies, radius))
         left = len(poses) - int(reached.sum())
         name = describe_object(self.objects, found.body)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridpush_drake.dynamics.bodies import Bodies
-from gridpush_drake.dynamics.kernels.scene.records import Pusher
+from gridpush_drake.dynamics.kernels.scene.records import PusherPath
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.push import Push, make_path_times, measure_steps
 from gridpush_drake.dynamics.scene.kernel_call import (
@@ -112,7 +112,7 @@ class SceneRollouts:
         steps = run_scene_kernel(
             self._bodies,
             self._physics,
-            pusher=Pusher(tip=push.tip_at(times), path_length=push.length, radius=push.radius),
+            pusher=PusherPath(tip=push.tip_at(times), path_length=push.length, radius=push.radius),
             state=make_scene_state(poses),
             contacts=contacts,
             dts=measure_steps(push, times, regime),

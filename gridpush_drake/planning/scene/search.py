@@ -22,13 +22,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.planning.scene.belief import SceneBelief
 from gridpush_drake.planning.scene.rollouts import Rollout, SceneRollouts, roll_models
 from gridpush_drake.planning.scene.rules import ANYWHERE, SLACK, RoomLimits, SceneRoom, SceneRules
 from gridpush_drake.planning.scene.scene_push import PushStop, ScenePush, cut_push
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 CostToGo = Callable[[Array], Array]
 """Takes poses (K, N, 3), m and rad, and returns what each state of the scene costs, (K,) s."""
@@ -50,6 +50,10 @@ FINER = 3
 """The later half of the variations is smaller by the factor 1 + FINER."""
 
 
+SEARCH_PUSHER = Pusher(speed=0.05, clearance=0.003)
+"""What pushes several objects by default: faster than one that learns, and with more room."""
+
+
 @dataclass(frozen=True)
 class SceneSearchOptions:
     """How the next push is searched for.
@@ -63,10 +67,7 @@ class SceneSearchOptions:
         compared: number of pushes that are simulated with all further models.
         lengths: least and greatest length of a push, its clearance left out, m.
         slant: greatest angle of a push from the outline's inward normal, rad.
-        radius: of the pusher, m; by default that of the objects' files, or that of the shipped
-            finger (`choose_pusher_radius`).
-        speed: of the pusher, m/s.
-        clearance: distance between pusher and object where a push begins, m.
+        pusher: what pushes.
         approach_time: approximate time that the finger takes from one push to the next, s.
         workers: number of threads that simulate; no result depends on it.
 
@@ -82,9 +83,7 @@ class SceneSearchOptions:
     compared: int = 5
     lengths: tuple[float, float] = (0.003, 0.2)
     slant: float = 0.8
-    radius: float | None = None
-    speed: float = 0.05
-    clearance: float = 0.003
+    pusher: Pusher = SEARCH_PUSHER
     approach_time: float = 2.0
     workers: int = 1
 
@@ -93,17 +92,14 @@ class SceneSearchOptions:
             PlanningError,
             candidates=self.candidates,
             slant=self.slant,
-            speed=self.speed,
             workers=self.workers,
             least_length=self.lengths[0],
         )
-        if self.radius is not None:
-            require_positive(PlanningError, radius=self.radius)
         if not self.lengths[0] <= self.lengths[1] < np.inf:
             raise PlanningError(
                 f"lengths are {self.lengths!r}; expected the least and the greatest, m"
             )
-        for name in ("refined", "variations", "firsts", "seconds", "compared", "clearance"):
+        for name in ("refined", "variations", "firsts", "seconds", "compared"):
             value = getattr(self, name)
             if not 0 <= value < np.inf:
                 raise PlanningError(f"{name} is {value!r}; expected a number >= 0")
@@ -247,18 +243,18 @@ class SceneSearch:
     ) -> list[tuple[int, float, float, Push]]:
         """Makes pushes of (object, place, angle), and keeps those that can begin where they do."""
         options = self.options
-        radius = choose_pusher_radius(self.belief.objects, options.radius)
+        radius = options.pusher.choose_radius(self.belief.objects)
         made = []
         for body, place, angle in drawn:
             push = Push.on_outline(
                 self.belief.objects[body],
                 place,
                 angle,
-                reach + options.clearance,
+                reach + options.pusher.clearance,
                 radius=radius,
-                speed=options.speed,
+                speed=options.pusher.speed,
                 pose=poses[body],
-                clearance=options.clearance,
+                clearance=options.pusher.clearance,
             )
             made.append((body, place, angle, push))
         if not made:
@@ -290,7 +286,7 @@ class SceneSearch:
                     angle=angle,
                     push=cut_push(push, stop.traveled),
                     poses=stop.poses,
-                    cost=stop.left + stop.traveled / self.options.speed,
+                    cost=stop.left + stop.traveled / self.options.pusher.speed,
                     left=stop.left,
                 )
             )
@@ -303,11 +299,11 @@ class SceneSearch:
         last = len(rollout.traveled)
         # up to where a rule is broken
         inside = self.room.keeps_room(rollout.poses, limits)
-        ends = self.room.allows_finger(push.tip_at(rollout.traveled / self.options.speed))
+        ends = self.room.allows_finger(push.tip_at(rollout.traveled / self.options.pusher.speed))
         allowed_rows = inside & ends
         if not allowed_rows.all():
             last = int(np.argmin(allowed_rows))
-        least = self.options.clearance + self.options.lengths[0]
+        least = self.options.pusher.clearance + self.options.lengths[0]
         first = int(np.searchsorted(rollout.traveled, least - SLACK))
         if first >= last:
             return None
@@ -326,7 +322,7 @@ class SceneSearch:
         """Calculates the cost of stopping after so many steps (K,), and what is left then, s."""
         traveled, poses = rollout.interpolate(places)
         left = cost(poses)
-        return left + traveled / self.options.speed, left
+        return left + traveled / self.options.pusher.speed, left
 
     def _compare(
         self, poses: Array, cost: CostToGo, scored: Sequence[tuple[float, ScenePush]]

@@ -19,6 +19,7 @@ import shapely
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.bodies import describe_object
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform, transform_shape
 from gridpush_drake.notebook import MM
@@ -33,7 +34,6 @@ from gridpush_drake.planning.scene.loop import (
 from gridpush_drake.planning.scene.rules import ANYWHERE, SceneRules
 from gridpush_drake.planning.scene.scene_push import ScenePush
 from gridpush_drake.planning.scene.search import SceneSearch, SceneSearchOptions
-from gridpush_drake.pushes.push_log import choose_pusher_radius
 
 MARGIN = 0.03
 """Room that every object should have around it, m."""
@@ -51,62 +51,35 @@ ROWS_APART = 5
 """Steps of a simulated push between two states of which the room is measured."""
 
 
+ONE_AHEAD = SceneSearchOptions(
+    candidates=24,
+    firsts=2,
+    seconds=6,
+    compared=3,
+    lengths=(0.01, 0.15),
+    slant=0.6,
+    pusher=Pusher(speed=0.05),
+)
+"""How pushes that separate are searched for: one ahead, for the state of a second is much alike."""
+
+
 @dataclass(frozen=True)
 class SeparationOptions:
     """How objects are separated.
 
     Attributes:
         margin: room that every object should have around it, m.
-        candidates: number of pushes that are simulated for each object that lacks room.
-        lengths: least and greatest length of a push, m.
-        slant: greatest angle of a push from the outline's inward normal, rad.
-        radius: of the pusher, m; by default that of the objects' files, or that of the shipped
-            finger (`choose_pusher_radius`).
-        speed: of the pusher, m/s.
-        clearance: distance between pusher and object where a push begins, m.
+        search: how pushes are searched for.
 
     Raises:
-        PlanningError: a number is not positive, or the lengths do not increase.
+        PlanningError: the margin is not positive.
     """
 
     margin: float = MARGIN
-    candidates: int = 24
-    lengths: tuple[float, float] = (0.01, 0.15)
-    slant: float = 0.6
-    radius: float | None = None
-    speed: float = 0.05
-    clearance: float = 0.002
+    search: SceneSearchOptions = ONE_AHEAD
 
     def __post_init__(self) -> None:
-        require_positive(
-            PlanningError,
-            margin=self.margin,
-            candidates=self.candidates,
-            slant=self.slant,
-            speed=self.speed,
-            least_length=self.lengths[0],
-        )
-        if self.radius is not None:
-            require_positive(PlanningError, radius=self.radius)
-        if not self.lengths[0] <= self.lengths[1] < np.inf:
-            raise PlanningError(
-                f"lengths are {self.lengths!r}; expected the least and the greatest, m"
-            )
-
-    @property
-    def search(self) -> SceneSearchOptions:
-        """How pushes are searched for: one push ahead, for the state of a second is much alike."""
-        return SceneSearchOptions(
-            candidates=self.candidates,
-            firsts=2,
-            seconds=6,
-            compared=3,
-            lengths=self.lengths,
-            slant=self.slant,
-            radius=self.radius,
-            speed=self.speed,
-            clearance=self.clearance,
-        )
+        require_positive(PlanningError, margin=self.margin)
 
 
 class SeparatePlanner:
@@ -124,7 +97,6 @@ class SeparatePlanner:
         options: SeparationOptions | None = None,
         rules: SceneRules = ANYWHERE,
         *,
-        search: SceneSearchOptions | None = None,
         seed: int = 0,
     ) -> None:
         """Takes what no push may do.
@@ -133,13 +105,11 @@ class SeparatePlanner:
             objects: the objects.
             options: how they are separated.
             rules: what no push may do.
-            search: how pushes are searched for; as the options say where None.
             seed: seed of the pushes that are drawn.
         """
         self.objects = tuple(objects)
         self.options = options or SeparationOptions()
         self.rules = rules
-        self._search = search or self.options.search
         self._seed = seed
 
     def decide(
@@ -153,7 +123,7 @@ class SeparatePlanner:
             return SceneDecision(SceneAction.DONE, f"every object has {room} around it")
         found = self._find_push(poses, belief, lacking, (self._seed, len(steps)))
         if found is None:
-            radius = choose_pusher_radius(self.objects, self._search.radius)
+            radius = self.options.search.pusher.choose_radius(self.objects)
             return SceneDecision(SceneAction.FAIL, describe_no_room(self.objects, lacking, radius))
         name = describe_object(self.objects, found.body)
         return SceneDecision(
@@ -169,7 +139,7 @@ class SeparatePlanner:
     ) -> ScenePush | None:
         """Searches for a push at an object that lacks room; where none fits, at any."""
         rng = np.random.default_rng(seed)
-        search = SceneSearch(belief, self.rules, self._search)
+        search = SceneSearch(belief, self.rules, self.options.search)
         found = search.find_push(poses, self.calc_cost, lacking, rng)
         if found is None:
             found = search.find_push(poses, self.calc_cost, range(len(poses)), rng)

@@ -15,13 +15,14 @@ from warnings import warn
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.errors import MAX_NUMBER, PushLogError, PushLogWarning
 from gridpush_drake.files import exists
 from gridpush_drake.geometry.se2 import QUATERNION_TOLERANCE, Array, calc_yaw
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers.two_clocks import MAX_GAP, add_force, warn_of_delay
 from gridpush_drake.pushes.pose_delay import choose_delay
-from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample, SegmenterOptions
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
 

@@ -23,11 +23,12 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.errors import MAX_NUMBER, PushLogError
 from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import PushLog, choose_pusher_radius
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes
 

@@ -18,7 +18,7 @@ from gridpush_drake.dynamics.kernels.scene.records import (
     ROW_NY,
     TIP_VX,
     TIP_VY,
-    Pusher,
+    PusherPath,
 )
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.reference.scene_socp import (
@@ -84,7 +84,7 @@ def test_steps_agree_with_cone_programs(count, spin):
             record = run_scene_kernel(
                 bodies,
                 physics,
-                pusher=Pusher(tip, push.length, push.radius),
+                pusher=PusherPath(tip, push.length, push.radius),
                 state=state,
                 contacts=contacts,
                 dts=np.array([DT]),

@@ -7,6 +7,7 @@ import shapely
 from shapely import Polygon, box
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import rotate
@@ -409,7 +410,7 @@ def test_refuses(hammer, arguments, says):
     ("make", "says"),
     [
         (lambda: ContactOptions(distance_range=(0.1, 0.05)), "distance_range"),
-        (lambda: ContactOptions(speed=0.0), "speed"),
+        (lambda: Pusher(speed=0.0), "speed"),
         (lambda: ContactOptions(angle_range=(-2.0, 0.0)), "angle_range"),
         (lambda: ContactOptions(starts=0), "starts"),
         (lambda: PushConstraints(edge_margin=np.nan), "edge_margin"),

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform
@@ -22,7 +23,7 @@ from gridpush_drake.planning.goal.next_push import (
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.planning.world import SimulatedWorld
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shapes import make_shape
 
 TABLE = SupportSurface.round((0.0, 0.0), 0.4)

@@ -84,7 +84,7 @@ class BodyArrays(NamedTuple):
     corner: Any
 
 
-class Pusher(NamedTuple):
+class PusherPath(NamedTuple):
     """The disc that pushes.
 
     Attributes:

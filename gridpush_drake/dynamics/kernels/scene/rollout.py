@@ -55,7 +55,7 @@ def rollout_scene(bodies, pusher, tolerances, state, contacts, dts, row_of_step,
 
     Args:
         bodies: `BodyArrays`.
-        pusher: `Pusher`.
+        pusher: `PusherPath`.
         tolerances: `Tolerances`.
         state: `SceneState` at the beginning; that of the end when it is done.
         contacts: `Contacts` of the step before, likewise.
