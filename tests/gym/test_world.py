@@ -26,7 +26,7 @@ def test_an_episode_is_a_world():
     np.testing.assert_array_equal(seen.final_pose, world.observe())
     assert after.motion.times[-1] == pytest.approx(seen.push.duration)
     assert world.reward != 0.0
-    np.testing.assert_array_equal(after.params.mass, world.episode.hidden.mass)
+    np.testing.assert_array_equal(after.bodies.params.mass, world.episode.hidden.mass)
 
 
 @pytest.mark.parametrize("game", ["PushToGoal", "SlideToEdge", "Explore"])

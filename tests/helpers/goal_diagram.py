@@ -94,7 +94,8 @@ def make_run(
 ) -> Run:
     """Makes it; the object begins at the origin. `learning` is the most pushes learned from."""
     builder = DiagramBuilder()
-    world = builder.AddSystem(GridLcpSystem(Model(obj, truth), pusher_radius=rules.contact.pusher.choose_radius(obj)))
+    radius = rules.contact.pusher.choose_radius(obj)
+    world = builder.AddSystem(GridLcpSystem(Model(obj, truth), pusher_radius=radius))
     finger, camera = (
         builder.AddSystem(IdealFinger()),
         builder.AddSystem(Camera(5e-4, np.radians(0.2))),
@@ -105,7 +106,7 @@ def make_run(
     )
     identifier = builder.AddSystem(
         GridIdentifier(
-            obj, engaged_below=OBJECT_HEIGHT, pusher_radius=rules.contact.pusher.choose_radius(obj), max_learning_pushes=learning,
+            obj, engaged_below=OBJECT_HEIGHT, pusher_radius=radius, max_learning_pushes=learning,
             record=RecordOptions(pose_delay=DEFAULT_PERIOD),
         )
     )  # fmt: skip

@@ -75,7 +75,7 @@ def test_steps_agree_with_cone_programs(count, spin):
         shapes = np.random.default_rng(seed).permutation(list(SHAPES))[:count]
         scene, push = make_row(seed, shapes, cells=8)
         physics = Physics(regime="quasi_static", spin=spin)
-        bodies = make_bodies(scene, physics)
+        bodies = make_bodies(scene.bodies.with_physics(physics))
         state = make_scene_state(scene.poses)
         contacts = make_scene_contacts(count)
         times = np.arange(0, push.duration, DT)

@@ -192,7 +192,7 @@ class MeddledWorld(SimulatedWorld):
 
 
 def test_goes_on_where_a_stranger_left_the_object(block, hidden):
-    world = MeddledWorld(block, hidden, START, TABLE)
+    world = MeddledWorld(Model(block, hidden), START, TABLE)
     run = push_to_goal(
         world, Model(block, hidden), GOAL, GoalRules(PushConstraints(TABLE)), learner=None
     )
@@ -202,7 +202,7 @@ def test_goes_on_where_a_stranger_left_the_object(block, hidden):
 
 
 def test_gives_up_on_an_object_that_is_not_seen(block, hidden):
-    world = MeddledWorld(block, hidden, START, TABLE)
+    world = MeddledWorld(Model(block, hidden), START, TABLE)
     run = push_to_goal(
         world,
         Model(block, hidden),

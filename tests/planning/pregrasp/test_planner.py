@@ -438,7 +438,7 @@ class MovedWorld(EdgeWorld):
 def test_an_object_that_somebody_moved_is_slid_from_where_it_is(pan, parts):
     truth = CellParameters.random(pan, 3, friction_range=(0.25, 0.5))
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
-    world = MovedWorld(pan, truth, (0.02, 0.03, 0.5), TABLE, **NOISE)
+    world = MovedWorld(Model(pan, truth), (0.02, 0.03, 0.5), TABLE, **NOISE)
     outcome = run_pregrasp(world, planner)
     assert world.looks > 4
     assert outcome.grasped, outcome
