@@ -293,7 +293,11 @@ def tabulate_several(scores: Sequence[SeveralScore]) -> Table:
 
 
 def _make_row(objects: Sequence[GridObject], touching: bool, rng: np.random.Generator) -> Array:
-    """Lays objects in a row along x, each with its shorter side about along it: (N, 3), m and rad."""
+    """Lays objects in a row along x, each with its shorter side about along it.
+
+    Returns:
+        (N, 3) their poses, m and rad.
+    """
     poses = []
     before: shapely.Geometry | None = None
     for obj in objects:

@@ -157,18 +157,19 @@ class Bodies(Frozen):
     def resolve(self, speed: float, regime: Regime | None = None) -> Self:
         """Replaces the regime "auto" by the one that suits a speed, as `Physics.resolve` does.
 
+        Several objects know the regime "quasi_static" alone.
+
         Args:
             speed: mean speed of the fastest push, m/s.
             regime: takes the place of the one in `physics`, unless None.
         """
-        # All objects slide by one regime, that of the first one.
         physics = self.physics.with_regime(regime)
         if physics.regime != "auto":
             return self.with_physics(physics)
-        for obj, params in self:
-            mean_friction = float(params.friction @ params.mass / params.total_mass)
-            physics = physics.resolve(obj, mean_friction, speed)
-        return self.with_physics(physics)
+        if len(self) > 1:
+            return self.with_physics(physics.with_regime("quasi_static"))
+        mean_friction = float(self.params.friction @ self.params.mass / self.params.total_mass)
+        return self.with_physics(physics.resolve(self.obj, mean_friction, speed))
 
     def _with(self, **changes: object) -> Self:
         """Copies the record with other fields, which are known to fit: nothing is checked."""

@@ -3,7 +3,8 @@
 A `PushWorld` holds one object, or several. They can be put down at poses (`put`), they can be
 pushed (`execute`), and they can be looked at (`observe`). What is true of them is in `truth`, which
 only judges may read: whoever plans or learns sees poses with noise, as a camera or a tracker gives
-them. Where there is one object its pose is (3,); poses of N > 1 objects are (N, 3).
+them. Where there is one object its pose is (3,), and of N objects (N, 3). Whoever writes for any
+number of them may put one down at (1, 3), and sees it so.
 
 These are worlds:
 
@@ -283,7 +284,8 @@ class TrackedWorld(ABC):
         """
         q = np.array(pose, dtype=np.float64)
         n = 1 if self.bodies is None else len(self.bodies)
-        if q.shape != ((3,) if n == 1 else (n, 3)) or not np.isfinite(q).all():
+        known = ((n, 3), (3,)) if n == 1 else ((n, 3),)
+        if q.shape not in known or not np.isfinite(q).all():
             form = "three finite numbers" if n == 1 else f"({n}, 3) finite numbers"
             raise PlanningError(f"pose is {pose!r}; expected {form} (m and rad)")
         self._fallen = np.zeros(q.shape[:-1], dtype=bool)
@@ -403,7 +405,7 @@ class SimulatedWorld(TrackedWorld):
     def do_push(self, push: Push, pose: Array) -> WorldMotion:
         """Simulates a push of the objects that have not fallen, from a pose, m and rad."""
         times = make_path_times(push, REGIME)
-        if len(self.bodies) == 1:
+        if pose.ndim == 1:
             motion = simulate(self.bodies, push, pose, times=times, regime=REGIME)
             support = self._supports[0]
             fell = support is not None and support.falls(motion.poses)

@@ -502,7 +502,7 @@ def _make_rows(seen: ObservedPush, columns: int) -> Iterator[list[str]]:
         seen: the push.
         columns: number of the file's columns of forces: 0, 2, or 3 with the upward force.
     """
-    rows = seen.poses_observed.reshape(len(seen.t_observed), -1)
+    rows = seen.poses_observed.reshape(len(seen.t_observed), seen.pose.size)
     poses = dict(zip(seen.t_observed.tolist(), rows.tolist(), strict=True))
     poses[0.0] = seen.pose.ravel().tolist()
     required = len(PATH) + seen.pose.size

@@ -73,7 +73,7 @@ def load_end(obj, sign, ratio=20.0):
 
 def push_a_hammer(hammer, changes, seed, ratio=20.0):
     """Pushes it to the goal; returns the loop's statuses after each decision, and the run."""
-    world = ChangingWorld(hammer, load_end(hammer, 1, ratio), START, seed=seed, **NOISE)
+    world = ChangingWorld(Model(hammer, load_end(hammer, 1, ratio)), START, seed=seed, **NOISE)
     world.changes = changes
     loop = PushToGoalLoop(Model(hammer), RULES, options=ONE_LOOK)
     statuses = []
@@ -98,7 +98,7 @@ def test_a_push_that_nothing_is_learned_from_ends_no_task(hammer) -> None:
             raise IdentificationError("its equations cannot be solved")
         return Learner()(obj, log, before)
 
-    world = ChangingWorld(hammer, load_end(hammer, 1), START, seed=0, **NOISE)
+    world = ChangingWorld(Model(hammer, load_end(hammer, 1)), START, seed=0, **NOISE)
     loop = PushToGoalLoop(Model(hammer), RULES, options=ONE_LOOK)
     over = lambda state: state.push_id > 3  # noqa: E731
     run = run_loop(loop, world, over, obj=hammer, learn=learn, goal=GOAL)

@@ -1,12 +1,16 @@
-"""Logs of several objects: what is written is read back, and a push log of one object is one, too."""
+"""Logs of several objects: what is written is read back, and and of one."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError
+from gridpush_drake.identification.model import Model
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
+from tests.helpers.shapes import make_shape
 
 
 def make_log():
@@ -17,7 +21,7 @@ def make_log():
         times = np.array([0.5, 1.0, 1.5])
         pushes.append(
             ObservedPush(
-                f"push {i}", push, rng.normal(size=(2, 3)), times, rng.normal(size=(3, 2, 3))
+                f"push {i}", push, rng.uniform(-1, 1, (2, 3)), times, rng.uniform(-1, 1, (3, 2, 3))
             )
         )
     return PushLog(tuple(pushes), names=("hammer", "bag"))
@@ -42,19 +46,22 @@ def test_a_push_log_of_one_object_is_a_scene_log_of_one(tmp_path):
     PushLog((seen,)).write_csv(tmp_path / "log.csv")
     read = PushLog.read_csv(tmp_path / "log.csv")
     assert read.names == ("object",)
-    np.testing.assert_array_equal(read[0].poses_observed[:, 0], seen.poses_observed)
+    np.testing.assert_array_equal(read[0].poses_observed, seen.poses_observed)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("push,t,tip_x,tip_y\n", "NAME_x: is missing"),
+        ("push,t,tip_x,tip_y\n", "object_x: is missing"),
         ("push,t,tip_x,a_x,a_y,a_theta\n", "column tip_y: is missing"),
-        ("push,t,tip_x,tip_y,a_x,a_theta\n", "column a_y: is missing"),
+        ("push,t,tip_x,tip_y,a_x,a_theta,b_x,b_y,b_theta\n", "column a_y: is missing"),
         ("push,t,tip_x,tip_y,a_x,a_y,a_theta\n", "holds no push"),
         ("push,t,tip_x,tip_y,a_x,a_y,a_theta\nq,0,0,0,,,\nq,1,1,0,0,0,0\n", "line 2.*is empty"),
         ("push,t,tip_x,tip_y,a_x,a_y,a_theta\nq,0,0,0,0,0,0\nq,1,1,0,0,x,0\n", "line 3.*a_y.*'x'"),
-        ("push,t,tip_x,tip_y,a_x,a_y,a_theta\nq,0,0,0,0,0,0\nq,1,1,0,,,\n", "t_observed"),
+        (
+            "push,t,tip_x,tip_y,a_x,a_y,a_theta\nq,0,0,0,0,0,0\nq,1,1,0,,,\n",
+            "line 3, column a_x: is empty",
+        ),
     ],
 )
 def test_what_is_refused(tmp_path, text, message):
@@ -70,12 +77,22 @@ def test_pushes_of_other_objects_are_refused():
         PushLog(log.pushes, names=("hammer",))
 
 
-def test_a_log_of_several_objects_is_no_push_log(tmp_path):
-    path = tmp_path / "scene.csv"
-    path.write_text(
-        "push,t,tip_x,tip_y,cup_x,cup_y,cup_theta,can_x,can_y,can_theta\n"
-        "one,0,0,0,0,0,0,1,0,0\none,1,0.1,0,0.1,0,0,1,0,0\n"
-    )
-    with pytest.raises(PushLogError, match=r"several objects, cup, can; .* --with"):
-        PushLog.read_csv(path)
-    assert PushLog.read_csv(path).names == ("cup", "can")
+def test_forces_and_the_edge_are_kept(tmp_path):
+    (first, *others) = make_log()
+    times = np.array([0.2, 0.4])
+    felt = replace(first, force_t=times, force=np.ones((2, 2)), overhang=True)
+    table = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]])
+    PushLog((felt, *others), table=table, names=("a", "b")).write_csv(tmp_path / "log.csv")
+    read = PushLog.read_csv(tmp_path / "log.csv")
+    np.testing.assert_array_equal(read[0].force, felt.force)
+    np.testing.assert_array_equal(read.table, table)
+    assert read[0].overhang and not read[1].overhang and read.names == ("a", "b")
+
+
+def test_whoever_knows_one_object_refuses_a_log_of_several(tmp_path):
+    path = tmp_path / "several.csv"
+    make_log().write_csv(path)
+    with pytest.raises(PushLogError, match=r"of 2 objects \(hammer, bag\); expected 1: .* --with"):
+        Model(make_shape("square", 20)).predict(path)
+    one = PushLog.read_csv(path).single_out(1)
+    assert one.names == ("bag",) and one[0].pose.shape == (3,)

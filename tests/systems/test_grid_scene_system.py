@@ -49,10 +49,10 @@ def test_it_is_simulate_step_by_step():
     poses = system.GetOutputPort("poses").Eval(context)
     np.testing.assert_allclose(poses.reshape(2, 3), expected.final_pose, rtol=0, atol=1e-9)
     assert np.abs(expected.final_pose[1] - scene.poses[1]).max() > 0.01
-    by_finger = expected.bodies[-1, :, 1] == -1
+    by_finger = expected.contact_bodies[-1, :, 1] == -1
     np.testing.assert_allclose(
         system.GetOutputPort("contact_force").Eval(context),
-        expected.forces[-1][by_finger].sum(axis=0),
+        expected.contact_forces[-1][by_finger].sum(axis=0),
         rtol=1e-6,
     )
     assert system.GetOutputPort("unsolved_steps").Eval(context) == 0

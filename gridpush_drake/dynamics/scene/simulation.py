@@ -156,6 +156,7 @@ def check_together(bodies: Bodies) -> Bodies:
 
 def count_scene_columns(bodies: Bodies) -> int:
     """Counts the kernel's columns of derivatives, see `kernels.scene.step_derivative`."""
+    # by the cells' loads, by each kind of friction, by the push, and by the first poses
     n = len(bodies)
     cells = sum(obj.n for obj in bodies.objects)
     return cells + n + n * (n - 1) // 2 + PUSH_COLUMNS + 3 * n
@@ -174,6 +175,7 @@ def expand_columns(bodies: Bodies, J: Array, rows: IntArray) -> Jacobian:
     i, j = np.triu_indices(n, 1)
     by_pair[..., i, j] = pair
     by_pair[..., j, i] = pair
+    # by mass and by friction through k
     gravity = bodies.physics.gravity
     mass = np.concatenate([params.mass for params in bodies.parameters])
     friction = np.concatenate([params.friction for params in bodies.parameters])
@@ -197,6 +199,7 @@ def _calc_velocities(result: SceneSteps, rates: Array) -> Array:
         result: what the kernel recorded.
         rates: (T,) speed of the pusher along its path in each step, m/s.
     """
+    # at rest before the push; then each in its own frame at the end of the step
     velocities = np.zeros_like(result.poses)
     twists = result.twists * rates[:, None, None]
     velocities[1:, :, :2] = rotate(result.poses[1:, :, 2], twists[..., :2])
