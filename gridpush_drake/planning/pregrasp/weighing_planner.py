@@ -97,7 +97,10 @@ SLIDE_ERRORS = (0.004, 0.002, 0.001)
 """How far from its goal a slide may end, m, so that a press is still possible. Those at the end are
 for where there is no place that allows more."""
 
-SMALL_GAIN = 0.05
+SHORT_ARM = 0.012
+"""Least distance of a press from the edge, m, where the center of mass may be almost anywhere."""
+
+SMALL_GAIN = 0.03
 """Share of what is open that a press must be expected to take away at least, where no press takes
 away `WeighingOptions.min_gain` and mass or center are not even roughly known."""
 
@@ -142,11 +145,13 @@ class WeighingPlanner(PreGraspPlanner):
         mass_factor: factor on the mass that is believed, for a planner that supposes another one,
             as after a press that the object withstood.
         is_narrow: whether it presses on parts that are narrower than the finger, too.
+        is_short: whether it presses up to SHORT_ARM near to the edge.
     """
 
     weighing: WeighingOptions = WeighingOptions()
     mass_factor: float = 1.0
     is_narrow: bool = False
+    is_short: bool = False
 
     # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
     @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -241,6 +246,12 @@ class WeighingPlanner(PreGraspPlanner):
         # The whole finger is to press on the object. Where no such press is left, a part that is
         # too narrow for it is pressed.
         tried += [(planner._allow_narrow(), surely) for planner, surely in tried]
+        # Before the first press, the center of mass may be almost anywhere, and so little may hang
+        # over that only a press near the edge is left. It tells less than others, but enough for
+        # more to hang over at the next one.
+        if not belief.presses:
+            nearest = self._allow_narrow()._allow_short()
+            tried += [(nearest, True), (nearest, False), (nearest._suppose_lighter(belief), False)]
         # Where that leads to nothing, several presses that each tell little are better than none.
         asked = self.weighing.min_gain
         known = calc_open(belief.covariance, self.weighing.sequence) <= ROUGHLY
@@ -314,6 +325,12 @@ class WeighingPlanner(PreGraspPlanner):
         other.is_narrow = True
         return other
 
+    def _allow_short(self) -> "WeighingPlanner":
+        """Makes a planner that presses nearer to the edge, too."""
+        other = copy(self)
+        other.is_short = True
+        return other
+
     def _accept_gain(self, gain: float) -> "WeighingPlanner":
         """Makes a planner that makes presses which take away a share of what is open, or more."""
         other = copy(self)
@@ -331,7 +348,12 @@ class WeighingPlanner(PreGraspPlanner):
         rules = self.weighing.sequence.rules
         known = belief.presses or belief.pushes
         mass = belief.total_mass if known else rules.mass
-        return replace(rules, mass=mass * self.mass_factor, is_narrow=self.is_narrow)
+        return replace(
+            rules,
+            mass=mass * self.mass_factor,
+            is_narrow=self.is_narrow,
+            min_arm=min(rules.min_arm, SHORT_ARM) if self.is_short else rules.min_arm,
+        )
 
     def _calc_gain(self, belief: AbsoluteEstimate, planned: PlannedPress) -> float:
         """Calculates the share of what is open that a press is expected to take away."""

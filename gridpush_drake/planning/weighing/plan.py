@@ -74,7 +74,7 @@ class PressRules:
     rim_margin: float = 0.001
     is_narrow: bool = False
     spacing: float = 0.003
-    overhang_step: float = 0.006
+    overhang_step: float = 0.003
     mass: float = 0.5
     max_force: float = 50.0
     force_std: float = 0.05
