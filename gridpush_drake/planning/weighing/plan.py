@@ -299,4 +299,4 @@ def _list_places(outline: Polygon, edge: Edge, rules: PressRules) -> Array:
 def _divide(low: float, high: float, spacing: float) -> Array:
     """Divides an interval into equal parts, no longer than `spacing`, and returns their middles."""
     count = ceil((high - low) / spacing)
-    return low + (high - low) / count * (np.arange(count) + 0.5)
+    return np.asarray(low + (high - low) / count * (np.arange(count) + 0.5), dtype=np.float64)
