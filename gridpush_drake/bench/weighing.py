@@ -3,8 +3,9 @@
 Each object gets a hidden mass of 0.1 to 3 kg, masses of its parts, and a friction of each part. It
 is pushed five to twelve times, until the forces that the finger feels tell its friction, in the
 model's own simulator. Then it is laid over the table's edge in Drake and pressed, as
-`planning.weighing` plans, until it is known. Poses, forces and places are told with noise. What is
-not simulated is how it gets from one place at the edge to the next: it is put there.
+the robot's planner decides (`planning.pregrasp.weighing_planner`), until it is known. Poses, forces
+and places are told with noise. What is not simulated is how it gets from one place at the edge to
+the next: where the planner would slide it there, it is put there.
 
 With `--bottom` the object is a rigid body in MuJoCo instead, on feet with a gap below its
 underside, which is drawn, or with a flat bottom (`bench.truth.mujoco_scale`). Its feet bear it
@@ -28,6 +29,7 @@ from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.absolute import TiltingLine
 from gridpush_drake.identification.absolute_errors import compare_with_truth
 from gridpush_drake.identification.learning import identify
@@ -45,10 +47,12 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
 from gridpush_drake.planning.pregrasp.grasp_parts import find_grasp_parts
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.weighing.plan import Edge, PlannedPress
 from gridpush_drake.planning.weighing.press import PressOutcome, has_slid
-from gridpush_drake.planning.weighing.sequence import plan_next_press
 from gridpush_drake.planning.world import FALLEN_TILT
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.pushes.weighings import WeighingLog
@@ -94,6 +98,16 @@ FORCE_PERIOD = 0.02
 
 REST = 0.2
 """Time that an object has to come to rest at the edge, s."""
+
+SCALE_TABLE = SupportSurface.rectangle((-0.5, 0.0), (1.0, 1.0))
+"""Table by which presses are planned; its edge x = 0 is that of the scale."""
+
+MAX_FAILED_PRESSES = PreGraspLoopOptions().max_failed_presses
+"""Number of presses in a row that weighed nothing after which an object is given up."""
+
+PAD_FORCE = 80.0
+"""Force with which the gripper presses on an object, N, by which the planner finds what to grasp:
+also objects that are narrow nowhere are weighed."""
 
 BOTTOMS = (OWN_WEIGHT, FLAT, THREE_FEET, VERTICES)
 """On what an object may stand: each cell bears its own weight, in Drake; or a rigid body in MuJoCo,
@@ -208,6 +222,7 @@ class WeighingScore:
         rocked: number of presses in which it rocked before it tilted about the edge.
         left_out: number of presses that do not count as tilts about the edge.
         contradictory: whether the observations contradict each other, so that nothing is stated.
+        slides: how often it was laid elsewhere to be pressed.
     """
 
     name: str
@@ -231,6 +246,7 @@ class WeighingScore:
     rocked: int = 0
     left_out: int = 0
     contradictory: bool = False
+    slides: int = 0
 
 
 @dataclass(frozen=True)
@@ -359,34 +375,92 @@ def make_weighed(job: WeighingJob) -> Weighed:
 def run_job(job: WeighingJob) -> WeighingScore:
     """Pushes and weighs one object."""
     made = make_weighed(job)
-    world = made.scale
     found, pushes = push_and_learn(made.obj, made.pushed, job.seed)
-    model = UncertainModel.of_identification(found, friction_range=FRICTION_RANGE, log=pushes)
-    centers = model.masses.center_of_mass_polygon
+    known, course = weigh_at_edge(made, found, pushes, job.seed)
+    return score(job, known, made.truth, course, made.rim_gap)
 
+
+def make_planner(obj: GridObject, top: float) -> WeighingPlanner:
+    """Makes the planner that a robot runs, on the table of the scale.
+
+    Args:
+        obj: the object.
+        top: height of its top above the table, m.
+    """
+    planner = WeighingPlanner(obj, SCALE_TABLE, PreGraspOptions(pad_force=PAD_FORCE))
+    planner.weighing = replace(planner.weighing, top=top)
+    return planner
+
+
+def weigh_at_edge(
+    made: Weighed, found: Identification, pushes: PushLog, seed: int
+) -> tuple[Identification, "PressCourse"]:
+    """Weighs an object at the edge, as the robot's planner decides, until it is known well.
+
+    Where the planner would slide the object to be pressed, it is laid there.
+
+    Args:
+        made: the object, and the world in which it is pressed.
+        found: what was learned from pushes.
+        pushes: the pushes.
+        seed: of what is learned.
+
+    Returns:
+        What is known in the end, and how the presses went.
+    """
+    planner = make_planner(made.obj, made.scale.height)
+    world = made.scale
     log = WeighingLog()
     known = found
+    model = make_model(known, pushes)
     course = PressCourse(time=len(found.push_names) * PUSH_LENGTH / PUSH_SPEED)
-    while True:
-        chosen = plan_next_press(
-            known, centers, EDGE, world.height, course.presses, course.withstood_in_a_row
-        )
-        if chosen is None:
+    seen = np.array([*SCALE_TABLE.polygon.centroid.coords[0], 0.0])
+    while planner.may_weigh(model, len(found.push_names), course.slides):
+        # As the robot does, it supposes a heavier object after each press that this one withstood.
+        supposing = planner
+        for _ in range(course.withstood_in_a_row):
+            supposing = supposing.suppose_heavier()
+        may_slide = course.slides < planner.calc_slide_limit(model.presses)
+        choice = next(supposing.plan_presses(seen, model, may_slide), None)
+        if choice is None or course.failed_in_a_row >= MAX_FAILED_PRESSES:
             break
-        world.put(chosen.pose)
+        if choice.placements:
+            world.put(lay_at_edge(choice.placements[0].planned))
+            world.let_pass(REST)
+            seen = world.observe()
+            course = replace(course, slides=course.slides + 1)
+            continue
+        assert choice.here is not None
+        press = world.press(choice.here.target)
         world.let_pass(REST)
+        weighing = press.state.make_weighing(press.target, world.options, seen)
+        before = seen
         seen = world.observe()
-        press = world.press(chosen.target)
-        world.let_pass(REST)
-        course = course.note(press)
+        # What was shifted by the press tells nothing of the weight.
+        if has_slid(before, seen):
+            weighing = None
+        course = course.note(press, weighing is not None)
         if press.max_tilt >= FALLEN_TILT:
             break
-        weighing = press.state.make_weighing(press.target, world.options, seen)
-        # What was shifted by the press tells nothing of the weight.
-        if weighing is not None and not has_slid(seen, world.observe()):
+        if weighing is not None:
             log = replace(log, presses=(*log.presses, weighing))
-            known = weigh_model(found, log, seed=job.seed)
-    return score(job, known, made.truth, course, made.rim_gap)
+            known = weigh_model(found, log, seed=seed)
+            model = make_model(known, pushes)
+    return known, course
+
+
+def make_model(known: Identification, pushes: PushLog) -> UncertainModel:
+    """Makes the model by which presses are planned, with any friction taken for possible."""
+    return UncertainModel.of_identification(known, friction_range=FRICTION_RANGE, log=pushes)
+
+
+def lay_at_edge(planned: PlannedPress) -> Array:
+    """Makes the pose (3,) at the scale's edge of an object that is to be pressed at any edge."""
+    target = planned.target
+    edge = Edge(target.edge_point, target.edge_angle)
+    # The scale's edge bears about its middle.
+    along = float(edge.calc_along(planned.pose[:2]))
+    return planned.move_to(EDGE, -along).pose
 
 
 @dataclass(frozen=True)
@@ -394,28 +468,39 @@ class PressCourse:
     """How the presses of an object went.
 
     Attributes:
+        slides: how often the object was laid elsewhere to be pressed.
         presses: number of presses.
         withstood: number of them at which the object did not tilt up to the greatest force.
-        withstood_in_a_row: number of those since the last tilt.
+        withstood_in_a_row: number of those since the last press that weighed something.
+        failed_in_a_row: number of presses since then.
         time: how long all pushes and presses took, s.
         max_tilt: greatest true tilt, rad.
         moved: greatest distance that a press left the object from where it lay, m.
     """
 
+    slides: int = 0
     presses: int = 0
     withstood: int = 0
     withstood_in_a_row: int = 0
+    failed_in_a_row: int = 0
     time: float = 0.0
     max_tilt: float = 0.0
     moved: float = 0.0
 
-    def note(self, press: MadePress) -> "PressCourse":
-        """Adds a press."""
+    def note(self, press: MadePress, weighs: bool) -> "PressCourse":
+        """Adds a press.
+
+        Args:
+            press: how it went.
+            weighs: whether it told something of the weight.
+        """
         too_heavy = press.state.outcome == PressOutcome.TOO_HEAVY
-        return PressCourse(
+        return replace(
+            self,
             presses=self.presses + 1,
             withstood=self.withstood + too_heavy,
-            withstood_in_a_row=self.withstood_in_a_row + 1 if too_heavy else 0,
+            withstood_in_a_row=0 if weighs else self.withstood_in_a_row + too_heavy,
+            failed_in_a_row=0 if weighs else self.failed_in_a_row + 1,
             time=self.time + press.time,
             max_tilt=max(self.max_tilt, press.max_tilt),
             moved=max(self.moved, press.moved),
@@ -457,6 +542,7 @@ def score(
         seed=job.seed,
         mass=float(truth.total_mass),
         pushes=len(known.push_names),
+        slides=course.slides,
         presses=course.presses,
         withstood=course.withstood,
         time=course.time,
@@ -617,6 +703,7 @@ def tabulate_scores(scores: Sequence[WeighingScore], names: Sequence[str]) -> Ta
     columns: dict[str, Column] = {
         "runs": len,
         "pushes": mean_of("pushes"),
+        "slides": mean_of("slides"),
         "presses": mean_of("presses"),
         "time, s": mean_of("time"),
         "mass, %": median("mass_error", 100),
@@ -641,7 +728,8 @@ def tabulate_scores(scores: Sequence[WeighingScore], names: Sequence[str]) -> Ta
         f"{FRICTION_RANGE[0]:g} to {FRICTION_RANGE[1]:g}. Nothing but the outline is told.",
         f"{PUSHES[0]} to {PUSHES[-1]} pushes with forces, then presses at the edge. "
         "Noise: 0.2 N in each sample of the force, 1 mm and 0.3° of each pose, 0.5 mm of the edge.",
-        "pushes, presses: means; time: mean of what all of them took; mass, center, friction: "
+        "pushes, slides, presses: means, where an object is laid elsewhere instead of being slid; "
+        "time: mean of what pushes and presses took; mass, center, friction: "
         "medians of the errors; held: true values "
         "within 95 % intervals (of the center, a region); tilt: the greatest.",
         "rocked, left out: means of the presses in which the object rocked on feet first, and of "

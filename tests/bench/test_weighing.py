@@ -1,5 +1,7 @@
 """Presses at the table's edge in Drake: the physics of a tilt that is caught, and what they tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydantic import TypeAdapter
@@ -16,10 +18,14 @@ from gridpush_drake.bench.weighing import (
     WeighingScore,
     draw_truth,
     make_jobs,
+    make_model,
+    make_planner,
     make_pushes,
+    make_weighed,
     run_edge_job,
     run_job,
     score,
+    weigh_at_edge,
 )
 from gridpush_drake.bench.weighing_story import make_press
 from gridpush_drake.bench.weighing_world import EDGE, EXACT, WeighingWorld
@@ -31,8 +37,10 @@ from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.weighing_planner import WeighingPlanner
 from gridpush_drake.planning.weighing.plan import Edge, PressRules, list_rests
 from gridpush_drake.planning.weighing.press import PressOptions, PressOutcome, has_slid
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import EdgePress, WeighingLog
 
 
@@ -183,6 +191,45 @@ def test_scores_are_kept_as_json():
         back = TypeAdapter(WeighingScore).validate_json(kept)
         assert back.presses == 1
         assert back.mass == truth.total_mass
+
+
+def test_the_bench_presses_where_the_robot_s_planner_says(monkeypatch):
+    """One planner decides for both: what it yields is pressed, and nothing else."""
+    made = make_weighed(WeighingJob("snack_bag", 3, "flat"))
+    center = tuple(made.truth.center_of_mass(made.obj).tolist())
+    prior = replace(made.obj.prior, center_of_mass=center, center_of_mass_std=0.005)
+    made = replace(made, obj=replace(made.obj, prior=prior))
+    found = describe_prior(made.obj)
+    model = make_model(found, PushLog(()))
+    asked = []
+    real = WeighingPlanner.plan_presses
+
+    def plan(planner, pose, model, may_slide=True):
+        asked.append(next(real(planner, pose, model, may_slide)))
+        yield asked[-1]
+
+    pressed = []
+    press = made.scale.press
+
+    def note(target):
+        pressed.append(target)
+        return press(target)
+
+    monkeypatch.setattr(made.scale, "press", note)
+    monkeypatch.setattr(WeighingPlanner, "plan_presses", plan)
+    planner = make_planner(made.obj, made.scale.height)
+    once = replace(planner.weighing, max_presses=1)
+    monkeypatch.setattr(WeighingPlanner, "weighing", once)
+    _, course = weigh_at_edge(made, replace(found, push_names=("push",) * 3), PushLog(()), 3)
+    assert course.presses == len(pressed) == 1
+    assert pressed[0] is asked[-1].here.target
+    assert course.slides == len(asked) - 1 >= 1
+    # The robot decides by the same plan.
+    pose = asked[-1].here.pose
+    decision = planner.decide(pose, model, pokes=3)
+    assert decision.action == "weigh"
+    assert decision.press is asked[-1].here.target
+    np.testing.assert_allclose(decision.press.place, pressed[0].place)
 
 
 def test_hidden_masses_differ_from_object_to_object():

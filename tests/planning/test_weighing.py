@@ -41,7 +41,6 @@ from gridpush_drake.planning.weighing.sequence import (
     SequenceOptions,
     calc_headings,
     calc_left_open,
-    plan_next_press,
     with_sure_force,
 )
 from gridpush_drake.pushes.push_log import PushLog
@@ -55,6 +54,30 @@ CENTERS = np.array([[0.03, 0.01], [-0.03, 0.01], [-0.03, -0.01], [0.03, -0.01]])
 FREE_WAY = 0.02
 """How far the tip goes on freely, m, so that nobody takes the edge for supports."""
 TARGET = PressTarget((0.05, 0.0), (0.0, 0.0), 0.0, TOP, 0.008)
+SURFACE = SupportSurface.rectangle((0.0, 0.0), (1.0, 0.8))
+
+
+def make_model(obj, covariance):
+    """A model of an object that was pressed once, with a covariance (4, 4) of what is believed."""
+    found = describe_prior(obj.forget())
+    belief = replace(believe_before(found), covariance=covariance, presses=1)
+    return replace(UncertainModel.of_identification(found), belief=belief)
+
+
+def choose_press(model, pose=(0.0, 0.0, 0.0), planner=None):
+    """The planner's first choice of a press; None where there is none."""
+    planner = planner or WeighingPlanner(model.obj, SURFACE)
+    return next(planner.plan_presses(np.array(pose), model), None)
+
+
+def choose_rest(surely=True, rules=None):
+    """The press on the bar that is told best."""
+    rests = [
+        one
+        for heading in calc_headings(BAR, EDGE).tolist()
+        for one in list_rests(BAR, CENTERS, heading, EDGE, TOP, rules, surely=surely)
+    ]
+    return min(rests, key=lambda one: one.relative_std)
 
 
 def test_every_planned_press_is_caught_for_each_plausible_center():
@@ -107,11 +130,21 @@ def test_the_whole_finger_presses_on_the_object_unless_its_parts_are_too_narrow(
         rim = shapely.Polygon(transform(planned.pose, np.array(bar.outline.exterior.coords)))
         assert rim.exterior.distance(shapely.Point(planned.target.place)) > 0.9 * rules.pose_error
     # A wide object is not pressed at its narrow end, though it would tell more.
-    found = describe_prior(BAR.forget())
-    assert plan_next_press(found, CENTERS, EDGE, TOP) is not None
-    thin = describe_prior(bar.forget())
-    planned = plan_next_press(thin, centers, EDGE, TOP)
-    assert planned is not None
+    sure = np.diag([0.9, 0.008**2, 0.004**2, 0.1])
+    assert [choose_press(make_model(obj, sure)).planner.is_narrow for obj in (BAR, bar)] == [
+        False,
+        True,
+    ]
+
+
+def test_a_part_is_pressed_that_has_little_room_for_the_tip():
+    """The room is narrower than the places that are tried are apart, wherever it lies."""
+    rules = PressRules(is_narrow=True)
+    bar = GridObject.from_outline(rectangle(0.3, 2 * rules.rim + 0.002), max_cells=30, name="bar")
+    centers = np.array([[0.003, 0.0], [-0.003, 0.001], [-0.003, -0.001]])
+    assert rules.spacing > 0.002
+    for heading in np.linspace(0.0, 0.1, 5):
+        assert list_rests(bar, centers, EDGE.angle + heading, EDGE, TOP, rules)
 
 
 def test_a_region_is_cut_to_what_an_estimate_leaves():
@@ -308,7 +341,6 @@ def test_a_heavy_object_is_pressed_where_it_is_expected_to_tilt():
     # Two kilograms would not tilt everywhere with its center at the region's far end.
     wide = CENTERS * [3.0, 1.0]
     rules = PressRules(mass=2.0)
-    options = SequenceOptions(rules=rules)
     headings = calc_headings(BAR, EDGE).tolist()
     assert not [
         one
@@ -320,8 +352,12 @@ def test_a_heavy_object_is_pressed_where_it_is_expected_to_tilt():
     assert not [
         one for heading in headings for one in list_rests(BAR, wide, heading, EDGE, TOP, heavier)
     ]
-    found = describe_prior(BAR)
-    planned = plan_next_press(found, wide, EDGE, TOP, options=replace(options, rules=heavier))
+    at_rim = replace(heavier, is_narrow=True)
+    planned = next(
+        one
+        for heading in headings
+        for one in list_rests(BAR, wide, heading, EDGE, TOP, at_rim, surely=False)
+    )
     middle = -EDGE.calc_beyond(transform(planned.pose, wide)).mean()
     assert heavier.mass * GRAVITY * middle <= heavier.max_force * _calc_arm(planned)
     # What is safe does not depend on how heavy it is.
@@ -338,22 +374,24 @@ def _calc_arm(planned):
     return EDGE.calc_beyond(np.array(planned.target.place))
 
 
-def test_the_next_press_is_the_one_expected_to_tell_most():
-    found = describe_prior(BAR)
-    options = SequenceOptions()
-    first = plan_next_press(found, CENTERS, EDGE, TOP)
-    belief = believe_before(found)
-    expected = calc_left_open(belief, first, options.rules, options)
-    for heading in calc_headings(BAR, EDGE):
-        for other in list_rests(BAR, CENTERS, float(heading), EDGE, TOP, options.rules):
-            assert expected <= calc_left_open(belief, other, options.rules, options) + 1e-9
+def test_presses_that_tell_little_are_made_where_no_other_is_left():
+    """As long as mass and center are not even roughly known."""
+    planner = WeighingPlanner(BAR, SURFACE)
+    wide = make_model(BAR, np.diag([0.9, 0.018**2, 0.006**2, 0.1]))
+    planner.weighing = replace(planner.weighing, min_gain=0.99)
+    after = choose_press(wide, planner=planner)
+    assert after is not None
+    assert all(one.gain < planner.weighing.min_gain for one in after.placements)
+    rough = make_model(BAR, np.diag([0.04**2, 0.004**2, 0.004**2, 0.1]))
+    assert choose_press(rough) is not None
+    assert choose_press(rough, planner=planner) is None
 
 
 def test_what_is_expected_to_be_left_open_is_what_the_estimate_leaves():
     """The expected covariance is that of the estimate, were the press made with just that force."""
     found = describe_prior(BAR)
     options = SequenceOptions()
-    planned = plan_next_press(found, CENTERS, EDGE, TOP)
+    planned = choose_rest()
     belief = believe_before(found)
     c_W = transform(planned.pose, belief.center_of_mass[None])[0]
     place = np.array(planned.target.place)
@@ -377,7 +415,7 @@ def test_what_is_expected_to_be_left_open_is_what_the_estimate_leaves():
 
 def test_the_sure_force_is_less_than_any_that_is_likely_and_grows_with_what_is_known():
     found = describe_prior(BAR)
-    first = plan_next_press(found, CENTERS, EDGE, TOP)
+    first = choose_rest()
     mass = 0.6
     center = np.array([0.01, -0.004])
 
@@ -413,10 +451,13 @@ def test_the_sure_force_is_less_than_any_that_is_likely_and_grows_with_what_is_k
 
 
 def test_presses_end_when_enough_is_known():
-    found = describe_prior(BAR)
-    sure = replace(believe_before(found), covariance=np.diag([0.005**2, 0.0005**2, 0.0005**2, 0.1]))
-    assert plan_next_press(replace(found, absolute=sure), CENTERS, EDGE, TOP) is None
-    assert plan_next_press(found, CENTERS, EDGE, TOP, presses=10) is None
+    planner = WeighingPlanner(BAR, SURFACE)
+    pokes = planner.options.min_pokes
+    sure = make_model(BAR, np.diag([0.005**2, 0.0005**2, 0.0005**2, 0.1]))
+    unsure = make_model(BAR, np.diag([0.9, 0.018**2, 0.006**2, 0.1]))
+    assert not planner.may_weigh(sure, pokes, 0)
+    assert planner.may_weigh(unsure, pokes, 0)
+    assert not planner.may_weigh(unsure, pokes - 1, 0)
 
 
 def test_a_planner_weighs_where_the_other_gives_up():
@@ -625,7 +666,7 @@ def test_slides_go_to_where_the_object_is_stable_before_other_places():
     planner = WeighingPlanner(obj, surface, PreGraspOptions(max_pokes=0, min_pokes=0))
     pose = np.array([0.0, 0.1, 1.96])
     rests = planner._list_rests(pose, model, belief)
-    goals = planner._choose_goals(rests)
+    goals = [one.goal for one in planner._choose_placements(rests)]
     assert len(goals) == 6
     for goal in goals:
         assert goal.margin == calc_stability_margin(model.masses, goal.pose, surface)
@@ -682,13 +723,12 @@ def test_weighings_that_contradict_each_other_are_not_planned_with():
     margins = [calc_stability_margin(one.masses, np.zeros(3), surface) for one in (model, before)]
     assert margins[0] == margins[1]
     # What is next to be pressed is as before the first press; so the presses are repeated.
-    again = plan_next_press(weighed, CENTERS, EDGE, TOP)
-    first = plan_next_press(found, CENTERS, EDGE, TOP)
-    np.testing.assert_array_equal(again.pose, first.pose)
+    np.testing.assert_array_equal(model.belief.mean, before.belief.mean)
+    np.testing.assert_array_equal(model.belief.covariance, before.belief.covariance)
     assert "contradict each other" in weighed.identifiability.statements[0]
     # But not for ever.
     planner = WeighingPlanner(BAR, surface, PreGraspOptions())
     enough = replace(model, presses=planner.weighing.max_presses)
     pokes = planner.options.min_pokes
-    assert planner._may_weigh(model, pokes, 0)
-    assert not planner._may_weigh(enough, pokes, 0)
+    assert planner.may_weigh(model, pokes, 0)
+    assert not planner.may_weigh(enough, pokes, 0)

@@ -16,7 +16,7 @@ How presses are planned is in `planning.weighing`; the theory is in `docs/theory
 section 8.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from math import ceil
@@ -93,8 +93,16 @@ LEAST_RATE = 0.5
 SOME_EDGE = Edge(point=(0.0, 0.0), angle=0.0)
 """An edge for which rests are worked out, before they are moved to the table's own edges."""
 
-SLIDE_ERROR = 0.004
-"""How far from its goal a slide may well end, m."""
+SLIDE_ERRORS = (0.004, 0.002, 0.001)
+"""How far from its goal a slide may end, m, so that a press is still possible. Those at the end are
+for where there is no place that allows more."""
+
+SHORT_ARM = 0.012
+"""Least distance of a press from the edge, m, where the center of mass may be almost anywhere."""
+
+SMALL_GAIN = 0.03
+"""Share of what is open that a press must be expected to take away at least, where no press takes
+away `WeighingOptions.min_gain` and mass or center are not even roughly known."""
 
 MAX_RESTS = 6
 """Number of places to be weighed at that a slide may go to."""
@@ -137,11 +145,13 @@ class WeighingPlanner(PreGraspPlanner):
         mass_factor: factor on the mass that is believed, for a planner that supposes another one,
             as after a press that the object withstood.
         is_narrow: whether it presses on parts that are narrower than the finger, too.
+        is_short: whether it presses up to SHORT_ARM near to the edge.
     """
 
     weighing: WeighingOptions = WeighingOptions()
     mass_factor: float = 1.0
     is_narrow: bool = False
+    is_short: bool = False
 
     # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
     @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -149,13 +159,13 @@ class WeighingPlanner(PreGraspPlanner):
         self, pose: ArrayLike, model: UncertainModel | None, pokes: int = 0, slides: int = 0
     ) -> PreGraspDecision:
         """Decides what to do next; see `PreGraspPlanner.decide`."""
-        if model is None or model.belief is None or not self._may_weigh(model, pokes, slides):
+        if model is None or model.belief is None or not self.may_weigh(model, pokes, slides):
             return super().decide(pose, model, pokes, slides)
         q = np.asarray(pose, dtype=np.float64)
         known = calc_open(model.belief.covariance, self.weighing.sequence) <= ROUGHLY
-        may_slide = slides < self._calc_slide_limit(model.belief.presses)
+        may_slide = slides < self.calc_slide_limit(model.belief.presses)
         if not known:
-            weighing = self._decide_to_weigh(q, model, model.belief, may_slide)
+            weighing = self._decide_to_weigh(q, model, may_slide)
             if weighing is not None:
                 return weighing
         decision = super().decide(pose, model, pokes, slides)
@@ -164,7 +174,7 @@ class WeighingPlanner(PreGraspPlanner):
         safe = decision.action == "slide" and decision.margin >= self.weighing.trusted_margin
         if not known or safe or decision.action == "grasp":
             return decision
-        weighing = self._decide_to_weigh(q, model, model.belief, may_slide)
+        weighing = self._decide_to_weigh(q, model, may_slide)
         if weighing is None:
             return decision
         why = decision.reason
@@ -172,7 +182,7 @@ class WeighingPlanner(PreGraspPlanner):
             why = f"the goal has a stability margin of {decision.margin * MM:.0f} mm at the worst"
         return replace(weighing, reason=f"{why}; {weighing.reason}")
 
-    def _may_weigh(self, model: UncertainModel, pokes: int, slides: int) -> bool:
+    def may_weigh(self, model: UncertainModel, pokes: int, slides: int) -> bool:
         """Says whether it is time to weigh, and mass or center are not known well enough yet."""
         assert model.belief is not None
         # The first pokes tell how friction is spread. After that a press tells more than a poke.
@@ -182,7 +192,7 @@ class WeighingPlanner(PreGraspPlanner):
             return False
         return calc_open(model.belief.covariance, self.weighing.sequence) > ENOUGH
 
-    def _calc_slide_limit(self, presses: int) -> int:
+    def calc_slide_limit(self, presses: int) -> int:
         """Calculates after how many slides an object is slid no further to be weighed.
 
         Args:
@@ -191,53 +201,99 @@ class WeighingPlanner(PreGraspPlanner):
         return self.weighing.first_slides + self.weighing.slides_per_press * presses
 
     def _decide_to_weigh(
-        self, pose: Array, model: UncertainModel, belief: AbsoluteEstimate, may_slide: bool = True
+        self, pose: Array, model: UncertainModel, may_slide: bool = True
     ) -> PreGraspDecision | None:
         """Decides on a press, or on a push to where one can be made; None where neither helps.
 
         Args:
             pose: (3,) where the object lies, X_WB, m and rad.
             model: what is known of it.
-            belief: what is held of its mass and center of mass.
             may_slide: whether it may be pushed to where a press can be made.
         """
+        for choice in self.plan_presses(pose, model, may_slide):
+            planner = choice.planner
+            if choice.here is not None:
+                planner = planner._ask_gain(LEAST_GAIN)
+            slide = planner._slide_to_weigh(pose, model, [one.goal for one in choice.placements])
+            if slide is not None:
+                return slide
+            if choice.here is not None:
+                target = choice.here.target
+                return PreGraspDecision("weigh", "it is weighed where it lies", press=target)
+        return None
+
+    def plan_presses(
+        self, pose: Array, model: UncertainModel, may_slide: bool = True
+    ) -> Iterator["PressChoice"]:
+        """Plans presses where the object lies, and placements at an edge that tell sooner.
+
+        Args:
+            pose: (3,) where the object lies, X_WB, m and rad.
+            model: what is known of it.
+            may_slide: whether the object may be laid elsewhere.
+
+        Yields:
+            What there is, by one set of rules after another: each supposes more, or allows more,
+            than those before it, and is for where those lead to nothing.
+        """
+        belief = model.belief
+        assert belief is not None
         # A heavy object may lie still wherever its center of mass is farthest from the edge. If
         # there is no other press, one is made that tilts it with the center where it is expected;
         # and if there is none of these, one that tilts it if it is lighter than it is expected.
         lighter = self._suppose_lighter(belief)
-        tried = ((self, True), (self, False), (lighter, False))
+        tried = [(self, True), (self, False), (lighter, False)]
         # The whole finger is to press on the object. Where no such press is left, a part that is
         # too narrow for it is pressed.
-        narrow = ((planner._allow_narrow(), surely) for planner, surely in tried)
-        for planner, surely in (*tried, *narrow):
+        tried += [(planner._allow_narrow(), surely) for planner, surely in tried]
+        # Before the first press, the center of mass may be almost anywhere, and so little may hang
+        # over that only a press near the edge is left. It tells less than others, but enough for
+        # more to hang over at the next one.
+        if not belief.presses:
+            nearest = self._allow_narrow()._allow_short()
+            tried += [(nearest, True), (nearest, False), (nearest._suppose_lighter(belief), False)]
+        # Where that leads to nothing, several presses that each tell little are better than none.
+        asked = self.weighing.min_gain
+        known = calc_open(belief.covariance, self.weighing.sequence) <= ROUGHLY
+        accepted = asked if known else min(asked, SMALL_GAIN)
+        little: list[PressChoice] = []
+        for planner, surely in tried:
+            planner = planner._accept_gain(accepted)
             here = planner._find_press(pose, model, belief, surely)
             # Slides end only nearly where they should, and the press should be possible all the
             # same.
-            for room in (SLIDE_ERROR, 0.0) if may_slide else (0.0,):
+            for room in SLIDE_ERRORS if may_slide else (0.0,):
                 rests = planner._list_rests(pose, model, belief, surely, room) if may_slide else []
-                decision = planner._choose_press(pose, model, belief, here, rests)
-                if decision is not None:
-                    return decision
-        return None
+                much = planner._choose_presses(belief, here, rests, asked)
+                if much is not None:
+                    yield much
+                some = planner._choose_presses(belief, here, rests, accepted)
+                if some is not None:
+                    little.append(some)
+        yield from little
 
-    def _choose_press(
+    def _choose_presses(
         self,
-        pose: Array,
-        model: UncertainModel,
         belief: AbsoluteEstimate,
         here: PlannedPress | None,
-        rests: Sequence["_Rest"],
-    ) -> PreGraspDecision | None:
-        """Decides as `_decide_to_weigh`, between a press where the object lies and other rests."""
-        rate = 0.0 if here is None else _calc_rate(self._calc_gain(belief, here), 0)
-        goals = self._choose_goals(rests) if rests and rate < rests[0].rate else []
-        planner = self if here is None else self._ask_gain(LEAST_GAIN)
-        slide = planner._slide_to_weigh(pose, model, goals)
-        if slide is not None:
-            return slide
+        rests: Sequence["PressPlacement"],
+        gain: float,
+    ) -> "PressChoice | None":
+        """Chooses those presses that take away a share of what is open or more; None without any.
+
+        A placement is chosen only if a press there tells sooner than one where the object lies.
+        """
+        rate = 0.0
         if here is not None:
-            return PreGraspDecision("weigh", "it is weighed where it lies", press=here.target)
-        return None
+            expected = self._calc_gain(belief, here)
+            rate = _calc_rate(expected, 0)
+            here = here if expected >= gain else None
+        telling = [one for one in rests if one.gain >= gain]
+        sooner = telling and (here is None or rate < telling[0].rate)
+        placements = self._choose_placements(telling) if sooner else []
+        if here is None and not placements:
+            return None
+        return PressChoice(self, here, tuple(placements))
 
     def _slide_to_weigh(
         self, pose: Array, model: UncertainModel, goals: Sequence[PreGraspGoal]
@@ -269,6 +325,18 @@ class WeighingPlanner(PreGraspPlanner):
         other.is_narrow = True
         return other
 
+    def _allow_short(self) -> "WeighingPlanner":
+        """Makes a planner that presses nearer to the edge, too."""
+        other = copy(self)
+        other.is_short = True
+        return other
+
+    def _accept_gain(self, gain: float) -> "WeighingPlanner":
+        """Makes a planner that makes presses which take away a share of what is open, or more."""
+        other = copy(self)
+        other.weighing = replace(self.weighing, min_gain=gain)
+        return other
+
     def _suppose(self, factor: float) -> "WeighingPlanner":
         """Makes a planner that supposes a mass which is another one by a factor."""
         other = copy(self)
@@ -280,7 +348,12 @@ class WeighingPlanner(PreGraspPlanner):
         rules = self.weighing.sequence.rules
         known = belief.presses or belief.pushes
         mass = belief.total_mass if known else rules.mass
-        return replace(rules, mass=mass * self.mass_factor, is_narrow=self.is_narrow)
+        return replace(
+            rules,
+            mass=mass * self.mass_factor,
+            is_narrow=self.is_narrow,
+            min_arm=min(rules.min_arm, SHORT_ARM) if self.is_short else rules.min_arm,
+        )
 
     def _calc_gain(self, belief: AbsoluteEstimate, planned: PlannedPress) -> float:
         """Calculates the share of what is open that a press is expected to take away."""
@@ -331,7 +404,7 @@ class WeighingPlanner(PreGraspPlanner):
         belief: AbsoluteEstimate,
         surely: bool = True,
         room: float = 0.0,
-    ) -> list["_Rest"]:
+    ) -> list["PressPlacement"]:
         """Lists poses at the edge at which a press tells much, those first that tell it soonest.
 
         Those at which the object is stable at the worst go before others. A slide is cut short of
@@ -355,7 +428,7 @@ class WeighingPlanner(PreGraspPlanner):
             for heading in calc_headings(self.obj, SOME_EDGE).tolist()
             for planned in self._list_rests_at(heading, masses, rules, surely)
         ]
-        found: list[_Rest] = []
+        found: list[PressPlacement] = []
         for edge in list_edges(self.surface):
             # The object may also go over the edge as it lies.
             upright = float(wrap_angle(pose[2] - edge.line.angle))
@@ -375,7 +448,8 @@ class WeighingPlanner(PreGraspPlanner):
                 moved.pose[2] = pose[2] + wrap_angle(moved.pose[2] - pose[2])
                 goal = self._make_goal(pose, moved, masses)
                 rate = _calc_rate(gain, _count_slides(pose, moved.pose))
-                found.append(_Rest(moved, goal, goal.margin >= kept, rate))
+                stable = goal.margin >= kept
+                found.append(PressPlacement(moved, goal, stable, gain, rate))
         found.sort(key=lambda one: (not one.stable, -one.rate))
         return found
 
@@ -386,13 +460,13 @@ class WeighingPlanner(PreGraspPlanner):
         centers = masses.center_of_mass_polygon
         return list_rests(self.obj, centers, heading, SOME_EDGE, self._top, rules, surely=surely)
 
-    def _choose_goals(self, rests: Sequence["_Rest"]) -> list[PreGraspGoal]:
+    def _choose_placements(self, rests: Sequence["PressPlacement"]) -> list["PressPlacement"]:
         """Chooses the first rests at which the arm can press, of different headings.
 
         Each of them tells about as soon as the first one. One push may be safe where another is
         not, and rests that are turned alike need about the same push.
         """
-        chosen: list[_Rest] = []
+        chosen: list[PressPlacement] = []
         for one in rests:
             if len(chosen) == MAX_RESTS or (chosen and one.rate < LEAST_RATE * chosen[0].rate):
                 break
@@ -402,7 +476,7 @@ class WeighingPlanner(PreGraspPlanner):
             # The arm is asked last, for that takes longest.
             if self._can_press(one.planned.target, one.goal.pose):
                 chosen.append(one)
-        return [one.goal for one in chosen]
+        return chosen
 
     def _ask_gain(self, gain: float) -> "WeighingPlanner":
         """Makes a planner whose slides must bring the object nearer by a distance, m."""
@@ -452,20 +526,38 @@ def _calc_rate(gain: float, slides: int) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rest:
+class PressPlacement:
     """Where an object may be laid to be pressed.
 
     Attributes:
         planned: the press.
         goal: that a slide goes to.
         stable: whether the object is stable there at the worst.
+        gain: share of what is open that the press is expected to take away.
         rate: how fast the press tells, with the slides to it, 1/s.
     """
 
     planned: PlannedPress
     goal: PreGraspGoal
     stable: bool
+    gain: float
     rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class PressChoice:
+    """Presses of which the planner may choose one.
+
+    Attributes:
+        planner: by whose rules they are planned.
+        here: the press where the object lies; None where none is safe and tells enough.
+        placements: where the object may be laid to be pressed sooner than here, with the slides to
+            it; the best first.
+    """
+
+    planner: WeighingPlanner
+    here: PlannedPress | None
+    placements: tuple[PressPlacement, ...]
 
 
 @dataclass(frozen=True)

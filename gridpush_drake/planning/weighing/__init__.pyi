@@ -11,4 +11,3 @@ from .press import PressTarget as PressTarget
 from .press import advance_press as advance_press
 from .press import break_off as break_off
 from .sequence import SequenceOptions as SequenceOptions
-from .sequence import plan_next_press as plan_next_press

@@ -22,7 +22,7 @@ with s_F the error of the force and s_e that of the edge.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import cos, radians, sin, tan
+from math import ceil, cos, radians, sin, tan
 
 import numpy as np
 import shapely
@@ -74,7 +74,7 @@ class PressRules:
     rim_margin: float = 0.001
     is_narrow: bool = False
     spacing: float = 0.003
-    overhang_step: float = 0.006
+    overhang_step: float = 0.003
     mass: float = 0.5
     max_force: float = 50.0
     force_std: float = 0.05
@@ -180,7 +180,7 @@ def plan_press(
     c_W = transform(pose, centers)
     b = -edge.calc_beyond(c_W)
     inside = float(b.min())
-    if inside <= top * tan(rules.max_tilt) + rules.pose_error:
+    if inside <= _calc_least_inside(top, rules):
         return None
     outline = transform_shape(pose, obj.outline)
     crossing = _find_crossing(outline, edge)
@@ -252,7 +252,10 @@ def list_rests(
     corners = shapely.get_coordinates(obj.outline) @ make_rotation(heading).T
     reach = corners @ edge.normal
     across = corners @ edge.tangent
-    overhangs = np.arange(rules.min_arm + rules.rim, float(np.ptp(reach)), rules.overhang_step)
+    # Farther out than this, no place is safe wherever the center of mass is.
+    farthest = float(reach.max() - (centers @ make_rotation(heading).T @ edge.normal).max())
+    farthest -= _calc_least_inside(top, rules)
+    overhangs = np.arange(rules.min_arm + rules.rim, farthest, rules.overhang_step)
     sideways = along - float(across.max() + across.min()) / 2
     found = []
     for overhang in overhangs:
@@ -263,6 +266,11 @@ def list_rests(
         if planned is not None:
             found.append(planned)
     return found
+
+
+def _calc_least_inside(top: float, rules: PressRules) -> float:
+    """Least distance of a center of mass from the edge, m, so that a tilted object comes back."""
+    return top * tan(rules.max_tilt) + rules.pose_error
 
 
 def _find_crossing(outline: Polygon, edge: Edge) -> Sequence[float] | None:
@@ -282,7 +290,13 @@ def _list_places(outline: Polygon, edge: Edge, rules: PressRules) -> Array:
     if room.is_empty:
         return np.empty((0, 2))
     left, low, right, high = room.bounds
-    x, y = np.meshgrid(np.arange(left, right, rules.spacing), np.arange(low, high, rules.spacing))
+    x, y = np.meshgrid(_divide(left, right, rules.spacing), _divide(low, high, rules.spacing))
     grid = np.column_stack([x.ravel(), y.ravel()])
     grid = grid[edge.calc_beyond(grid) >= rules.min_arm]
     return np.asarray(grid[shapely.contains_xy(room, grid[:, 0], grid[:, 1])])
+
+
+def _divide(low: float, high: float, spacing: float) -> Array:
+    """Divides an interval into equal parts, no longer than `spacing`, and returns their middles."""
+    count = ceil((high - low) / spacing)
+    return np.asarray(low + (high - low) / count * (np.arange(count) + 0.5), dtype=np.float64)
