@@ -8,7 +8,7 @@ import pytest
 import shapely
 
 from gridpush_drake.dynamics.physics import GRAVITY
-from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.geometry.se2 import transform, turn_left
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.weighed_model import believe_before, weigh_model
 from gridpush_drake.objects.grid_object import GridObject
@@ -265,28 +265,32 @@ def test_numbers_that_are_not_finite_end_a_press():
     assert (state.phase, state.outcome) == (PressPhase.RETREATING, PressOutcome.NO_FORCE)
 
 
-def test_the_tip_follows_the_top_of_a_tilting_object_and_creeps_no_farther():
+@pytest.mark.parametrize("tilt", [0.0, radians(2.0)])
+def test_the_tip_follows_the_top_of_a_tilting_object_and_creeps_no_farther(tilt):
     """An arm whose tip is 0.2 mm off from what is commanded would else creep on and on."""
     options = PressOptions()
-    farthest = TOP * np.tan(options.max_tilt)
-    state = replace(
-        PressState(),
-        phase=PressPhase.DWELLING,
-        command=TARGET.hover,
-        start_height=0.038,
-        hold=TARGET.hover,
-    )
-    offs = []
-    for step in range(30):
-        tip = state.command + (0.0, 2e-4, 0.0)
-        offs.append(float(np.linalg.norm(tip[:2] - TARGET.place)))
-        state = advance_press(
-            TARGET, options, state, PressSample(0.01 * step, tip, np.array([0.0, 0.0, 5.0]))
+    drawn = TOP * np.tan(tilt) * TARGET.normal
+    sunk = TARGET.hover - (0.0, 0.0, TARGET.calc_arm(TARGET.hover) * tilt)
+    for direction in (TARGET.normal, turn_left(TARGET.normal)):
+        state = replace(
+            PressState(),
+            phase=PressPhase.DWELLING,
+            command=sunk + (*drawn, 0.0),
+            touched=0.0,
+            start_height=TARGET.hover[2],
+            hold=np.array([*TARGET.hover[:2], sunk[2]]),
         )
-    assert state.phase == PressPhase.DWELLING
-    np.testing.assert_allclose(offs[:2], [2e-4, 4e-4])
-    assert max(offs) < farthest + 2e-4
-    assert offs[-1] == pytest.approx(farthest, abs=1e-5)
+        offs = []
+        for step in range(30):
+            tip = np.array([*(state.command[:2] + 2e-4 * direction), sunk[2]])
+            offs.append(float((tip[:2] - TARGET.place - drawn) @ direction))
+            state = advance_press(
+                TARGET, options, state, PressSample(0.01 * step, tip, np.array([0.0, 0.0, 5.0]))
+            )
+        assert state.phase == PressPhase.DWELLING
+        np.testing.assert_allclose(offs[:2], [2e-4, 4e-4])
+        assert max(offs) < options.follow_room + 2e-4
+        assert offs[-1] == pytest.approx(options.follow_room, abs=5e-5)
 
 
 def test_a_force_along_the_normal_counts_by_its_moment():
