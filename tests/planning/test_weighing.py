@@ -570,15 +570,28 @@ def test_presses_that_weigh_nothing_suppose_a_heavier_object_and_end_at_last():
     for _ in range(loop.options.max_failed_presses):
         planner = loop._choose_planner(state)
         factors.append(planner._make_rules(believe_before(describe_prior(BAR))).mass)
-        state = watch(loop, state, withstood)
-        if state.status.mode == "failed":
-            break
+        state = watch(loop, state.turn_to("weighing", "Once more."), withstood)
         assert state.status.mode == "waiting"
-        state = state.turn_to("weighing", "Once more.")
     np.testing.assert_allclose(np.diff(np.log(factors)), np.log(HEAVIER))
-    assert state.status.mode == "failed"
     assert state.status.presses == 0
-    assert "4 presses in a row weighed nothing" in state.status.reason
+    # From then on the loop goes on with what is known, as if the object could not be weighed.
+    obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
+    found = describe_prior(obj)
+    belief = replace(
+        believe_before(found), covariance=np.diag([0.9, 0.018**2, 0.006**2, 0.1]), presses=1
+    )
+    model = replace(UncertainModel.of_identification(found), belief=belief)
+    options = PreGraspOptions(min_pokes=0, max_pokes=0)
+    at_edge = np.array([0.4, 0.0, 0.0])
+    plain = PreGraspPlanner(obj, loop.planner.surface, options)
+    weighing = WeighingPlanner(obj, loop.planner.surface, options)
+    assert weighing.decide(at_edge, model).action == "weigh"
+    stopped = PreGraspLoop(weighing, lambda *_: None)._choose_planner(state).decide(at_edge, model)
+    expected = plain.decide(at_edge, model)
+    assert stopped.action == expected.action == "fail"
+    assert stopped.reason == (
+        f"{expected.reason}; 4 presses in a row weighed nothing, so that it is weighed no more"
+    )
 
 
 def test_near_a_corner_of_the_table_nothing_is_pressed():

@@ -27,7 +27,8 @@ grasped there. Short pushes bring it back onto the table, and there the planner 
 no push does so safely, by all models by which the object stays where it lies, it is given up.
 
 It weighs only where its planner does (`weighing_planner`). An object that withstood a press is
-heavier than was supposed, and is pressed where less force would do.
+heavier than was supposed, and is pressed where less force would do. After several presses in a row
+that weighed nothing it is pressed no more, and the loop goes on with what is known.
 """
 
 from collections.abc import Callable
@@ -159,8 +160,8 @@ class PreGraspLoopOptions(LoopOptions):
 
     Attributes:
         max_grasps: number of grasps after which the loop gives up.
-        max_failed_presses: number of presses in a row that weighed nothing after which the loop
-            gives up.
+        max_failed_presses: number of presses in a row that weighed nothing after which the object
+            is pressed no more.
     """
 
     observations: int = 8
@@ -478,8 +479,16 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return self._grasp(now, pose, uncertain, decision)
 
     def _choose_planner(self, now: PreGraspState) -> PreGraspPlanner:
-        """The planner, which supposes a heavier object for each press that this one withstood."""
+        """The planner, which supposes a heavier object for each press that this one withstood.
+
+        After presses in a row that weighed nothing it weighs no more.
+        """
         planner = self.planner
+        count = now.failed_presses
+        if count >= self.options.max_failed_presses:
+            return planner.stop_weighing(
+                f"{count} presses in a row weighed nothing, so that it is weighed no more"
+            )
         for _ in range(now.withstood):
             planner = planner.suppose_heavier()
         return planner
@@ -570,10 +579,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         failed = replace(now, failed_presses=now.failed_presses + 1)
         if presser.outcome == PressOutcome.TOO_HEAVY:
             failed = replace(failed, withstood=now.withstood + 1)
-        if failed.failed_presses < self.options.max_failed_presses:
-            return failed.turn_to(WAITING, what)
-        count = failed.failed_presses
-        return failed.turn_to(FAILED, f"{count} presses in a row weighed nothing. {what}")
+        return failed.turn_to(WAITING, what)
 
     def _follow_grasp(self, now: PreGraspState, gripper: GraspStatus) -> PreGraspState:
         """The state while a grasp is under way, and after it."""
