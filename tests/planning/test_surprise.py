@@ -18,6 +18,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.identification.spread import predict_spread
 from gridpush_drake.identification.surprise import Judgment, SurpriseRecord, judge_push
+from gridpush_drake.identification.weighed_model import believe_before
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -476,6 +477,22 @@ def test_a_safe_object_at_the_edge_goes_on_gently_after_a_slight_surprise(bounde
         face_edge(pose, bounded, surprises=clear, edge_surprises=1),
     ):
         assert brings_back(back, pose) and not back.edge_surprises
+
+
+def test_a_center_that_was_weighed_is_not_in_doubt_after_slight_surprises(bounded) -> None:
+    pose = (0.84, 0.1, 0.6)
+    before = believe_before(bounded[0])
+    for center_std, goes_back in ((0.01, True), (0.001, False)):
+        covariance = np.diag([0.01**2, center_std**2, center_std**2, 0.1])
+        sure = replace(before, covariance=covariance, presses=3)
+        weighed = replace(bounded[0], absolute=sure)
+        after = face_edge(pose, bounded, found=weighed, surprises=SLIGHT, edge_surprises=2)
+        assert after.status.mode == PreGraspMode.SLIDING
+        assert after.push.length <= CAREFUL_LENGTH + 1e-9
+        assert after.retreating == goes_back
+    # A clear surprise may be another object's.
+    clear = replace(SLIGHT, last=replace(SLIGHT.last, distance=0.03))
+    assert face_edge(pose, bounded, found=weighed, surprises=clear, edge_surprises=1).retreating
 
 
 def test_after_a_surprise_at_the_edge_what_is_learned_must_explain_the_push(bounded) -> None:

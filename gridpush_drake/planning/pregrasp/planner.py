@@ -240,6 +240,10 @@ class PreGraspPlanner:
         """Makes a planner for an object that withstood a press; itself if it never presses."""
         return self
 
+    def stop_weighing(self, why: str) -> "PreGraspPlanner":
+        """Makes a planner that presses no more, and says why; itself if it never presses."""
+        return self
+
     def _decide_by_rim(
         self, q: Array, model: UncertainModel, pokes: int, slides: int
     ) -> PreGraspDecision:

@@ -24,10 +24,13 @@ less sure, and the stability margin is judged anew. If it still holds, the loop 
 slides until a push ends as it was predicted. If it does not, or what was learned does not explain
 the push either, or the object surprised clearly, or for the second time, it is neither slid on nor
 grasped there. Short pushes bring it back onto the table, and there the planner begins anew. Where
-no push does so safely, by all models by which the object stays where it lies, it is given up.
+no push does so safely, by all models by which the object stays where it lies, it is given up. If the
+center of mass was weighed, slight surprises say nothing of it: then it only matters whether the
+margin holds.
 
 It weighs only where its planner does (`weighing_planner`). An object that withstood a press is
-heavier than was supposed, and is pressed where less force would do.
+heavier than was supposed, and is pressed where less force would do. After several presses in a row
+that weighed nothing it is pressed no more, and the loop goes on with what is known.
 """
 
 from collections.abc import Callable
@@ -87,6 +90,10 @@ times as large as would have made the push just no surprise."""
 MAX_WAITS = 10
 """Number of times that the object is looked at anew until a push that surprised over the edge is
 learned from. Then the loop gives up."""
+
+WEIGHED_CENTER_STD = 0.005
+"""Greatest standard deviation of a weighed center of mass, along x and along y, m, for slight
+surprises over the edge not to matter. After a surprise it is taken as less sure, too."""
 
 CAREFUL_LENGTH = 0.03
 """Length of the longest slide after a surprise over the edge, m."""
@@ -159,8 +166,8 @@ class PreGraspLoopOptions(LoopOptions):
 
     Attributes:
         max_grasps: number of grasps after which the loop gives up.
-        max_failed_presses: number of presses in a row that weighed nothing after which the loop
-            gives up.
+        max_failed_presses: number of presses in a row that weighed nothing after which the object
+            is pressed no more.
     """
 
     observations: int = 8
@@ -406,12 +413,14 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             return "and is not back on the table yet"
         if now.surprises.is_changed:
             return "so far off that it may be another object"
-        if now.edge_surprises > MAX_EDGE_SURPRISES:
-            return "not for the first time"
-        if not _is_learned(seen):
-            return "and nothing could be learned from it"
-        if not _is_explained(seen):
-            return "and what is learned now does not explain it"
+        # Pushes that surprise slightly say nothing against a center of mass that was weighed.
+        if not _is_center_weighed(doubted):
+            if now.edge_surprises > MAX_EDGE_SURPRISES:
+                return "not for the first time"
+            if not _is_learned(seen):
+                return "and nothing could be learned from it"
+            if not _is_explained(seen):
+                return "and what is learned now does not explain it"
         if not self.planner.is_safe(pose, doubted.masses):
             return "and by what may be true it is no longer safe"
         return None
@@ -478,8 +487,16 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return self._grasp(now, pose, uncertain, decision)
 
     def _choose_planner(self, now: PreGraspState) -> PreGraspPlanner:
-        """The planner, which supposes a heavier object for each press that this one withstood."""
+        """The planner, which supposes a heavier object for each press that this one withstood.
+
+        After presses in a row that weighed nothing it weighs no more.
+        """
         planner = self.planner
+        count = now.failed_presses
+        if count >= self.options.max_failed_presses:
+            return planner.stop_weighing(
+                f"{count} presses in a row weighed nothing, so that it is weighed no more"
+            )
         for _ in range(now.withstood):
             planner = planner.suppose_heavier()
         return planner
@@ -570,10 +587,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         failed = replace(now, failed_presses=now.failed_presses + 1)
         if presser.outcome == PressOutcome.TOO_HEAVY:
             failed = replace(failed, withstood=now.withstood + 1)
-        if failed.failed_presses < self.options.max_failed_presses:
-            return failed.turn_to(WAITING, what)
-        count = failed.failed_presses
-        return failed.turn_to(FAILED, f"{count} presses in a row weighed nothing. {what}")
+        return failed.turn_to(WAITING, what)
 
     def _follow_grasp(self, now: PreGraspState, gripper: GraspStatus) -> PreGraspState:
         """The state while a grasp is under way, and after it."""
@@ -610,6 +624,12 @@ def _is_explained(seen: Observation) -> bool:
     found = seen.identification
     judgment = None if found is None else judge_push(found, seen.log[-1], seen.log.table)
     return judgment is not None and not judgment.surprises
+
+
+def _is_center_weighed(doubted: UncertainModel) -> bool:
+    """Whether weighings tell the center of mass, in whatever way the object moves when pushed."""
+    weighed = doubted.weighed
+    return weighed is not None and float(weighed.center_std.max()) <= WEIGHED_CENTER_STD
 
 
 def _give_up_at_edge(now: PreGraspState, why: str) -> PreGraspState:

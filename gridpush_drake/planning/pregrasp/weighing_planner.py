@@ -9,7 +9,8 @@ a part hangs over the edge that can be pressed safely, by all that is known, and
     weigh      until mass and center are roughly known; of all presses that are safe, the one that
                tells soonest, with the slides to it
     slide      to a goal, as that planner does, or weigh on where the goal has little margin
-    stop       weighing where many slides led to few presses; the reason says so
+    stop       weighing where many slides led to few presses, or presses in a row weighed nothing;
+               the reason says so
     grasp      as that planner does
 
 How presses are planned is in `planning.weighing`; the theory is in `docs/theory/planning.md`,
@@ -146,12 +147,14 @@ class WeighingPlanner(PreGraspPlanner):
             as after a press that the object withstood.
         is_narrow: whether it presses on parts that are narrower than the finger, too.
         is_short: whether it presses up to SHORT_ARM near to the edge.
+        stopped: why it weighs no more, in half a sentence; empty while it weighs.
     """
 
     weighing: WeighingOptions = WeighingOptions()
     mass_factor: float = 1.0
     is_narrow: bool = False
     is_short: bool = False
+    stopped: str = ""
 
     # The matrices are small: threads of BLAS would only cost time, and change the order of sums.
     @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -159,6 +162,9 @@ class WeighingPlanner(PreGraspPlanner):
         self, pose: ArrayLike, model: UncertainModel | None, pokes: int = 0, slides: int = 0
     ) -> PreGraspDecision:
         """Decides what to do next; see `PreGraspPlanner.decide`."""
+        if self.stopped:
+            decision = super().decide(pose, model, pokes, slides)
+            return replace(decision, reason=f"{decision.reason}; {self.stopped}")
         if model is None or model.belief is None or not self.may_weigh(model, pokes, slides):
             return super().decide(pose, model, pokes, slides)
         q = np.asarray(pose, dtype=np.float64)
@@ -308,6 +314,16 @@ class WeighingPlanner(PreGraspPlanner):
         center of mass farther inside, than was supposed.
         """
         return self._suppose(HEAVIER)
+
+    def stop_weighing(self, why: str) -> "WeighingPlanner":
+        """Makes a planner that decides by what was weighed so far, and presses no more.
+
+        Args:
+            why: in half a sentence.
+        """
+        other = copy(self)
+        other.stopped = why
+        return other
 
     @property
     def _top(self) -> float:

@@ -31,9 +31,10 @@ outward normal, a the tip's distance from the edge and h the height of the conta
 is the force that would do the same straight down. (On a top that is tilted by t, a tip of radius r
 touches r sin t nearer to the edge than its center is, which counts as well.) As the object tilts,
 its top draws the tip along by friction. A tip that is held against that presses with f·n, too, and
-may jam: so the place that is commanded follows the tip sideways, as far from where it touched as a
-tilt draws the top, h tan(t) at the greatest tilt t. There it is held, as its height is: an arm that
-is pushed sideways by its own pressing would else creep on, and take the object along. A tip that is
+may jam: so the place that is commanded follows the tip outward, up to 0.2 mm from where
+the tilt t draws the top, which is h tan(t). There, and along the edge in any case, the tip is held,
+as its height is: an arm that is pushed sideways by its own pressing would else creep on, and take
+the object along. A tip that is
 drawn farther than the tilt says slides on the object, or the object on the table: the press has
 ended as slid, and tells nothing of the weight.
 
@@ -152,6 +153,8 @@ class PressOptions:
             come back.
         follow_time: how long the force is averaged to see whether it rises, s.
         lowering_rate: rate at which an object is let come back, rad/s.
+        follow_room: how far from where a tilt draws it the command follows the tip outward, m.
+            Beyond it the tip is held: an arm that is bent by its own pressing would creep on.
         slide_room: how much farther sideways the tip may be drawn than a tilt draws it, m. Beyond
             it, something slid.
         max_force: greatest force, N. If the object does not tilt with it, the press ends.
@@ -185,6 +188,7 @@ class PressOptions:
     follow_time: float = 0.15
     max_plateaus: int = 6
     lowering_rate: float = radians(10.0)
+    follow_room: float = 0.0002
     slide_room: float = 0.002
     max_force: float = 50.0
     force_time: float = 0.02
@@ -641,9 +645,13 @@ def _is_drawn_away(
     """Says whether the tip was drawn farther sideways than a tilt of the object draws it."""
     if now.touched is None:
         return False
-    drawn = target.top * tan(max(_calc_tilt(target, now, sample), 0.0))
     off = float(np.linalg.norm(sample.tip[:2] - now.hold[:2]))
-    return off > drawn + options.slide_room
+    return off > _calc_drawn(target, now, sample) + options.slide_room
+
+
+def _calc_drawn(target: PressTarget, now: PressState, sample: PressSample) -> float:
+    """Calculates how far sideways the tilt that the tip's descent says draws the tip, m."""
+    return target.top * tan(max(_calc_tilt(target, now, sample), 0.0))
 
 
 def _go_up(
@@ -655,6 +663,10 @@ def _go_up(
     if now.outcome == PressOutcome.TILTED and sample.tip[2] < now.start_height:
         speed = min(speed, options.lowering_rate * target.calc_arm(sample.tip))
         speed += BRAKING * max(now.sink_rate, 0.0)
+        # The tip still presses, so that it would creep here as well.
+        now = _give_sideways(target, options, now, sample)
+        assert now.command is not None
+        goal[:2] = now.command[:2]
     after = _move(now, sample, goal, speed)
     if sample.tip[2] > goal[2] - HOVER_TOLERANCE:
         return replace(after, phase=PressPhase.DONE, velocity=np.zeros(3))
@@ -704,15 +716,16 @@ def _move(now: PressState, sample: PressSample, goal: Array, speed: float) -> Pr
 def _give_sideways(
     target: PressTarget, options: PressOptions, now: PressState, sample: PressSample
 ) -> PressState:
-    """Lets the command follow the tip sideways as far as a tilt draws it, and holds it there."""
+    """Lets the command follow the tip outward as far as the tilt draws it; else the tip is held."""
     assert now.command is not None
-    farthest = target.top * tan(options.max_tilt)
-    off = sample.tip[:2] - now.hold[:2]
-    distance = float(np.linalg.norm(off))
-    place = sample.tip[:2]
-    if distance > farthest:
-        limit = now.hold[:2] + farthest / distance * off
-        place = now.command[:2] + options.hold_gain * (limit - sample.tip[:2])
+    # The top of an object that tilts goes outward, and not along the edge.
+    middle = now.hold[:2] + _calc_drawn(target, now, sample) * target.normal
+    off = sample.tip[:2] - middle
+    outward = float(off @ target.normal)
+    allowed = float(np.clip(outward, -options.follow_room, options.follow_room))
+    place = now.command[:2] + options.hold_gain * (allowed * target.normal - off)
+    if allowed == outward:
+        place += ((sample.tip - now.command)[:2] @ target.normal) * target.normal
     return replace(now, command=np.array([*place, now.command[2]]))
 
 
