@@ -12,9 +12,9 @@ from gridpush_drake.cli.ros_args import ROS_ARGUMENTS
 from gridpush_drake.errors import StationError
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.station.camera import make_camera
-from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.lcm_address import check_url, open_lcm
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.links.bus import Bus
+from gridpush_drake.station.links.lcm.lcm_address import check_url, open_lcm
+from gridpush_drake.station.links.lcm.robot_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
     PICTURES,
@@ -22,10 +22,10 @@ from gridpush_drake.station.lcm.robot_messages import (
     name_object_channel,
 )
 from gridpush_drake.station.links.link_bus import LinkBus
-from gridpush_drake.station.links.ros2 import Ros2Link, Ros2Role, open_ros2
-from gridpush_drake.station.links.ros2_pictures import COLOR
-from gridpush_drake.station.links.ros2_robot import MakeRosRobot
-from gridpush_drake.station.links.ros2_topics import (
+from gridpush_drake.station.links.ros2.ros2_link import Ros2Link, Ros2Role, open_ros2
+from gridpush_drake.station.links.ros2.ros2_pictures import COLOR
+from gridpush_drake.station.links.ros2.ros2_robot import MakeRosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import (
     JOINT_STATES,
     OBJECT_POSE,
     name_object_topic,

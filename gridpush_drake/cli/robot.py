@@ -51,12 +51,12 @@ from gridpush_drake.cli.twin import (
 from gridpush_drake.cli.unknown_inertia import UnknownInertia, hide_inertia
 from gridpush_drake.errors import GridPushError, StationError
 from gridpush_drake.files import make_folder, write_whole
-from gridpush_drake.station.lcm.hardware_link import HardwareLink
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
-from gridpush_drake.station.lcm.robot_messages import find_arm_messages
+from gridpush_drake.station.hardware.hardware_link import HardwareLink
+from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
+from gridpush_drake.station.hardware.ros2_estimate import Ros2Estimate
+from gridpush_drake.station.links.lcm.robot_messages import find_arm_messages
 from gridpush_drake.station.links.link_bus import LinkBus
-from gridpush_drake.station.links.ros2 import Ros2Role
-from gridpush_drake.station.links.ros2_estimate import Ros2Estimate
+from gridpush_drake.station.links.ros2.ros2_link import Ros2Role
 from gridpush_drake.station.rerun_view import RerunView
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.run_recorder import RunRecorder

@@ -19,10 +19,10 @@ from gridpush_drake.cli.open_link import (
 from gridpush_drake.cli.twin import DEFAULT_SCENARIO, Scenario, read_robot_scenario
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.objects.object_file import dump_object
-from gridpush_drake.station.lcm.picture_tracker import PictureTracker
-from gridpush_drake.station.lcm.robot_messages import name_object_channels
+from gridpush_drake.station.hardware.picture_tracker import PictureTracker
+from gridpush_drake.station.links.lcm.robot_messages import name_object_channels
 from gridpush_drake.station.links.link_bus import LinkBus
-from gridpush_drake.station.links.ros2 import Ros2Role
+from gridpush_drake.station.links.ros2.ros2_link import Ros2Role
 from gridpush_drake.station.resolve import resolve
 
 WAIT = 0.1

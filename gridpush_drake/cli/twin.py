@@ -23,12 +23,12 @@ from gridpush_drake.cli.open_link import (
 )
 from gridpush_drake.errors import StationError
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.station.lcm.robot_messages import find_arm_messages
-from gridpush_drake.station.lcm.twin import MakeTwin, Twin
-from gridpush_drake.station.lcm.twin_camera import PictureProcess
-from gridpush_drake.station.lcm.twin_link import TwinLink
+from gridpush_drake.station.hardware.twin import MakeTwin, Twin
+from gridpush_drake.station.hardware.twin_camera import PictureProcess
+from gridpush_drake.station.hardware.twin_link import TwinLink
+from gridpush_drake.station.links.lcm.robot_messages import find_arm_messages
 from gridpush_drake.station.links.link_bus import LinkBus
-from gridpush_drake.station.links.ros2 import Ros2Role
+from gridpush_drake.station.links.ros2.ros2_link import Ros2Role
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario

@@ -9,7 +9,7 @@ from gridpush_drake.cli.robot import _look
 from gridpush_drake.cli.tracker import _find
 from gridpush_drake.cli.twin import read_robot_scenario
 from gridpush_drake.perception.tracking import NOT_SEEN, TrackedPose
-from gridpush_drake.station.lcm.twin import MakeTwin
+from gridpush_drake.station.hardware.twin import MakeTwin
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.messages import PushCommand

@@ -8,9 +8,8 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake.cli.open_link import prepare_link
 from gridpush_drake.cli.ros_args import split_ros_arguments
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.lcm import MakeTwin
-from gridpush_drake.station.lcm.robot_messages import find_arm_messages
-from gridpush_drake.station.lcm.twin_link import TwinLink
+from gridpush_drake.station.hardware import MakeTwin
+from gridpush_drake.station.hardware.twin_link import TwinLink
 from gridpush_drake.station.links import (
     ArmStatus,
     GripperStatus,
@@ -18,7 +17,8 @@ from gridpush_drake.station.links import (
     LinkBus,
     ObjectSight,
 )
-from gridpush_drake.station.links.ros2_robot import MakeRosRobot
+from gridpush_drake.station.links.lcm.robot_messages import find_arm_messages
+from gridpush_drake.station.links.ros2.ros2_robot import MakeRosRobot
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario

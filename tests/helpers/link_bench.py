@@ -6,12 +6,12 @@ from functools import partial
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.station.lcm.hardware_link import HardwareLink
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
-from gridpush_drake.station.lcm.robot_messages import ARM_PERIOD
-from gridpush_drake.station.lcm.twin import MakeTwin
-from gridpush_drake.station.lcm.twin_link import TwinLink
+from gridpush_drake.station.hardware.hardware_link import HardwareLink
+from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
+from gridpush_drake.station.hardware.twin import MakeTwin
+from gridpush_drake.station.hardware.twin_link import TwinLink
 from gridpush_drake.station.links.in_process import InProcessLink
+from gridpush_drake.station.links.lcm.robot_messages import ARM_PERIOD
 from gridpush_drake.station.links.link import LinkMessage
 from gridpush_drake.station.links.link_bus import LinkBus
 from gridpush_drake.station.resolve import ResolvedScenario

@@ -11,18 +11,18 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.objects.object_file import dump_object
 from gridpush_drake.perception.tracking import TrackedPose
-from gridpush_drake.station.lcm.hardware_link import HardwareLink
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
-from gridpush_drake.station.lcm.picture_tracker import PictureTracker
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.hardware.hardware_link import HardwareLink
+from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
+from gridpush_drake.station.hardware.picture_tracker import PictureTracker
+from gridpush_drake.station.hardware.twin import MakeTwin
+from gridpush_drake.station.hardware.twin_camera import TwinCamera
+from gridpush_drake.station.hardware.twin_link import TwinLink
+from gridpush_drake.station.links.lcm.robot_messages import (
     ARM_PERIOD,
     PICTURES,
     find_arm_messages,
     name_object_channels,
 )
-from gridpush_drake.station.lcm.twin import MakeTwin
-from gridpush_drake.station.lcm.twin_camera import TwinCamera
-from gridpush_drake.station.lcm.twin_link import TwinLink
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.scenario import PushScenario
 

@@ -31,7 +31,8 @@ from pydrake.manipulation import (
 from pydrake.systems.framework import DiagramBuilder, PortDataType
 from pydrake.systems.lcm import LcmSubscriberSystem
 
-from gridpush_drake.station.lcm.channel import (
+from gridpush_drake.station.hardware.twin_link import TwinLink
+from gridpush_drake.station.links.channel import (
     MAX_REASONS,
     NEW_CLOCK_MESSAGES,
     OTHER_REASONS,
@@ -39,9 +40,8 @@ from gridpush_drake.station.lcm.channel import (
     Channel,
     count_reason,
 )
-from gridpush_drake.station.lcm.message_forms import FORMS, find_form_fault
-from gridpush_drake.station.lcm.robot_messages import GRIPPER_COMMAND
-from gridpush_drake.station.lcm.twin_link import TwinLink
+from gridpush_drake.station.links.lcm.message_forms import FORMS, find_form_fault
+from gridpush_drake.station.links.lcm.robot_messages import GRIPPER_COMMAND
 from gridpush_drake.station.robot import find_robot, make_robot_directives
 from gridpush_drake.systems.planar_manipuland_status import PlanarManipulandStatusReceiver
 

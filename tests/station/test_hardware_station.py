@@ -9,10 +9,10 @@ from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.scene.separation import MARGIN
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
 from gridpush_drake.station.arm import ArmPosture
-from gridpush_drake.station.lcm.hardware_link import HardwareLink
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation, make_limits
-from gridpush_drake.station.lcm.lcm_address import open_lcm
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.hardware.hardware_link import HardwareLink
+from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation, make_limits
+from gridpush_drake.station.links.lcm.lcm_address import open_lcm
+from gridpush_drake.station.links.lcm.robot_messages import (
     ARM_MESSAGES,
     ARM_PERIOD,
     OBJECT_STATUS,

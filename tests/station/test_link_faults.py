@@ -11,8 +11,8 @@ from pydrake.lcm import DrakeLcm
 from gridpush_drake.cli import robot as robot_command
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
 from gridpush_drake.station.arm import ArmPosture
-from gridpush_drake.station.lcm import hardware_link
-from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
+from gridpush_drake.station.hardware import hardware_link
+from gridpush_drake.station.links.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.tasks import TASKS
 from gridpush_drake.systems import guard_status

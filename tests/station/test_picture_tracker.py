@@ -6,8 +6,8 @@ from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
-from gridpush_drake.station.lcm.picture_tracker import PictureTracker
-from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, PICTURES
+from gridpush_drake.station.hardware.picture_tracker import PictureTracker
+from gridpush_drake.station.links.lcm.robot_messages import ARM_MESSAGES, PICTURES
 from gridpush_drake.station.scene_task import SeparateTask
 from tests.helpers.renderer import require_renderer
 from tests.helpers.twin_bench import CameraBench

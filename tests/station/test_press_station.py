@@ -23,7 +23,7 @@ from gridpush_drake.planning.weighing.plan import PressRules, list_rests
 from gridpush_drake.planning.weighing.press import PressOutcome
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
+from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.pregrasp_kind import PreGraspKind
 from gridpush_drake.station.pregrasp_task import PreGraspRecord

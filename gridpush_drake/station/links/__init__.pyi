@@ -9,7 +9,7 @@ from .link import ObjectSight as ObjectSight
 from .link import Picture as Picture
 from .link import Unusable as Unusable
 from .link_bus import LinkBus as LinkBus
-from .ros2 import Ros2Link as Ros2Link
-from .ros2 import Ros2Role as Ros2Role
-from .ros2 import open_ros2 as open_ros2
+from .ros2.ros2_link import Ros2Link as Ros2Link
+from .ros2.ros2_link import Ros2Role as Ros2Role
+from .ros2.ros2_link import open_ros2 as open_ros2
 from .tip_load import TipLoad as TipLoad

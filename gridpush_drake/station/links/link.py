@@ -6,7 +6,7 @@ to a tracker it brings pictures and takes poses away. So one kind of link (ROS 2
 queues) serves all three.
 
 What a link need not do: it need not judge. Records that are doubled, late, out of order, from the
-future, or not finite are left out and counted by those who read them (`station.lcm.channel`),
+future, or not finite are left out and counted by those who read them (`station.links.channel`),
 whatever the link, and no command goes out but through the `ArmGuard`. What a link cannot make a
 record of it reports as `Unusable`, and it is counted with the others.
 

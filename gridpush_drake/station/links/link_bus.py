@@ -27,8 +27,8 @@ from pydrake.manipulation import PandaControlMode
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.frames import MILLIMETERS
-from gridpush_drake.station.lcm.picture_messages import decode_frame
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.links.lcm.picture_messages import decode_frame
+from gridpush_drake.station.links.lcm.robot_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
     PICTURES,

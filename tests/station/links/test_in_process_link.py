@@ -10,8 +10,6 @@ from pydrake.multibody.tree import JacobianWrtVariable
 
 from gridpush_drake.station.camera import make_camera
 from gridpush_drake.station.identify_task import IdentifyTask
-from gridpush_drake.station.lcm.picture_messages import decode_frame
-from gridpush_drake.station.lcm.robot_messages import name_object_channel
 from gridpush_drake.station.links import (
     ArmCommand,
     ArmStatus,
@@ -23,6 +21,8 @@ from gridpush_drake.station.links import (
     TipLoad,
     Unusable,
 )
+from gridpush_drake.station.links.lcm.picture_messages import decode_frame
+from gridpush_drake.station.links.lcm.robot_messages import name_object_channel
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario

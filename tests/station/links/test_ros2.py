@@ -10,11 +10,15 @@ from scipy.spatial.transform import Rotation
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import calc_yaw
 from gridpush_drake.station.camera import make_camera
-from gridpush_drake.station.links.ros2 import Ros2Role, open_ros2
-from gridpush_drake.station.links.ros2_pictures import find_camera_fault, read_color, read_depth
-from gridpush_drake.station.links.ros2_reader import find_orientation_fault
-from gridpush_drake.station.links.ros2_robot import GripperJoints, MakeRosRobot
-from gridpush_drake.station.links.ros2_topics import import_ros, name_object_topic
+from gridpush_drake.station.links.ros2.ros2_link import Ros2Role, open_ros2
+from gridpush_drake.station.links.ros2.ros2_pictures import (
+    find_camera_fault,
+    read_color,
+    read_depth,
+)
+from gridpush_drake.station.links.ros2.ros2_reader import find_orientation_fault
+from gridpush_drake.station.links.ros2.ros2_robot import GripperJoints, MakeRosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import import_ros, name_object_topic
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario

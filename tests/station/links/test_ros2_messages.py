@@ -17,9 +17,9 @@ from gridpush_drake.station.links.link import (
     Picture,
     Unusable,
 )
-from gridpush_drake.station.links.ros2_reader import MAX_WRENCH_AGE, Ros2Reader
-from gridpush_drake.station.links.ros2_robot import MakeRosRobot
-from gridpush_drake.station.links.ros2_topics import (
+from gridpush_drake.station.links.ros2.ros2_reader import MAX_WRENCH_AGE, Ros2Reader
+from gridpush_drake.station.links.ros2.ros2_robot import MakeRosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import (
     ARM_POSITIONS,
     ARM_TRAJECTORY,
     GRIPPER_POSITIONS,
@@ -27,7 +27,7 @@ from gridpush_drake.station.links.ros2_topics import (
     JOINT_STATES,
     WRENCH,
 )
-from gridpush_drake.station.links.ros2_writer import Ros2Writer
+from gridpush_drake.station.links.ros2.ros2_writer import Ros2Writer
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario_file import read_scenario
 

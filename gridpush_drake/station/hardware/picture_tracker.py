@@ -32,11 +32,11 @@ from gridpush_drake.perception.scene_tracking import SceneState, SceneTracker
 from gridpush_drake.perception.table_view import find_off_table
 from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.station.camera import LIVE, AddRgbdCamera
-from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.channel import Channel, count_reason
-from gridpush_drake.station.lcm.message_forms import decode_message, find_form_fault
-from gridpush_drake.station.lcm.picture_messages import decode_frame
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.links.bus import Bus
+from gridpush_drake.station.links.channel import Channel, count_reason
+from gridpush_drake.station.links.lcm.message_forms import decode_message, find_form_fault
+from gridpush_drake.station.links.lcm.picture_messages import decode_frame
+from gridpush_drake.station.links.lcm.robot_messages import (
     FROM_OPENING,
     GRIPPER_STATUS,
     MILLISECONDS,

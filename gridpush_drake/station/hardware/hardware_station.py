@@ -26,7 +26,7 @@ from gridpush_drake.station.arm import ArmPosture
 from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS
 from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.grasping import ExportOutputs
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.links.lcm.robot_messages import (
     ARM_PERIOD,
     AddGripperMessages,
     AddObjectReceiver,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.station.lcm.robot_messages import ARM_PERIOD
+from gridpush_drake.station.links.lcm.robot_messages import ARM_PERIOD
 from gridpush_drake.station.links.link import (
     ArmCommand,
     ArmStatus,
@@ -18,9 +18,9 @@ from gridpush_drake.station.links.link import (
     ObjectSight,
     Picture,
 )
-from gridpush_drake.station.links.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
-from gridpush_drake.station.links.ros2_robot import RosRobot
-from gridpush_drake.station.links.ros2_topics import (
+from gridpush_drake.station.links.ros2.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
+from gridpush_drake.station.links.ros2.ros2_robot import RosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import (
     ARM_POSITIONS,
     ARM_TRAJECTORY,
     CLOCK,

@@ -13,10 +13,10 @@ from drake import lcmt_schunk_wsg_command
 from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.channel import count_reason
-from gridpush_drake.station.lcm.message_forms import decode_message, find_form_fault
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.links.bus import Bus
+from gridpush_drake.station.links.channel import count_reason
+from gridpush_drake.station.links.lcm.message_forms import decode_message, find_form_fault
+from gridpush_drake.station.links.lcm.robot_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
     find_arm_messages,

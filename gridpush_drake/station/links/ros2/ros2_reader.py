@@ -23,15 +23,15 @@ from gridpush_drake.station.links.link import (
     Picture,
     Unusable,
 )
-from gridpush_drake.station.links.ros2_pictures import (
+from gridpush_drake.station.links.ros2.ros2_pictures import (
     COLOR,
     DEPTH,
     find_camera_fault,
     read_color,
     read_depth,
 )
-from gridpush_drake.station.links.ros2_robot import GripperJoints, RosRobot
-from gridpush_drake.station.links.ros2_topics import (
+from gridpush_drake.station.links.ros2.ros2_robot import GripperJoints, RosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import (
     ARM_TRAJECTORY,
     GRIPPER_POSITIONS,
     GRIPPER_TRAJECTORY,

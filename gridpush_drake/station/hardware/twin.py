@@ -14,7 +14,7 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, AddArmDriver
 from gridpush_drake.station.camera import StationCamera
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.links.lcm.robot_messages import (
     ARM_PERIOD,
     AddGripperSide,
     AddObjectSender,

@@ -30,12 +30,12 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.channel import ArrivalClock, Channel, count_reason
-from gridpush_drake.station.lcm.hardware_station import HardwareStation
-from gridpush_drake.station.lcm.link_report import NOTED, LinkReport
-from gridpush_drake.station.lcm.message_forms import FindFault, find_form_fault
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.hardware.hardware_station import HardwareStation
+from gridpush_drake.station.hardware.link_report import NOTED, LinkReport
+from gridpush_drake.station.links.bus import Bus
+from gridpush_drake.station.links.channel import ArrivalClock, Channel, count_reason
+from gridpush_drake.station.links.lcm.message_forms import FindFault, find_form_fault
+from gridpush_drake.station.links.lcm.robot_messages import (
     ARM_PERIOD,
     GRIPPER_COMMAND,
     GRIPPER_STATUS,

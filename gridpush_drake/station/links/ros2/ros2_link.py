@@ -36,10 +36,10 @@ from gridpush_drake.station.links.link import (
     ObjectSight,
     Picture,
 )
-from gridpush_drake.station.links.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
-from gridpush_drake.station.links.ros2_reader import Ros2Reader
-from gridpush_drake.station.links.ros2_robot import RosRobot
-from gridpush_drake.station.links.ros2_topics import (
+from gridpush_drake.station.links.ros2.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
+from gridpush_drake.station.links.ros2.ros2_reader import Ros2Reader
+from gridpush_drake.station.links.ros2.ros2_robot import RosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import (
     ARM_POSITIONS,
     ARM_TRAJECTORY,
     GRIPPER_POSITIONS,
@@ -52,7 +52,7 @@ from gridpush_drake.station.links.ros2_topics import (
     import_ros,
     name_object_topic,
 )
-from gridpush_drake.station.links.ros2_writer import Ros2Writer
+from gridpush_drake.station.links.ros2.ros2_writer import Ros2Writer
 
 QUEUE = 10
 """Number of messages of a topic that wait at most to be read."""

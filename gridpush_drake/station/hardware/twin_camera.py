@@ -18,9 +18,9 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.station.camera import AddRgbdCamera
-from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.picture_messages import encode_frame
-from gridpush_drake.station.lcm.robot_messages import PICTURES
+from gridpush_drake.station.links.bus import Bus
+from gridpush_drake.station.links.lcm.picture_messages import encode_frame
+from gridpush_drake.station.links.lcm.robot_messages import PICTURES
 from gridpush_drake.station.others import list_parts
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.lcm.message_forms import FindFault, decode_message
+from gridpush_drake.station.links.lcm.message_forms import FindFault, decode_message
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 
 CLOCK_MEMORY = 100
