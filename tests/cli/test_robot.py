@@ -3,7 +3,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.cli.robot import _look
 from gridpush_drake.cli.tracker import _find
@@ -157,7 +156,7 @@ class Follower:
 
 def test_the_tracker_waits_for_all_objects_and_says_where_each_is(capsys):
     follower = Follower()
-    _find(follower, None, None, False)
+    _find(follower, None, False)
     assert follower.pictures == []
     assert capsys.readouterr().out.splitlines() == [
         "pliers is seen at (0.500, -0.100) m, turned by 0.20 rad.",
@@ -178,7 +177,7 @@ def test_the_object_in_the_scene_has_the_height_that_its_file_gives(tmp_path, li
     resolved = resolve(scenario, told=obj)
     assert scenario.seed == 5
     assert resolved.obj.name == "block"
-    twin = MakeTwin(resolved, DrakeLcm(""))
+    twin = MakeTwin(resolved, lambda record: None)
     assert twin.world.object_in_plant.height == height
 
 

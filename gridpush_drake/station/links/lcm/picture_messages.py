@@ -19,7 +19,7 @@ from PIL import Image
 from gridpush_drake.errors import ImageError
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.frames import MILLIMETERS, Color, Depth, Frame
-from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
+from gridpush_drake.station.links.lcm.lcm_messages import MICROSECONDS, calc_utime
 
 JPEG_QUALITY = 95
 """Quality of the color pictures that are sent, 0 to 100."""
@@ -74,7 +74,7 @@ def encode_frame(frame: Frame, count: int = 0) -> lcmt_image_array:
         The message. Its `utime`, and that of each image, is the frame's time.
     """
     header = lcmt_header()
-    header.utime = round(MICROSECONDS * frame.t)
+    header.utime = calc_utime(frame.t)
     header.seq = count
     bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
     data = _encode(".jpg", bgr, JPEG_OPTIONS)
