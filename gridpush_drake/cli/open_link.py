@@ -11,7 +11,7 @@ from gridpush_drake.cli.ros_args import ROS_ARGUMENTS
 from gridpush_drake.errors import StationError
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.station.camera import make_camera
-from gridpush_drake.station.links.lcm.lcm_address import check_url, open_lcm
+from gridpush_drake.station.links.lcm.lcm_address import DEFAULT_URL, check_url, open_lcm
 from gridpush_drake.station.links.lcm.lcm_link import LcmLink
 from gridpush_drake.station.links.lcm.lcm_messages import find_arm_messages
 from gridpush_drake.station.links.link import LinkRole
@@ -21,9 +21,6 @@ from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import format_scenario, parse_scenario
-
-DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
-"""The LCM network that robot, twin and tracker use by default: multicast on this computer."""
 
 LcmUrl = Annotated[
     str,

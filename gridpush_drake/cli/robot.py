@@ -30,7 +30,6 @@ from gridpush_drake.cli.interrupts import (
     set_handlers,
 )
 from gridpush_drake.cli.open_link import (
-    DEFAULT_URL,
     ByRos2,
     LcmUrl,
     check_address,
@@ -51,6 +50,7 @@ from gridpush_drake.files import make_folder, write_whole
 from gridpush_drake.station.hardware.hardware_link import HardwareLink
 from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
 from gridpush_drake.station.hardware.ros2_estimate import Ros2Estimate
+from gridpush_drake.station.links.lcm.lcm_address import DEFAULT_URL
 from gridpush_drake.station.links.link import Link, LinkRole
 from gridpush_drake.station.links.ros2.ros2_link import Ros2Link
 from gridpush_drake.station.rerun_view import RerunView

@@ -9,7 +9,6 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, PLACE, print_line, print_notice
 from gridpush_drake.cli.open_link import (
-    DEFAULT_URL,
     ByRos2,
     LcmUrl,
     open_link,
@@ -18,6 +17,7 @@ from gridpush_drake.cli.twin import DEFAULT_SCENARIO, Scenario, read_robot_scena
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.objects.object_file import dump_object
 from gridpush_drake.station.hardware.picture_tracker import PictureTracker
+from gridpush_drake.station.links.lcm.lcm_address import DEFAULT_URL
 from gridpush_drake.station.links.link import LinkRole
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.systems.robot_records import PoseObservation

@@ -13,7 +13,6 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.cli.console import print_notice
 from gridpush_drake.cli.open_link import (
-    DEFAULT_URL,
     ByRos2,
     LcmUrl,
     check_robot,
@@ -25,6 +24,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.station.hardware.twin import MakeTwin, Twin
 from gridpush_drake.station.hardware.twin_camera import PictureProcess
 from gridpush_drake.station.hardware.twin_link import TwinLink
+from gridpush_drake.station.links.lcm.lcm_address import DEFAULT_URL
 from gridpush_drake.station.links.link import LinkRole
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario

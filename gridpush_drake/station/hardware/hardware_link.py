@@ -21,7 +21,6 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from time import monotonic
 from typing import Any
 
@@ -41,7 +40,7 @@ from gridpush_drake.station.links.link import (
     LinkMessage,
     Unusable,
 )
-from gridpush_drake.station.links.record_forms import find_form_fault, find_other_robot
+from gridpush_drake.station.links.record_forms import find_other_robot
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import SafetyConfig
 from gridpush_drake.systems.arm_path import brake
@@ -72,7 +71,7 @@ LARGEST_CATCH_UP = ARM_PERIOD
 further behind, it stays behind."""
 
 MAX_POLL_TIME = 0.005
-"""Longest time that one poll for LCM messages should take, s. If a poll takes longer, our own
+"""Longest time that one poll for records should take, s. If a poll takes longer, our own
 process was suspended, and the time beyond does not count as the robot's silence."""
 
 SILENCE = 1.0
@@ -141,7 +140,6 @@ class HardwareLink:
         self._clock = clock or self._read_clock
         self._clock_jump = clock_jump
         self._joints = len(arm.arm.posture)
-        self._another_robot = ""
         self._arm = self._make_channel(ArmStatus)
         # The times in observations of objects are by the robot's clock.
         self._objects = tuple(
@@ -191,8 +189,10 @@ class HardwareLink:
         while True:
             self._listen()
             now = monotonic()
-            if self._another_robot:
-                raise StationError(self._another_robot)
+            refused = self._arm.refused
+            another = refused and find_other_robot(refused, self._arm.name, self._joints)
+            if another:
+                raise StationError(another)
             silent = [channel for channel in self._channels.values() if channel.record is None]
             if silent or self._count_clock_changes() != changes:
                 first = now
@@ -533,20 +533,11 @@ class HardwareLink:
         self, kind: type, number: int = 0, reference: ArrivalClock | None = None
     ) -> Channel:
         """Makes the channel of the records of a type, and of an object's number."""
-        name = self._link.get_name(kind, number)
         return Channel(
-            name,
+            self._link.get_name(kind, number),
+            joints=self._joints,
             now=self._clock,
             clock_jump=self._clock_jump,
-            find_fault=partial(self._find_fault, name),
             leave_out=self._leave_out,
             reference=reference,
         )
-
-    def _find_fault(self, name: str, record: Any) -> str:
-        """Says why a record cannot be used; empty if it can."""
-        another = ""
-        if isinstance(record, ArmStatus):
-            another = find_other_robot(record, name, self._joints)
-            self._another_robot = self._another_robot or another
-        return another or find_form_fault(record, name, self._joints)

@@ -6,6 +6,7 @@ by the robot's clock is `HardwareLink`.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import shapely
@@ -25,7 +26,7 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import ArmPosture
-from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS
+from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, STATUS_PORTS
 from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.grasping import ExportOutputs
 from gridpush_drake.station.links.link import ARM_PERIOD
@@ -390,18 +391,11 @@ def _AddArmStatus(builder: DiagramBuilder, n: int) -> dict[str, OutputPort]:
     Returns:
         Its output ports, by the names that Drake's `SimIiwaDriver` uses, and `time_measured`.
     """
-    zeros = np.zeros(n)
     ports: dict[str, Callable[[ArmStatus], ArrayLike]] = {
-        "time_measured": lambda status: status.time,
-        "position_measured": lambda status: status.position,
-        "velocity_estimated": lambda status: status.velocity,
-        "torque_external": lambda status: status.torque_external,
-        "position_commanded": lambda status: _find_known(
-            status.position_commanded, status.position
-        ),
-        "torque_commanded": lambda status: _find_known(status.torque_commanded, zeros),
-        "torque_measured": lambda status: _find_known(status.torque_measured, zeros),
+        port: partial(_read_status, field) for field, port in STATUS_PORTS.items()
     }
+    ports["time_measured"] = lambda status: status.time
+    zeros = np.zeros(n)
     reader = builder.AddNamedSystem(
         "arm_status_reader", RecordReader(ArmStatus(0.0, zeros, zeros, zeros), ports)
     )
@@ -409,9 +403,12 @@ def _AddArmStatus(builder: DiagramBuilder, n: int) -> dict[str, OutputPort]:
     return {name: reader.GetOutputPort(name) for name in ports}
 
 
-def _find_known(numbers: Numbers | None, otherwise: Numbers) -> Numbers:
-    """Returns the numbers, or others where these are not known."""
-    return otherwise if numbers is None else numbers
+def _read_status(field: str, status: ArmStatus) -> Numbers:
+    """Reads a field of a status; unknown torques are 0, an unknown command is where the arm is."""
+    numbers: Numbers | None = getattr(status, field)
+    if numbers is not None:
+        return numbers
+    return status.position if field == "position_commanded" else np.zeros(len(status.position))
 
 
 def _AddGripperStatus(builder: DiagramBuilder) -> OutputPort:

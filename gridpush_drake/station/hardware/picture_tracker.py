@@ -15,9 +15,7 @@ robot at about the same time.
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from time import monotonic
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +32,7 @@ from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPos
 from gridpush_drake.station.camera import LIVE, AddRgbdCamera
 from gridpush_drake.station.links.channel import Channel, count_reason
 from gridpush_drake.station.links.link import SKIPPED, Link, LinkMessage, Unusable
-from gridpush_drake.station.links.record_forms import (
-    find_form_fault,
-    find_frame_fault,
-    find_other_robot,
-)
+from gridpush_drake.station.links.record_forms import find_frame_fault
 from gridpush_drake.station.others import list_others
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.robot import GetRobotInPlant
@@ -341,22 +335,13 @@ class PictureTracker:
 
     def _make_channel(self, kind: type) -> Channel:
         """Makes the channel of the arm's or the gripper's statuses."""
-        name = self._link.get_name(kind)
         return Channel(
-            name,
+            self._link.get_name(kind),
+            joints=self._silhouette.num_joints,
             now=self._clock,
             clock_jump=self._clock_jump,
-            find_fault=partial(self._find_fault, name),
             leave_out=self._leave_out,
         )
-
-    def _find_fault(self, name: str, record: Any) -> str:
-        """Says why a status of the arm or the gripper cannot be used; empty if it can."""
-        joints = self._silhouette.num_joints
-        another = ""
-        if isinstance(record, ArmStatus):
-            another = find_other_robot(record, name, joints)
-        return another or find_form_fault(record, name, joints)
 
     def _take(self, message: LinkMessage) -> None:
         """Takes what came; of several pictures the newest is kept for this `step`."""

@@ -14,7 +14,7 @@ from pydrake.systems.primitives import LinearSystem
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, AddArmDriver
+from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, STATUS_PORTS, AddArmDriver
 from gridpush_drake.station.camera import StationCamera
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
 from gridpush_drake.station.links.link import ARM_PERIOD, GRIPPER_PERIOD, Record
@@ -73,19 +73,11 @@ def _AddArmStatus(
         ports: output ports of the driver, by name.
         send: takes the statuses.
     """
-    names = {
-        "position": "position_measured",
-        "velocity": "velocity_estimated",
-        "torque_external": TORQUE,
-        "position_commanded": "position_commanded",
-        "torque_commanded": "torque_commanded",
-        "torque_measured": "torque_measured",
-    }
-    sizes = {name: ports[port].size() for name, port in names.items()}
+    sizes = {name: ports[port].size() for name, port in STATUS_PORTS.items()}
     sender = builder.AddNamedSystem(
         "arm_status_sender", RecordSender(ArmStatus, sizes, send, period=ARM_PERIOD)
     )
-    for name, port in names.items():
+    for name, port in STATUS_PORTS.items():
         builder.Connect(ports[port], sender.GetInputPort(name))
 
 

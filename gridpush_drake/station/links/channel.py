@@ -15,9 +15,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any
 
-FindFault = Callable[[Any], str]
-"""A function that says why a record cannot be used; empty if it can. Its words are the same for all
-records with the same fault, so that these can be counted."""
+from gridpush_drake.station.links.record_forms import find_form_fault
 
 CLOCK_MEMORY = 100
 """Number of last messages by which a sender's clock is known. One of them at least should not have
@@ -89,15 +87,16 @@ class Channel:
         jump: difference of the last new clock from the clock before it, s.
         unusable: number of records in a row that were left out since the last usable one.
         why: the reason for the last of those.
+        refused: the last record that was left out; None before the first.
     """
 
     def __init__(
         self,
         name: str,
         *,
+        joints: int,
         now: Callable[[], float],
         clock_jump: float,
-        find_fault: FindFault,
         leave_out: Callable[[str], None],
         reference: ArrivalClock | None = None,
     ) -> None:
@@ -105,17 +104,17 @@ class Channel:
 
         Args:
             name: what the network calls such records, for messages to the user.
+            joints: number of the arm's joints.
             now: returns the time by the reader's clock, s, which goes as fast as the sender's.
             clock_jump: greatest time by which a record may be ahead of the sender's clock, s.
-            find_fault: says why a record cannot be used.
             leave_out: is told, for each record that is left out, why.
             reference: the clock by which the records' times are, if it is that of another channel's
                 sender; None for the clock of this channel's own sender.
         """
         self.name = name
+        self._joints = joints
         self._now = now
         self._clock_jump = clock_jump
-        self._find_fault = find_fault
         self._leave_out = leave_out
         self.clock = ArrivalClock()
         self._reference = reference or self.clock
@@ -127,6 +126,7 @@ class Channel:
         self.jump = 0.0
         self.unusable = 0
         self.why = ""
+        self.refused: Any = None
         # The last record that agrees with no known clock: its time and its arrival, s, and the
         # number of such records in a row that agree with each other.
         self._stray: tuple[float, float, int] | None = None
@@ -135,10 +135,12 @@ class Channel:
         """Takes a record as it came, whatever it holds; returns whether it can be used."""
         arrival = self._now()
         try:
-            why = self._find_fault(record) or self._find_clock_fault(record.time, arrival)
+            why = find_form_fault(record, self.name, self._joints)
+            why = why or self._find_clock_fault(record.time, arrival)
         except Exception as error:
             why = f"{self.name} could not be looked at ({type(error).__name__})"
         if why:
+            self.refused = record
             self.leave_out(why)
             return False
         self.clock.add(record.time, arrival)

@@ -89,6 +89,9 @@ def find_form_fault(record: Any, name: str, joints: int = 0) -> str:
         return f"{name}: time {fault}"
     if record.time < 0.0:
         return f"{name}: time is negative; expected the sender's clock in seconds"
+    other = isinstance(record, ArmStatus) and find_other_robot(record, name, joints)
+    if other:
+        return other
     for field, form in FORMS[type(record)].items():
         fault = _find_number_fault(getattr(record, field), form, joints)
         if fault:

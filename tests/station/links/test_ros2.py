@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gridpush_drake.errors import StationError
+from gridpush_drake.errors import ImageError, StationError
 from gridpush_drake.geometry.se2 import calc_yaw
 from gridpush_drake.station.camera import make_camera
 from gridpush_drake.station.links.link import LinkRole
@@ -129,11 +129,11 @@ def test_depth_is_read_in_meters_and_what_is_none_is_0(big):
 def test_images_that_will_not_do_are_refused():
     image = make_image(np.zeros((4, 6, 3), np.uint8), "rgb8")
     image.data = image.data[:-1]
-    with pytest.raises(StationError, match="71 bytes in rows of 18; expected 4 rows"):
+    with pytest.raises(ImageError, match="71 bytes in rows of 18; expected 4 rows"):
         read_color(image)
-    with pytest.raises(StationError, match="encoding is yuv422; expected one of rgb8"):
+    with pytest.raises(ImageError, match="encoding is yuv422; expected one of rgb8"):
         read_color(make_image(np.zeros((4, 6, 2), np.uint8), "yuv422"))
-    with pytest.raises(StationError, match="encoding is rgb8; expected one of 16UC1"):
+    with pytest.raises(ImageError, match="encoding is rgb8; expected one of 16UC1"):
         read_depth(make_image(np.zeros((4, 6, 3), np.uint8), "rgb8"))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RollPitchYaw
 
-from gridpush_drake.errors import StationError
+from gridpush_drake.errors import ImageError
 from gridpush_drake.geometry.se2 import QUATERNION_TOLERANCE, Array, calc_yaw
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.station.links.link import LinkMessage, Unusable
@@ -324,7 +324,7 @@ class Ros2Reader:
         depth = self._images[DEPTH].pop(stamp)
         try:
             picture = Frame(read_color(color), read_depth(depth), _read_time(color.header.stamp))
-        except StationError as error:
+        except ImageError as error:
             self._leave_out(str(error))
             return
         self._received.append(picture)
