@@ -40,10 +40,7 @@ from .object_detector import ObjectDetector as ObjectDetector
 from .object_detector import ObjectNaming as ObjectNaming
 from .object_pose_estimator import ObjectPoseEstimator as ObjectPoseEstimator
 from .objects_pose_estimator import ObjectsPoseEstimator as ObjectsPoseEstimator
-from .planar_manipuland_status import (
-    PlanarManipulandStatusReceiver as PlanarManipulandStatusReceiver,
-)
-from .planar_manipuland_status import PlanarManipulandStatusSender as PlanarManipulandStatusSender
+from .observed_pose import ObservedPose as ObservedPose
 from .planar_pose_sensor import PlanarPoseSensor as PlanarPoseSensor
 from .poke_policy import PokePolicy as PokePolicy
 from .poke_policy import PokeRegion as PokeRegion
@@ -53,7 +50,14 @@ from .push_executor import PushExecutor as PushExecutor
 from .pusher_gate import PusherGate as PusherGate
 from .pusher_state_sensor import ArmTipSensor as ArmTipSensor
 from .pusher_state_sensor import PusherStateSensor as PusherStateSensor
+from .record_ports import RecordReader as RecordReader
+from .record_ports import RecordSender as RecordSender
 from .rgbd_noise import RgbdNoise as RgbdNoise
+from .robot_records import ArmCommand as ArmCommand
+from .robot_records import ArmStatus as ArmStatus
+from .robot_records import GripperCommand as GripperCommand
+from .robot_records import GripperStatus as GripperStatus
+from .robot_records import PoseObservation as PoseObservation
 from .scene_controller import SceneController as SceneController
 from .steer_executor import SteerExecutor as SteerExecutor
 from .steer_executor import SteerOptions as SteerOptions

@@ -8,6 +8,7 @@ smoothly; where they come again, it follows them again. What stands on the sende
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.frozen import Unchanging
@@ -19,6 +20,7 @@ from gridpush_drake.systems.guard_status import (
     GuardStatus,
 )
 from gridpush_drake.systems.object_controller import AbstractStateSystem
+from gridpush_drake.systems.robot_records import ArmCommand
 
 ROUNDING = 1e-9
 """s, of times that are compared."""
@@ -33,7 +35,7 @@ class RampState(Unchanging):
         position: (n,) positions for the joints' servos, rad; None before the first update.
         velocity: (n,) how fast these positions move, rad/s.
         target: (n,) positions in the last command, rad.
-        sent: when the last command was sent, s, by its sender's clock.
+        sent: when the last command was sent, s, by its sender's clock; 0 before the first one.
         came: when the last command was taken up, s, by this system's clock.
     """
 
@@ -41,7 +43,7 @@ class RampState(Unchanging):
     position: Array | None = None
     velocity: Array | None = None
     target: Array | None = None
-    sent: float = float("nan")
+    sent: float = 0.0
     came: float = 0.0
 
 
@@ -52,16 +54,16 @@ class CommandRamp(AbstractStateSystem[RampState]):
 
         name: CommandRamp
         input_ports:
-        - position_desired
-        - time_sent
+        - command
+        - position_measured
         output_ports:
         - position
         - status
 
-    * position_desired: vector of n, of the last command, rad; before the first one, where the arm
-      is.
-    * time_sent: vector of 1, of the last command by its sender's clock, s; it changes with every
-      command.
+    * command: abstract `ArmCommand`, the last one, whose time changes with every command. It need
+      not be connected: then there is none yet.
+    * position_measured: vector of n, where the joints are, rad. Before the first command they stay
+      there.
     * position: vector of n, for the joints' servos, rad.
     * status: abstract `GuardStatus`.
 
@@ -93,21 +95,33 @@ class CommandRamp(AbstractStateSystem[RampState]):
         self._max_age = max_age
         self._period = period
         n = len(speed)
-        self._desired = self.DeclareVectorInputPort("position_desired", n)
-        self._sent = self.DeclareVectorInputPort("time_sent", 1)
-        inputs = {self._remembered, self._desired.ticket()}
+        nothing = ArmCommand(float("nan"), np.full(n, np.nan))
+        self._command = self.DeclareAbstractInputPort("command", AbstractValue.Make(nothing))
+        self._measured = self.DeclareVectorInputPort("position_measured", n)
+        inputs = {self._remembered, self._command.ticket(), self._measured.ticket()}
         self.DeclareVectorOutputPort("position", n, weakly(self._calc_position), inputs)
         self._declare_value("status", lambda now: now.status)
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
         position = self._get_state(context).position
-        output.SetFromVector(self._desired.Eval(context) if position is None else position)
+        if position is None:
+            position = self._get_command(context)[1]
+        output.SetFromVector(position)
+
+    def _get_command(self, context: Context) -> tuple[float, Array]:
+        """Returns when the last command was sent, s, and its positions (n,), rad.
+
+        Before the first one they are 0, and where the arm is.
+        """
+        if self._command.HasValue(context):
+            command: ArmCommand = self._command.Eval(context)
+            return command.time, np.array(command.position, dtype=np.float64).ravel()
+        return 0.0, np.array(self._measured.Eval(context))
 
     def _go_on(self, context: Context, now: RampState) -> RampState:
         """Takes a new command, or does without."""
         time = context.get_time()
-        sent = float(self._sent.Eval(context)[0])
-        target = np.array(self._desired.Eval(context))
+        sent, target = self._get_command(context)
         if now.position is None or now.velocity is None or now.target is None:
             return replace(
                 now,

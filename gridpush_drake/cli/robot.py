@@ -8,12 +8,10 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import (
@@ -32,13 +30,11 @@ from gridpush_drake.cli.interrupts import (
     set_handlers,
 )
 from gridpush_drake.cli.open_link import (
-    DEFAULT_URL,
     ByRos2,
     LcmUrl,
-    OpenedLink,
     check_address,
+    check_robot,
     open_link,
-    prepare_link,
 )
 from gridpush_drake.cli.output import losable_outputs
 from gridpush_drake.cli.twin import (
@@ -51,12 +47,12 @@ from gridpush_drake.cli.twin import (
 from gridpush_drake.cli.unknown_inertia import UnknownInertia, hide_inertia
 from gridpush_drake.errors import GridPushError, StationError
 from gridpush_drake.files import make_folder, write_whole
-from gridpush_drake.station.lcm.hardware_link import HardwareLink
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
-from gridpush_drake.station.lcm.robot_messages import find_arm_messages
-from gridpush_drake.station.links.link_bus import LinkBus
-from gridpush_drake.station.links.ros2 import Ros2Role
-from gridpush_drake.station.links.ros2_estimate import Ros2Estimate
+from gridpush_drake.station.hardware.hardware_link import HardwareLink
+from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
+from gridpush_drake.station.hardware.ros2_estimate import Ros2Estimate
+from gridpush_drake.station.links.lcm.lcm_address import DEFAULT_URL
+from gridpush_drake.station.links.link import Link, LinkRole
+from gridpush_drake.station.links.ros2.ros2_link import Ros2Link
 from gridpush_drake.station.rerun_view import RerunView
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.run_recorder import RunRecorder
@@ -136,32 +132,27 @@ def robot(
         hide_inertia(scenario, task)
     # In simulation the robot waits until an answer is calculated; a real arm does not stand still
     scenario.simulation.answer_delay = None
-    resolved = prepare_link(resolve(scenario, scenario_file or DEFAULT_SCENARIO, told=obj), ros2)
+    resolved = resolve(scenario, scenario_file or DEFAULT_SCENARIO, told=obj)
 
     # Whatever can be refused is refused now, before the robot is spoken to
-    chosen.check(resolved, list_link_faults(resolved, is_told=obj is not None))
+    chosen.check(resolved, list_link_faults(resolved, ros2, is_told=obj is not None))
     check_address(ros2, lcm)
     if go:
         make_folder(out)
         outputs = [out / name for name in (*chosen.list_files(resolved), LOG)]
         options.check_outputs(force, *outputs, record_file)
     options.compile_kernels()
-    bus = DrakeLcm("memq://")
-    station_task = chosen.make_task(resolved, make_station=partial(MakeHardwareStation, lcm=bus))
-    with closing(open_link(Ros2Role.CONTROL, resolved, ros2, lcm)) as network:
+    station_task = chosen.make_task(resolved, make_station=MakeHardwareStation)
+    with closing(open_link(LinkRole.CONTROL, resolved, ros2, lcm)) as network:
         link = HardwareLink(
-            network.bus,
+            network,
             resolved.robot,
-            bus=bus,
             others=scenario.names.name_others(len(scenario.others)),
             realtime_rate=realtime_rate,
             clock_jump=scenario.safety.clock_jump,
-            names=network.names,
         )
-        if isinstance(network.bus, LinkBus):
-            network.bus.leave_out = link.leave_out
         link.wait()
-        if network.ros is not None and not network.ros.load_known:
+        if isinstance(network, Ros2Link) and not network.load_known:
             print_notice(UNFELT)
         if not go:
             _look(station_task, link, json)
@@ -183,11 +174,12 @@ def robot(
         raise typer.Exit(EXIT_NOT_DONE)
 
 
-def list_link_faults(resolved: ResolvedScenario, is_told: bool) -> list[str]:
+def list_link_faults(resolved: ResolvedScenario, ros2: bool, is_told: bool) -> list[str]:
     """Lists why the robot of a scenario cannot be spoken to, or told of its object.
 
     Args:
-        resolved: the scenario, prepared for the link.
+        resolved: the scenario.
+        ros2: whether the robot is spoken to over ROS 2.
         is_told: whether `--object` says what the object is.
     """
     faults = []
@@ -197,7 +189,7 @@ def list_link_faults(resolved: ResolvedScenario, is_told: bool) -> list[str]:
             "that gridpush tracker wrote"
         )
     try:
-        find_arm_messages(resolved.robot)
+        check_robot(resolved.robot, ros2)
     except StationError as error:
         faults.append(str(error))
     return faults
@@ -251,11 +243,13 @@ def _stopping(link: HardwareLink) -> Iterator[StopRequest]:
 def _run(
     task: StationTask[Any],
     link: HardwareLink,
-    network: OpenedLink,
+    network: Link,
     watchers: Sequence[Callable[[Any], None]],
 ) -> Any:
     """Lets the arm move until the task ends or is stopped; returns the task's record."""
-    estimate = None if network.ros is None else Ros2Estimate(network.ros, task, link)
+    estimate = None
+    if isinstance(network, Ros2Link):
+        estimate = Ros2Estimate(network, task, link)
     with count_progress("the robot", 1) as report:
         link.armed = True
         context = task.simulator.get_context

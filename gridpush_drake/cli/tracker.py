@@ -9,21 +9,18 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, PLACE, print_line, print_notice
 from gridpush_drake.cli.open_link import (
-    DEFAULT_URL,
     ByRos2,
     LcmUrl,
-    OpenedLink,
     open_link,
-    prepare_link,
 )
 from gridpush_drake.cli.twin import DEFAULT_SCENARIO, Scenario, read_robot_scenario
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.objects.object_file import dump_object
-from gridpush_drake.station.lcm.picture_tracker import PictureTracker
-from gridpush_drake.station.lcm.robot_messages import name_object_channels
-from gridpush_drake.station.links.link_bus import LinkBus
-from gridpush_drake.station.links.ros2 import Ros2Role
+from gridpush_drake.station.hardware.picture_tracker import PictureTracker
+from gridpush_drake.station.links.lcm.lcm_address import DEFAULT_URL
+from gridpush_drake.station.links.link import LinkRole
 from gridpush_drake.station.resolve import resolve
+from gridpush_drake.systems.robot_records import PoseObservation
 
 WAIT = 0.1
 """Longest time that the loop waits for a message before it looks whether it should end, s."""
@@ -67,30 +64,29 @@ def tracker(
     Example: gridpush tracker --scenario cell.yaml --out object.yaml
     """
     scenario, obj = read_robot_scenario(scenario_file, object_file, None)
-    resolved = prepare_link(resolve(scenario, scenario_file or DEFAULT_SCENARIO, told=obj), ros2)
+    resolved = resolve(scenario, scenario_file or DEFAULT_SCENARIO, told=obj)
     # Several objects are told apart by their outlines, which the scenario names.
     is_given = object_file is not None or bool(resolved.others)
     if not is_given:
         check_writable(out, force)
     given = resolved.obj if is_given else None
-    network = open_link(Ros2Role.TRACKER, resolved, ros2, lcm)
-    follower = PictureTracker(resolved, network.bus, given)
-    if isinstance(network.bus, LinkBus):
-        network.bus.leave_out = follower.leave_out
+    network = open_link(LinkRole.TRACKER, resolved, ros2, lcm)
+    follower = PictureTracker(resolved, network, given)
     print_notice(f"Looking for pictures on {network.where}; Ctrl-C ends it.")
     try:
-        _find(follower, network, out if given is None else None, force)
-        kind = "LCM channel" if network.ros is None else "topic"
-        for channel in name_object_channels(len(resolved.others)):
-            print_notice(f"Its pose is sent on the {kind} {network.rename(channel)}.")
-        _follow(follower, network)
+        _find(follower, out if given is None else None, force)
+        kind = "topic" if ros2 else "LCM channel"
+        for number in range(1 + len(resolved.others)):
+            name = network.get_name(PoseObservation, number)
+            print_notice(f"Its pose is sent on the {kind} {name}.")
+        _follow(follower)
     except KeyboardInterrupt:
-        print_notice(f"{network.rename(follower.report.describe())}.")
+        print_notice(f"{follower.report.describe()}.")
     finally:
         network.close()
 
 
-def _follow(follower: PictureTracker, network: OpenedLink) -> None:
+def _follow(follower: PictureTracker) -> None:
     """Follows the object until the command is ended.
 
     If no picture could be used for a while, it prints once why.
@@ -105,17 +101,16 @@ def _follow(follower: PictureTracker, network: OpenedLink) -> None:
             told = False
         elif not told and monotonic() - last_pose > PATIENCE:
             new = follower.report.left_out - before
-            reasons = network.rename("; ".join(new)) or "no picture and no status of the robot came"
+            reasons = "; ".join(new) or "no picture and no status of the robot came"
             print_notice(f"No pose has been sent for {PATIENCE:g} s: {reasons}.")
             told = True
 
 
-def _find(follower: PictureTracker, network: OpenedLink, out: Path | None, force: bool) -> None:
+def _find(follower: PictureTracker, out: Path | None, force: bool) -> None:
     """Looks at pictures until the object is seen, and prints what is in the way.
 
     Args:
         follower: what looks.
-        network: what it looks at.
         out: the object file to write; None if the object is known beforehand.
         force: whether an existing file may be replaced.
     """
@@ -127,7 +122,7 @@ def _find(follower: PictureTracker, network: OpenedLink, out: Path | None, force
             break
         why = follower.find_obstacle()
         if why and why != said and monotonic() - begin > PATIENCE:
-            print_notice(f"Not yet: {network.rename(why)}.")
+            print_notice(f"Not yet: {why}.")
             said = why
     obj = follower.obj
     assert obj is not None  # it is seen

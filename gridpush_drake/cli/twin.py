@@ -1,6 +1,6 @@
 """`gridpush twin`: simulates a robot in a process of its own.
 
-It sends and receives the LCM messages that a real robot's drivers do, so that `gridpush robot` can
+It speaks over LCM or ROS 2 as a real robot's drivers do, so that `gridpush robot` can
 be tried without one.
 """
 
@@ -13,22 +13,19 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.cli.console import print_notice
 from gridpush_drake.cli.open_link import (
-    DEFAULT_URL,
     ByRos2,
     LcmUrl,
-    OpenedLink,
+    check_robot,
     make_camera_opener,
     open_link,
-    prepare_link,
 )
 from gridpush_drake.errors import StationError
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.station.lcm.robot_messages import find_arm_messages
-from gridpush_drake.station.lcm.twin import MakeTwin, Twin
-from gridpush_drake.station.lcm.twin_camera import PictureProcess
-from gridpush_drake.station.lcm.twin_link import TwinLink
-from gridpush_drake.station.links.link_bus import LinkBus
-from gridpush_drake.station.links.ros2 import Ros2Role
+from gridpush_drake.station.hardware.twin import MakeTwin, Twin
+from gridpush_drake.station.hardware.twin_camera import PictureProcess
+from gridpush_drake.station.hardware.twin_link import TwinLink
+from gridpush_drake.station.links.lcm.lcm_address import DEFAULT_URL
+from gridpush_drake.station.links.link import LinkRole
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
@@ -41,7 +38,7 @@ DEFAULT_SCENARIO = "grasp"
 """Name of the shipped scenario that robot, twin and tracker use by default."""
 
 EXCHANGE_PERIOD = 0.001
-"""How long the twin simulates before it looks at its messages again, s."""
+"""How long the twin simulates before it looks at its commands again, s."""
 
 LARGEST_DELAY = 0.05
 """If the twin's time is further behind the clock than this, it does not try to catch up, s."""
@@ -104,16 +101,14 @@ def twin(
     """
     scenario, obj = read_robot_scenario(scenario_file, object_file, seed)
     source = scenario_file or DEFAULT_SCENARIO
-    resolved = prepare_link(resolve(scenario, source, told=obj), ros2)
+    resolved = resolve(scenario, source, told=obj)
     try:
-        find_arm_messages(resolved.robot)
+        check_robot(resolved.robot, ros2)
     except StationError as error:
         raise StationError(f"{source}: {error}") from error
-    network = open_link(Ros2Role.ROBOT, resolved, ros2, lcm)
-    link = TwinLink(network.bus, resolved.robot, others=len(scenario.others))
-    if isinstance(network.bus, LinkBus):
-        network.bus.leave_out = link.leave_out
-    diagram = MakeTwin(resolved, link.bus, listens=False)
+    network = open_link(LinkRole.ROBOT, resolved, ros2, lcm)
+    link = TwinLink(network, resolved.robot)
+    diagram = MakeTwin(resolved, network.send)
     simulator = Simulator(diagram)
     diagram.SetStart(simulator.get_mutable_context())
     simulator.set_target_realtime_rate(realtime_rate)
@@ -127,9 +122,9 @@ def twin(
         camera = PictureProcess(scenario, make_camera_opener(scenario, ros2, lcm))
     picture_period = 1 / scenario.camera.rate
     try:
-        _run(diagram, simulator, link, network, camera, picture_period, realtime_rate)
+        _run(diagram, simulator, link, camera, picture_period, realtime_rate)
     except KeyboardInterrupt:
-        left_out = network.rename(link.describe_left_out())
+        left_out = link.describe_left_out()
         ending = f"; {left_out}" if left_out else ""
         time = simulator.get_context().get_time()
         print_notice(f"The twin ends after {time:.1f} s of its time{ending}.")
@@ -143,7 +138,6 @@ def _run(
     diagram: Twin,
     simulator: Simulator,
     link: TwinLink,
-    network: OpenedLink,
     camera: PictureProcess | None,
     picture_period: float,
     realtime_rate: float,
@@ -153,8 +147,7 @@ def _run(
     Args:
         diagram: the twin.
         simulator: the simulator of `diagram`.
-        link: exchanges the messages.
-        network: over which they go.
+        link: gives the twin its commands.
         camera: renders and sends pictures; None if the scenario has no such camera.
         picture_period: time between two pictures, s.
         realtime_rate: how many seconds are simulated in one second.
@@ -170,7 +163,7 @@ def _run(
         if camera is not None and context.get_time() >= next_picture:
             camera.ask(context.get_time(), diagram.GetPositions(context))
             next_picture += picture_period
-        link.exchange()
+        link.exchange(diagram, simulator.get_mutable_context())
         time = context.get_time() + EXCHANGE_PERIOD
         simulator.AdvanceTo(time)
 
@@ -184,7 +177,7 @@ def _run(
         last_reason = status.reason
         if len(link.left_out) != unusable:
             unusable = len(link.left_out)
-            why = network.rename(list(link.left_out)[-1])
+            why = list(link.left_out)[-1]
             print_notice(f"{time:.2f} s: a command was left out: {why}.")
 
         # A twin that fell behind goes on from its present time. If it caught up instead, it would

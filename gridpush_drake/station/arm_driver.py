@@ -45,6 +45,16 @@ DRIVER_OUTPUTS = (
 )
 """Names of an arm driver's output ports, as Drake's `SimIiwaDriver` has them."""
 
+STATUS_PORTS = {
+    "position": "position_measured",
+    "velocity": "velocity_estimated",
+    "torque_external": "torque_external",
+    "position_commanded": "position_commanded",
+    "torque_commanded": "torque_commanded",
+    "torque_measured": "torque_measured",
+}
+"""Names of those output ports of which an `ArmStatus` is made, by its fields."""
+
 
 def AddArmDriver(
     builder: DiagramBuilder,

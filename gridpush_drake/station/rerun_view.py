@@ -12,7 +12,7 @@ import numpy as np
 from gridpush_drake.display.cell_colors import CellColors
 from gridpush_drake.display.rerun_scene import RerunScene
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.station.lcm.picture_messages import JPEG_QUALITY
+from gridpush_drake.station.links.lcm.picture_messages import JPEG_QUALITY
 from gridpush_drake.station.run_recorder import CAMERA
 from gridpush_drake.station.task import StationTask
 from gridpush_drake.systems.messages import PushCommand

@@ -174,7 +174,7 @@ class ArmMeasures(_Measures):
         reach: lengths of a formula for how far the arm reaches; null to find it out by inverse
             kinematics.
         control: how the arm is moved.
-        messages: LCM messages that its driver speaks, see `station.lcm.robot_messages`; null if
+        messages: LCM messages that its driver speaks, see `links.lcm.lcm_messages`; null if
             there are none.
         ros2: what its driver speaks over ROS 2.
         scenes: scenes that have this robot. A command or a scenario may then name the robot

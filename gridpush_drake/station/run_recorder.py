@@ -38,9 +38,9 @@ from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array, make_rotation
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
 from gridpush_drake.station.arm import MakeControlPlant
-from gridpush_drake.station.lcm.picture_messages import JPEG_QUALITY
-from gridpush_drake.station.links.ros2_robot import list_joints
-from gridpush_drake.station.links.ros2_topics import WORLD
+from gridpush_drake.station.links.lcm.picture_messages import JPEG_QUALITY
+from gridpush_drake.station.links.ros2.ros2_robot import list_joints
+from gridpush_drake.station.links.ros2.ros2_topics import WORLD
 from gridpush_drake.station.links.tip_load import TipLoad
 from gridpush_drake.station.robot import GetRobotInPlant
 from gridpush_drake.station.run_recording import (

@@ -261,7 +261,7 @@ class SafetyConfig(Config):
         command_age: greatest age of the last command, s; beyond it a twin brings the arm to rest,
             see `CommandRamp`.
         clock_jump: how far a message's time may be ahead of its sender's clock, s; a message from
-            further in the future is left out, see `station.lcm.channel`.
+            further in the future is left out, see `station.links.channel`.
         acceleration: greatest acceleration of a joint in the commands, rad/s².
         torque_share: greatest torque on a joint from outside, as a share of what the joint can
             give; beyond it the arm is stopped and goes back along the way that it has come.

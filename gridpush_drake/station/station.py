@@ -2,7 +2,7 @@
 
 It is a Diagram with the ports and methods that every task uses. The part that is the same in both
 kinds of stations, which commands the robot, is added by `station.robot_control`. The simulated
-station is in `station.push_station`, the real one in `station.lcm.hardware_station`.
+station is in `station.push_station`, the real one in `station.hardware.hardware_station`.
 """
 
 from collections.abc import Callable

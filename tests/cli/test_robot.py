@@ -3,13 +3,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.cli.robot import _look
 from gridpush_drake.cli.tracker import _find
 from gridpush_drake.cli.twin import read_robot_scenario
 from gridpush_drake.perception.tracking import NOT_SEEN, TrackedPose
-from gridpush_drake.station.lcm.twin import MakeTwin
+from gridpush_drake.station.hardware.twin import MakeTwin
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.messages import PushCommand
@@ -157,7 +156,7 @@ class Follower:
 
 def test_the_tracker_waits_for_all_objects_and_says_where_each_is(capsys):
     follower = Follower()
-    _find(follower, None, None, False)
+    _find(follower, None, False)
     assert follower.pictures == []
     assert capsys.readouterr().out.splitlines() == [
         "pliers is seen at (0.500, -0.100) m, turned by 0.20 rad.",
@@ -178,7 +177,7 @@ def test_the_object_in_the_scene_has_the_height_that_its_file_gives(tmp_path, li
     resolved = resolve(scenario, told=obj)
     assert scenario.seed == 5
     assert resolved.obj.name == "block"
-    twin = MakeTwin(resolved, DrakeLcm(""))
+    twin = MakeTwin(resolved, lambda record: None)
     assert twin.world.object_in_plant.height == height
 
 

@@ -5,24 +5,16 @@ import sys
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.cli.open_link import prepare_link
+from gridpush_drake.cli.open_link import check_robot
 from gridpush_drake.cli.ros_args import split_ros_arguments
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.lcm import MakeTwin
-from gridpush_drake.station.lcm.robot_messages import find_arm_messages
-from gridpush_drake.station.lcm.twin_link import TwinLink
-from gridpush_drake.station.links import (
-    ArmStatus,
-    GripperStatus,
-    InProcessLink,
-    LinkBus,
-    ObjectSight,
-)
-from gridpush_drake.station.links.ros2_robot import MakeRosRobot
+from gridpush_drake.station.hardware import MakeTwin
+from gridpush_drake.station.links.ros2.ros2_robot import MakeRosRobot
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.systems.robot_records import ArmStatus, GripperStatus, PoseObservation
 
 
 def test_robot_twin_and_tracker_say_what_is_missing(refuses, monkeypatch, tmp_path):
@@ -38,19 +30,17 @@ def test_every_robot_can_be_spoken_to_over_ros_2_its_hand_too(robot):
     scenario.directives = make_robot_directives(robot, grasping=None)
     resolved = resolve(scenario)
     with pytest.raises(StationError):
-        find_arm_messages(prepare_link(resolved, ros2=False).robot)
-    prepared = prepare_link(resolved, ros2=True)
-    found = MakeRosRobot(prepared)
-    assert len(found.joints) == len(prepared.q_start)
+        check_robot(resolved.robot, ros2=False)
+    check_robot(resolved.robot, ros2=True)
+    found = MakeRosRobot(resolved)
+    assert len(found.joints) == len(resolved.q_start)
     assert (found.gripper is None) == (robot == "gantry")
-    here, there = InProcessLink.make_pair()
-    link = TwinLink(LinkBus(here, prepared.robot), prepared.robot)
-    simulator = Simulator(MakeTwin(prepared, link.bus, listens=False))
+    said = []
+    simulator = Simulator(MakeTwin(resolved, said.append))
     simulator.get_system().SetStart(simulator.get_mutable_context())
     simulator.AdvanceTo(0.06)
-    link.exchange()
-    kinds = {type(message) for message in there.receive(0.0)}
-    assert kinds == {ArmStatus, ObjectSight} | (set() if robot == "gantry" else {GripperStatus})
+    kinds = {type(record) for record in said}
+    assert kinds == {ArmStatus, PoseObservation} | (set() if robot == "gantry" else {GripperStatus})
 
 
 @pytest.mark.parametrize(

@@ -11,18 +11,16 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.objects.object_file import dump_object
 from gridpush_drake.perception.tracking import TrackedPose
-from gridpush_drake.station.lcm.hardware_link import HardwareLink
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
-from gridpush_drake.station.lcm.picture_tracker import PictureTracker
-from gridpush_drake.station.lcm.robot_messages import (
-    ARM_PERIOD,
-    PICTURES,
-    find_arm_messages,
-    name_object_channels,
-)
-from gridpush_drake.station.lcm.twin import MakeTwin
-from gridpush_drake.station.lcm.twin_camera import TwinCamera
-from gridpush_drake.station.lcm.twin_link import TwinLink
+from gridpush_drake.station.camera import make_camera
+from gridpush_drake.station.hardware.hardware_link import HardwareLink
+from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
+from gridpush_drake.station.hardware.picture_tracker import PictureTracker
+from gridpush_drake.station.hardware.twin import MakeTwin
+from gridpush_drake.station.hardware.twin_camera import TwinCamera
+from gridpush_drake.station.hardware.twin_link import TwinLink
+from gridpush_drake.station.links.lcm.lcm_link import LcmLink
+from gridpush_drake.station.links.lcm.lcm_messages import find_arm_messages, name_object_channel
+from gridpush_drake.station.links.link import ARM_PERIOD, LinkRole
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.scenario import PushScenario
 
@@ -45,13 +43,15 @@ class TwinBench:
         robot = find_robot(scenario.directives)
         self.messages = find_arm_messages(robot)
         others = len(scenario.others)
-        self.twin_link = TwinLink(self._network, robot, others)
-        self.twin = MakeTwin(scenario, self.twin_link.bus, listens=False)
+        edge = LcmLink(self._network, robot, LinkRole.ROBOT)
+        self.twin_link = TwinLink(edge, robot)
+        self.twin = MakeTwin(scenario, edge.send)
         self.simulator = Simulator(self.twin)
         self.spoil: dict[str, Spoiler] = {}
         self.disturb: Callable[[bytes], list[bytes]] | None = None
         self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
-        for channel in (self.messages.status, *name_object_channels(others)):
+        objects = [name_object_channel(number) for number in range(others + 1)]
+        for channel in (self.messages.status, *objects):
             self._network.Subscribe(channel, partial(self._pass_out, channel))
         self.lcm.Subscribe(self.messages.command, self._pass_in)
         self._last: Any = None
@@ -59,14 +59,14 @@ class TwinBench:
         self._reset()
         called = scenario.names.name_others(others)
         self.link = HardwareLink(
-            self.lcm,
+            LcmLink(self.lcm, robot, LinkRole.CONTROL, others=others),
             robot,
             others=called,
             clock_jump=scenario.safety.clock_jump,
             robot=self.move,
             clock=self.read_clock,
         )
-        self.task = task(scenario, make_station=partial(MakeHardwareStation, lcm=self.link.bus))
+        self.task = task(scenario, make_station=MakeHardwareStation)
 
     @property
     def time(self) -> float:
@@ -88,9 +88,9 @@ class TwinBench:
             0  # of which only the first ones are written down
         )
         self._reset()
-        while any(each.data is None for each in self.link._objects) or len(self.rows) < 10:
+        while any(each.record is None for each in self.link._objects) or len(self.rows) < 10:
             self.move()
-            self.lcm.HandleSubscriptions(0)
+            self.link._listen()
         self.link.armed = True
 
     def move(self) -> None:
@@ -100,9 +100,8 @@ class TwinBench:
             self.paused -= 1
             return
         self._count += 1
-        self.twin_link.exchange()
+        self.twin_link.exchange(self.twin, self.simulator.get_mutable_context())
         self.simulator.AdvanceTo((self._count + 0.5) * ARM_PERIOD)
-        self.twin_link.exchange()
         self._network.HandleSubscriptions(0)
         plant, arm = self.twin.world.plant, self.twin.world.robot_in_plant.arm
         context = plant.GetMyContextFromRoot(self.simulator.get_context())
@@ -139,7 +138,7 @@ class TwinBench:
         if self._last is not None:  # with which the driver would begin
             self._last.joint_position = self.twin.world.setting.q_start.tolist()
             self._network.Publish(self.messages.command, self._last.encode())
-            self.twin_link.exchange()
+            self.twin_link.exchange(self.twin, context)
         self.simulator.Initialize()
 
     def _pass_in(self, data: bytes) -> None:
@@ -165,9 +164,13 @@ class CameraBench(TwinBench):
         self.seen: list[tuple[float, np.ndarray, TrackedPose]] = []
         self._camera, self.tracker = TwinCamera(scenario), None
         super().__init__(scenario, lambda scenario, make_station: None)
-        self.tracker = PictureTracker(scenario, self.lcm, clock=self.read_clock)
+        robot, others = find_robot(scenario.directives), len(scenario.others)
+        self._eye = LcmLink(self.lcm, robot, LinkRole.CAMERA)
+        camera = make_camera(scenario.camera)
+        sight = LcmLink(self.lcm, robot, LinkRole.TRACKER, camera=camera, others=others)
+        self.tracker = PictureTracker(scenario, sight, clock=self.read_clock)
         if scenario.others:  # whose outlines the task is told
-            self.task = task(scenario, make_station=partial(MakeHardwareStation, lcm=self.link.bus))
+            self.task = task(scenario, make_station=MakeHardwareStation)
             return
         while self.tracker.obj is None:
             self.move()
@@ -175,7 +178,7 @@ class CameraBench(TwinBench):
         (folder / "object.yaml").write_text(dump_object(obj.name, obj.grid, obj.prior, obj.height))
         known = scenario.model_copy(deep=True)
         known.object = str(folder / "object.yaml")
-        self.task = task(known, make_station=partial(MakeHardwareStation, lcm=self.link.bus))
+        self.task = task(known, make_station=MakeHardwareStation)
 
     def move(self) -> None:
         before, rate = self.time, self.twin.world.setting.scenario.camera.rate
@@ -183,8 +186,7 @@ class CameraBench(TwinBench):
         if self.tracker is None or int(self.time * rate) == int(before * rate):
             return
         context = self.simulator.get_context()
-        message = self._camera.make_message(self.time, self.twin.GetPositions(context))
-        self.lcm.Publish(PICTURES, message.encode())
+        self._eye.send(self._camera.take(self.time, self.twin.GetPositions(context)))
         tracked = self.tracker.step()
         if tracked is not None:
             self.seen.append((self.time, self.find_true_pose(), tracked))

@@ -1,8 +1,9 @@
-"""Messages of every kind, spoiled in every way, at the side that receives them."""
+"""Messages and records of every kind, spoiled in every way, at the side that receives them."""
 
 import math
 import struct
 from collections import Counter
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,19 +20,11 @@ from drake import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.lcm import DrakeLcm
-from pydrake.manipulation import (
-    IiwaCommandReceiver,
-    IiwaStatusReceiver,
-    PandaCommandReceiver,
-    PandaControlMode,
-    PandaStatusReceiver,
-    SchunkWsgCommandReceiver,
-    SchunkWsgStatusReceiver,
-)
-from pydrake.systems.framework import DiagramBuilder, PortDataType
-from pydrake.systems.lcm import LcmSubscriberSystem
+from pydrake.manipulation import PandaControlMode
 
-from gridpush_drake.station.lcm.channel import (
+from gridpush_drake.perception import Camera, Frame
+from gridpush_drake.station.hardware.twin_link import TwinLink
+from gridpush_drake.station.links.channel import (
     MAX_REASONS,
     NEW_CLOCK_MESSAGES,
     OTHER_REASONS,
@@ -39,39 +32,60 @@ from gridpush_drake.station.lcm.channel import (
     Channel,
     count_reason,
 )
-from gridpush_drake.station.lcm.message_forms import FORMS, find_form_fault
-from gridpush_drake.station.lcm.robot_messages import GRIPPER_COMMAND
-from gridpush_drake.station.lcm.twin_link import TwinLink
+from gridpush_drake.station.links.lcm.lcm_link import LcmLink
+from gridpush_drake.station.links.lcm.lcm_messages import GRIPPER_COMMAND
+from gridpush_drake.station.links.link import LinkRole, Unusable
+from gridpush_drake.station.links.record_forms import FORMS, find_form_fault, find_frame_fault
 from gridpush_drake.station.robot import find_robot, make_robot_directives
-from gridpush_drake.systems.planar_manipuland_status import PlanarManipulandStatusReceiver
+from gridpush_drake.systems.robot_records import (
+    ArmCommand,
+    ArmStatus,
+    GripperCommand,
+    GripperStatus,
+    PoseObservation,
+)
 
 JOINTS = 7
 CLOCK_JUMP = 0.1
-PERIOD = 0.005
 POSITION = PandaControlMode.kPosition
 
-RECEIVERS = {
-    lcmt_iiwa_status: lambda: IiwaStatusReceiver(JOINTS),
-    lcmt_panda_status: lambda: PandaStatusReceiver(JOINTS),
-    lcmt_schunk_wsg_status: SchunkWsgStatusReceiver,
-    lcmt_planar_manipuland_status: lambda: PlanarManipulandStatusReceiver(PERIOD, 1.0),
-    lcmt_iiwa_command: lambda: IiwaCommandReceiver(JOINTS),
-    lcmt_panda_command: lambda: PandaCommandReceiver(JOINTS, POSITION),
-    lcmt_schunk_wsg_command: lambda: SchunkWsgCommandReceiver(0.1),
+IIWA = find_robot(make_robot_directives("iiwa14", grasping=True))
+PANDA = find_robot(make_robot_directives("panda", grasping=False))
+
+READERS = {
+    lcmt_iiwa_status: (ArmStatus, IIWA, LinkRole.CONTROL),
+    lcmt_panda_status: (ArmStatus, PANDA, LinkRole.CONTROL),
+    lcmt_schunk_wsg_status: (GripperStatus, IIWA, LinkRole.CONTROL),
+    lcmt_planar_manipuland_status: (PoseObservation, IIWA, LinkRole.CONTROL),
+    lcmt_iiwa_command: (ArmCommand, IIWA, LinkRole.ROBOT),
+    lcmt_panda_command: (ArmCommand, PANDA, LinkRole.ROBOT),
+    lcmt_schunk_wsg_command: (GripperCommand, IIWA, LinkRole.ROBOT),
 }
-"""Drake's own systems that read each kind of message, and ours for the object."""
+"""What is made of each kind of message, and who reads it."""
+
+EMPTY = {
+    lcmt_iiwa_command: {"joint_torque"},
+    lcmt_panda_command: {"joint_velocity", "joint_torque"},
+}
+"""Fields in which a sender need not say anything."""
+
+
+def list_numbers(kind):
+    """Names of the fields of a kind of message that hold numbers."""
+    message = kind()
+    return [n for n in message.__slots__ if isinstance(getattr(message, n), float | list)]
 
 
 def make_message(kind, utime=1_000_000, joints=JOINTS):
     """A message of a kind with small numbers in all its fields."""
     message = kind()
     message.utime = utime
-    for name, numbers in FORMS[kind].items():
+    for name in list_numbers(kind):
         value = getattr(message, name)
-        size = joints if numbers.per_joint else len(value) if isinstance(value, list) else None
-        if numbers.optional:
-            size = 0
-        setattr(message, name, 0.25 if size is None else [0.25] * size)
+        if isinstance(value, list) and name not in EMPTY.get(kind, ()):
+            setattr(message, name, [0.25] * (len(value) or joints))
+        elif isinstance(value, float):
+            setattr(message, name, 0.25)
     for name, size in (
         ("num_joints", joints),
         ("num_joint_position", joints),
@@ -84,53 +98,40 @@ def make_message(kind, utime=1_000_000, joints=JOINTS):
 
 
 class Receiver:
-    """A channel, and after it on a bus the system that reads its messages, as in station and twin."""
+    """A network, its link, and after it the channel of one kind of records."""
 
     def __init__(self, kind):
         self.left_out = Counter()
+        self.time = 0.0
+        self._network = DrakeLcm("memq://")
+        record, robot, role = READERS[kind]
+        self._link = LcmLink(self._network, robot, role)
+        self.name = self._link.get_name(record)
         self.channel = Channel(
-            "CHANNEL",
-            kind,
+            self.name,
+            joints=JOINTS,
             now=lambda: self.time,
             clock_jump=CLOCK_JUMP,
-            find_fault=partial(find_form_fault, channel="CHANNEL", joints=JOINTS),
             leave_out=partial(count_reason, self.left_out),
         )
-        self.time = 0.0
-        self.bus = DrakeLcm("memq://")
-        builder = DiagramBuilder()
-        cpp = kind is not lcmt_planar_manipuland_status
-        self.subscriber = builder.AddSystem(
-            LcmSubscriberSystem.Make("CHANNEL", kind, self.bus, use_cpp_serializer=cpp)
-        )
-        self.system = builder.AddSystem(RECEIVERS[kind]())
-        builder.Connect(self.subscriber.get_output_port(), self.system.get_input_port(0))
-        self.diagram = builder.Build()
-        self.context = self.diagram.CreateDefaultContext()
-        own = self.system.GetMyMutableContextFromRoot(self.context)
-        for i in range(1, self.system.num_input_ports()):
-            port = self.system.get_input_port(i)
-            port.FixValue(own, np.zeros(port.size()))
 
     def take(self, data):
-        """Gives the channel a message, and the system what the channel lets through; returns whether it did."""
-        if not self.channel.take(data):
+        """Gives the network a message; returns whether a record of it can be used."""
+        self._network.Publish(self.name, data)
+        (message,) = self._link.receive(0.0)
+        if isinstance(message, Unusable):
+            self.channel.leave_out(message.why)
             return False
-        self.bus.Publish("CHANNEL", self.channel.data)
-        self.bus.HandleSubscriptions(0)
-        self.diagram.ExecuteInitializationEvents(self.context)
-        own = self.system.GetMyContextFromRoot(self.context)
-        for i in range(self.system.num_output_ports()):
-            port = self.system.get_output_port(i)
-            value = port.Eval(own)
-            if port.get_data_type() == PortDataType.kVectorValued and (
-                self.channel._kind is not lcmt_planar_manipuland_status
-            ):
-                assert np.isfinite(value).all(), port.get_name()
+        if not self.channel.take(message):
+            return False
+        for field, form in FORMS[type(message)].items():
+            values = np.array(getattr(message, field), dtype=float).ravel()
+            assert len(values) == (form.count or JOINTS), field
+            assert form.unknown or np.isfinite(values).all(), field
         return True
 
 
-KINDS = sorted(FORMS, key=lambda kind: kind.__name__)
+KINDS = sorted(READERS, key=lambda kind: kind.__name__)
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +142,7 @@ def receivers():
 def restart(receiver):
     """The receiver's channel as if nothing had come yet."""
     channel = receiver.channel
-    channel.utime, channel.unusable, channel._stray = -1, 0, None
+    channel.time, channel.unusable, channel._stray = -1.0, 0, None
     channel.clock.restart()
     receiver.left_out.clear()
 
@@ -162,8 +163,8 @@ WRONG = st.sampled_from([math.nan, math.inf, -math.inf, 1e300, -1e300, 1e7])
 def test_a_number_in_any_field_that_is_not_one_is_left_out_and_named(receivers, kind, data):
     receiver = receivers[kind]
     restart(receiver)
-    name = data.draw(st.sampled_from(sorted(FORMS[kind])))
-    numbers, wrong, message = FORMS[kind][name], data.draw(WRONG), make_message(kind)
+    name = data.draw(st.sampled_from(list_numbers(kind)))
+    wrong, message = data.draw(WRONG), make_message(kind)
     value = getattr(message, name)
     if isinstance(value, list):
         if not value:  # an optional one
@@ -175,15 +176,76 @@ def test_a_number_in_any_field_that_is_not_one_is_left_out_and_named(receivers, 
     else:
         setattr(message, name, wrong)
     taken = receiver.take(message.encode())
-    assert taken == (math.isnan(wrong) and numbers.unknown)
+    assert taken == (math.isnan(wrong) and kind is lcmt_planar_manipuland_status)
     if not taken:
-        assert [name in why and "CHANNEL" in why for why in receiver.left_out] == [True]
+        assert [name in why and receiver.name in why for why in receiver.left_out] == [True]
+
+
+RECORDS = {
+    ArmStatus: lambda q: ArmStatus(1.0, q, q, q, q, torque_commanded=q, torque_measured=q),
+    GripperStatus: lambda q: GripperStatus(1.0, 0.1, 0.1, 0.1),
+    PoseObservation: lambda q: PoseObservation(1.0, [0.1, 0.1, 0.1]),
+    ArmCommand: lambda q: ArmCommand(1.0, q),
+    GripperCommand: lambda q: GripperCommand(1.0, 0.1, 0.1),
+}
+"""Records that can be used, made of the numbers of joints."""
+
+
+@pytest.mark.parametrize("kind", FORMS)
+@pytest.mark.parametrize("wrong", [np.nan, -np.inf, 1e9, "wide", [], [1.0] * 6, None])
+def test_whatever_a_link_puts_into_a_record_is_found_out(kind, wrong):
+    """A link of one's own may put anything there."""
+    record = RECORDS[kind](np.full(JOINTS, 0.1))
+    assert find_form_fault(record, "it", JOINTS) == ""
+    for field, form in FORMS[kind].items():
+        value = wrong
+        if isinstance(wrong, float) and form.count != 1:
+            value = [*getattr(record, field)[:-1], wrong]
+        may_be = (wrong is None and form.optional) or (wrong is np.nan and form.unknown)
+        fault = find_form_fault(replace(record, **{field: value}), "it", JOINTS)
+        says = (f"it: {field} ", "it speaks of ")  # the latter, of another number of joints
+        assert fault == "" if may_be else fault.startswith(says), (field, fault)
+    for time in (np.nan, -1.0, np.inf, 1e15, "now", None):
+        fault = find_form_fault(replace(record, time=time), "it", JOINTS)
+        assert fault.startswith("it: time ")
+
+
+def test_a_record_keeps_its_numbers_whatever_its_sender_writes_over_them():
+    buffer, more = np.zeros(JOINTS), [0.0] * JOINTS
+    status = ArmStatus(1.0, buffer, more, buffer)
+    buffer[2] = more[2] = math.nan
+    assert find_form_fault(status, "it", JOINTS) == ""
+    with pytest.raises(ValueError, match="read-only"):
+        status.position[0] = 1.0
+
+
+def test_a_record_that_cannot_even_be_looked_at_is_left_out():
+    channel, _, left_out = make_channel()
+    assert not channel.take(None)
+    assert left_out == {"CHANNEL could not be looked at (AttributeError)": 1}
+
+
+def test_a_picture_of_another_size_or_kind_is_found_out():
+    camera = Camera(4, 3, np.eye(3), np.zeros(0))
+    good = Frame(np.zeros((3, 4, 3), np.uint8), np.zeros((3, 4), np.float32), 1.0)
+    assert find_frame_fault(good, "it", camera) == ""
+    assert find_frame_fault(good._replace(depth=None), "it", camera) == ""
+    for field, wrong in (
+        ("color", None),
+        ("color", good.color[..., :2]),
+        ("color", good.color.astype(float)),
+        ("depth", good.depth.T),
+        ("depth", good.depth.astype(np.uint16)),
+        ("t", np.nan),
+    ):
+        fault = find_frame_fault(good._replace(**{field: wrong}), "it", camera)
+        assert fault.startswith(f"it: {field} "), fault
 
 
 @settings(max_examples=500, deadline=None)
 @given(kind=st.sampled_from(KINDS), data=st.data())
 def test_spoiled_bytes_end_nothing(receivers, kind, data):
-    """Bytes are changed, cut off, put in and repeated; whatever is let through can be read by Drake's systems."""
+    """Bytes are changed, cut off, put in and repeated; whatever is let through is a record with usable numbers."""
     receiver = receivers[kind]
     restart(receiver)
     whole = bytearray(make_message(kind).encode())
@@ -210,7 +272,7 @@ def test_spoiled_bytes_end_nothing(receivers, kind, data):
 def test_another_number_of_joints_is_left_out(receivers, joints, kind):
     receiver = receivers[kind]
     restart(receiver)
-    per_joint = any(numbers.per_joint for numbers in FORMS[kind].values())
+    per_joint = READERS[kind][0] in (ArmStatus, ArmCommand)
     assert receiver.take(make_message(kind, joints=joints).encode()) != per_joint
 
 
@@ -230,10 +292,9 @@ def make_channel(reference=None):
     now, left_out = [0.0], Counter()
     channel = Channel(
         "CHANNEL",
-        lcmt_planar_manipuland_status,
+        joints=JOINTS,
         now=lambda: now[0],
         clock_jump=CLOCK_JUMP,
-        find_fault=partial(find_form_fault, channel="CHANNEL"),
         leave_out=partial(count_reason, left_out),
         reference=reference,
     )
@@ -241,9 +302,9 @@ def make_channel(reference=None):
 
 
 def tell(channel, now, sent, arrives):
-    """A message sent at a time, s, by its sender's clock arrives at another one by the reader's."""
+    """A pose sent at a time, s, by its sender's clock arrives at another one by the reader's."""
     now[0] = arrives
-    return channel.take(make_message(channel._kind, round(1e6 * sent)).encode())
+    return channel.take(PoseObservation(sent, [0.25, 0.25, 0.25]))
 
 
 def test_one_message_from_the_future_changes_nothing_for_those_after_it():
@@ -338,30 +399,37 @@ def test_reasons_are_counted_and_their_number_is_bounded():
 def test_the_account_of_what_came_since_the_last_usable_message():
     channel, now, _ = make_channel()
     assert channel.describe_unusable() == ""
-    channel.take(b"nothing")
-    says = "left out: CHANNEL is not lcmt_planar_manipuland_status, or not whole"
+    nothing = PoseObservation(0.0, [])
+    channel.take(nothing)
+    says = "left out: CHANNEL: pose is of another size; expected 3"
     assert channel.describe_unusable() == f"1 message was {says}"
-    channel.take(b"nothing")
+    channel.take(nothing)
     assert channel.describe_unusable() == f"2 messages were {says}"
     assert tell(channel, now, 1.0, 0.0)
     assert channel.describe_unusable() == ""
 
 
+class Heard(list):
+    """Stands for a twin, and remembers its commands."""
+
+    def TakeCommand(self, context, command):
+        self.append(command)
+
+
 def test_a_twin_hears_whole_commands_only():
     network = DrakeLcm("memq://")
-    robot = find_robot(make_robot_directives("iiwa14", grasping=True))
-    link, heard = TwinLink(network, robot), []
-    for name in ("IIWA_COMMAND", GRIPPER_COMMAND):
-        link.bus.Subscribe(name, partial(lambda name, data: heard.append((name, data)), name))
+    link, heard = TwinLink(LcmLink(network, IIWA, LinkRole.ROBOT), IIWA), Heard()
 
     def say(name, message):
         network.Publish(name, message if isinstance(message, bytes) else message.encode())
-        link.exchange()
+        link.exchange(heard, None)
 
     good, grip = make_message(lcmt_iiwa_command), make_message(lcmt_schunk_wsg_command)
     say("IIWA_COMMAND", good)
     say(GRIPPER_COMMAND, grip)
-    assert heard == [("IIWA_COMMAND", good.encode()), (GRIPPER_COMMAND, grip.encode())]
+    command, opening = heard
+    assert (command.time, list(command.position)) == (1.0, [0.25] * JOINTS)
+    assert opening == GripperCommand(1.0, 0.25e-3, 0.25)
     bad = make_message(lcmt_iiwa_command)
     bad.joint_position = [0.0] * 6 + [math.nan]
     say("IIWA_COMMAND", bad)
@@ -372,20 +440,3 @@ def test_a_twin_hears_whole_commands_only():
     assert len(heard) == 2
     assert sum(link.left_out.values()) == 4
     assert "1 left out: IIWA_COMMAND: joint_position is not finite" in link.describe_left_out()
-    said = []
-    network.Subscribe("IIWA_STATUS", said.append)
-    link.bus.Publish("IIWA_STATUS", make_message(lcmt_iiwa_status).encode())
-    link.exchange()
-    network.HandleSubscriptions(0)
-    assert said == [make_message(lcmt_iiwa_status).encode()]
-
-
-def test_every_field_of_every_kind_of_message_has_a_form():
-    """All numbers that are not integers of the message's own bookkeeping."""
-    for kind, form in FORMS.items():
-        numbers = {
-            name
-            for name, what in zip(kind.__slots__, kind.__typenames__, strict=True)
-            if what in ("double", "float")
-        }
-        assert set(form) == numbers, kind.__name__

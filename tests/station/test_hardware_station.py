@@ -9,15 +9,16 @@ from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.scene.separation import MARGIN
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
 from gridpush_drake.station.arm import ArmPosture
-from gridpush_drake.station.lcm.hardware_link import HardwareLink
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation, make_limits
-from gridpush_drake.station.lcm.lcm_address import open_lcm
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.hardware.hardware_link import HardwareLink
+from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation, make_limits
+from gridpush_drake.station.links.lcm.lcm_address import open_lcm
+from gridpush_drake.station.links.lcm.lcm_link import LcmLink
+from gridpush_drake.station.links.lcm.lcm_messages import (
     ARM_MESSAGES,
-    ARM_PERIOD,
     OBJECT_STATUS,
     name_object_channel,
 )
+from gridpush_drake.station.links.link import ARM_PERIOD, LinkRole
 from gridpush_drake.station.robot import find_robot, make_robot_directives
 from gridpush_drake.station.scenario import PartTruth
 from gridpush_drake.station.scenario_file import read_scenario
@@ -64,7 +65,7 @@ def test_it_has_the_ports_of_the_simulated_station_but_for_what_nobody_knows(ben
         }
 
     simulated, real = list_ports(MakePushStation(make_scenario())), list_ports(bench.task.station)
-    assert real[0] - simulated[0] == {"stop"}
+    assert real[0] - simulated[0] == {"stop", "arm_status", "object.observation"}
     assert real[1] - simulated[1] == {"guard.status", "guard.position", "pusher.force"}
     assert simulated[0] <= real[0]
     assert simulated[1] - real[1] == {
@@ -441,12 +442,12 @@ def test_a_robot_whose_messages_nobody_knows_is_refused():
         file = f"package://gridpush_drake/scenes/{scene}.dmd.yaml"
         robot = find_robot([ModelDirective(add_directives=AddDirectives(file=file))])
         with pytest.raises(StationError, match=says):
-            HardwareLink(DrakeLcm("memq://"), robot)
+            LcmLink(DrakeLcm("memq://"), robot, LinkRole.CONTROL)
 
 
 def test_a_silent_or_another_robot_is_refused():
     lcm = DrakeLcm("memq://")
-    link = HardwareLink(lcm, ROBOT)
+    link = HardwareLink(LcmLink(lcm, ROBOT, LinkRole.CONTROL), ROBOT)
     with pytest.raises(
         StationError, match=r"the robot sends no status on IIWA_STATUS within 0\.1 s"
     ):
@@ -476,7 +477,7 @@ def test_no_path_is_planned_on_which_the_guard_would_stop_the_arm():
     said = []
     for margin in (scenario.safety.margin, 0.02):
         scenario.safety.margin = margin
-        station = MakeHardwareStation(scenario, lcm=DrakeLcm("memq://"))
+        station = MakeHardwareStation(scenario)
         said.append(station.FindGraspObstacle(grasp))
     assert said[0] is None
     assert said[1].startswith("the finger's tip is at (") and "y -0.47 to 0.37 m" in said[1]
@@ -517,7 +518,8 @@ def test_the_poses_of_several_objects_come_over_lcm(bench_of_two):
 
 def test_an_object_of_which_nobody_tells_is_named():
     lcm = DrakeLcm("memq://")
-    link = HardwareLink(lcm, ROBOT, others=("objects[0]", "objects[2]"))
+    edge = LcmLink(lcm, ROBOT, LinkRole.CONTROL, others=2)
+    link = HardwareLink(edge, ROBOT, others=("objects[0]", "objects[2]"))
     lcm.Publish(ARM.status, bytes_of_status())
     now = lcmt_planar_manipuland_status()
     now.utime = 10_000_000

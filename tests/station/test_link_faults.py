@@ -6,13 +6,14 @@ from functools import partial
 import numpy as np
 import pytest
 from drake import lcmt_iiwa_command, lcmt_iiwa_status, lcmt_planar_manipuland_status
-from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.cli import robot as robot_command
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
 from gridpush_drake.station.arm import ArmPosture
-from gridpush_drake.station.lcm import hardware_link
-from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
+from gridpush_drake.station.hardware import hardware_link
+from gridpush_drake.station.links.in_process import InProcessLink
+from gridpush_drake.station.links.lcm.lcm_messages import ARM_MESSAGES, OBJECT_STATUS
+from gridpush_drake.station.links.link import ARM_PERIOD
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.tasks import TASKS
 from gridpush_drake.systems import guard_status
@@ -158,7 +159,7 @@ def test_where_the_robot_s_clock_truly_jumps_the_arm_is_stopped_and_the_next_run
     bench.begin()
     for _ in range(100):
         bench.move()
-        bench.lcm.HandleSubscriptions(0)
+        bench.link._listen()
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(math.inf, marks=pytest.mark.slow)])
@@ -226,7 +227,8 @@ def fail_in_station(bench, begun):
 
 
 def test_a_slow_computer_is_named_as_the_likely_cause_of_a_stop():
-    link = hardware_link.HardwareLink(DrakeLcm("memq://"), find_robot(PushScenario().directives))
+    network, _ = InProcessLink.make_pair()
+    link = hardware_link.HardwareLink(network, find_robot(PushScenario().directives))
     link._said = GuardStatus().stop_for(
         guard_status.Fault(StopKind.FOLLOWING, "joint 1 is astray"), 1.0
     )

@@ -7,7 +7,7 @@ from drake import lcmt_image, lcmt_image_array
 
 from gridpush_drake.errors import ImageError
 from gridpush_drake.perception import Camera, Frame
-from gridpush_drake.station.lcm.picture_messages import decode_frame, encode_frame
+from gridpush_drake.station.links.lcm.picture_messages import decode_frame, encode_frame
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = Camera(WIDTH, HEIGHT, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.zeros(0))

@@ -6,8 +6,12 @@ from pydrake.lcm import DrakeLcm
 
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
-from gridpush_drake.station.lcm.picture_tracker import PictureTracker
-from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, PICTURES
+from gridpush_drake.station.camera import make_camera
+from gridpush_drake.station.hardware.picture_tracker import PictureTracker
+from gridpush_drake.station.links.lcm.lcm_link import LcmLink
+from gridpush_drake.station.links.lcm.lcm_messages import ARM_MESSAGES, PICTURES
+from gridpush_drake.station.links.lcm.picture_messages import encode_frame
+from gridpush_drake.station.links.link import LinkRole
 from gridpush_drake.station.scene_task import SeparateTask
 from tests.helpers.renderer import require_renderer
 from tests.helpers.twin_bench import CameraBench
@@ -75,7 +79,8 @@ def make_status(utime, joints=7):
 
 def test_what_is_missing_or_amiss_is_said(bench):
     lcm, arm = DrakeLcm("memq://"), ARM_MESSAGES["iiwa"]
-    tracker = PictureTracker(make_scenario(), lcm)
+    robot, camera = bench.twin.world.setting.robot, make_camera(make_scenario().camera)
+    tracker = PictureTracker(make_scenario(), LcmLink(lcm, robot, LinkRole.TRACKER, camera=camera))
     assert tracker.step() is None
     assert tracker.find_obstacle() == f"no status of the robot on {arm.status}"
     for data in (b"nothing", make_status(0, joints=6), make_status(0)):
@@ -86,9 +91,8 @@ def test_what_is_missing_or_amiss_is_said(bench):
     assert unread.startswith(f"{arm.status} is not lcmt_iiwa_status")
     assert other == f"{arm.status} speaks of {joints}"
     assert tracker.find_obstacle().startswith(f"no usable picture on {PICTURES}")
-    picture = bench._camera.make_message(
-        0.1, bench.twin.GetPositions(bench.simulator.get_context())
-    )
+    positions = bench.twin.GetPositions(bench.simulator.get_context())
+    picture = encode_frame(bench._camera.take(0.1, positions))
     whole = picture.encode()
     lcm.Publish(PICTURES, whole[: len(whole) // 2])
     assert tracker.step() is None
@@ -104,7 +108,7 @@ def test_what_is_missing_or_amiss_is_said(bench):
     lcm.Publish(PICTURES, whole)
     assert tracker.step() is None
     assert "a picture was not newer than the one before" in tracker.report.left_out
-    late = bench._camera.make_message(100.0, bench.twin.GetPositions(bench.simulator.get_context()))
+    late = encode_frame(bench._camera.take(100.0, positions))
     lcm.Publish(PICTURES, late.encode())
     assert tracker.step() is None
     early = "a picture is from the future, by the robot's clock; expected one clock for both"

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.dynamics.physics import GRAVITY
@@ -23,7 +22,7 @@ from gridpush_drake.planning.weighing.plan import PressRules, list_rests
 from gridpush_drake.planning.weighing.press import PressOutcome
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
-from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
+from gridpush_drake.station.hardware.hardware_station import MakeHardwareStation
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.pregrasp_kind import PreGraspKind
 from gridpush_drake.station.pregrasp_task import PreGraspRecord
@@ -198,7 +197,7 @@ def test_the_hidden_mass_may_be_drawn_from_a_range():
 
 
 def test_a_real_arm_s_station_presses_by_what_its_joints_feel():
-    station = MakeHardwareStation(make_scenario(), lcm=DrakeLcm("memq://"))
+    station = MakeHardwareStation(make_scenario())
     assert station.HasInputPort("press_command")
     assert station.HasOutputPort("press.status")
     assert station.HasOutputPort("weighing.log")

@@ -1,10 +1,12 @@
 import numpy as np
+from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.systems.command_ramp import CommandRamp
 from gridpush_drake.systems.guard_status import (
     GuardMode,
 )
+from gridpush_drake.systems.robot_records import ArmCommand
 
 PERIOD = 0.005
 SPEED, ACCELERATION = np.array([1.0, 2.0]), np.array([10.0, 5.0])
@@ -18,11 +20,12 @@ class RampBench:
         self.ramp = CommandRamp(SPEED, ACCELERATION, max_age=0.02, period=PERIOD)
         self.simulator = Simulator(self.ramp)
         self.context, self.positions = self.simulator.get_mutable_context(), []
-        self.command(BEGIN, 0.0)
+        self.ramp.GetInputPort("position_measured").FixValue(self.context, BEGIN)
+        self.target, self.sent = BEGIN, 0.0
 
     def command(self, position, sent):
-        self.ramp.GetInputPort("position_desired").FixValue(self.context, position)
-        self.ramp.GetInputPort("time_sent").FixValue(self.context, [sent])
+        command = AbstractValue.Make(ArmCommand(sent, position))
+        self.ramp.GetInputPort("command").FixValue(self.context, command)
         self.target, self.sent = np.array(position), sent
 
     def step(self):

@@ -7,14 +7,14 @@ with each other in lockstep. It is also the shortest example of a `Link`.
 from collections import deque
 from collections.abc import Sequence
 
-from gridpush_drake.station.links.link import LinkMessage
+from gridpush_drake.station.links.link import Link, LinkMessage
 
 QUEUED = 1000
 """Largest number of records that wait for one end to receive them. Beyond it the oldest one is
 dropped, as by a network whose buffers are full."""
 
 
-class InProcessLink:
+class InProcessLink(Link):
     """One end of a link within a process."""
 
     def __init__(self, incoming: deque[LinkMessage], outgoing: deque[LinkMessage]) -> None:
@@ -35,6 +35,6 @@ class InProcessLink:
         self._incoming.clear()
         return messages
 
-    def send(self, message: LinkMessage) -> None:
+    def send(self, record: LinkMessage) -> None:
         """Leaves a record for the other end."""
-        self._outgoing.append(message)
+        self._outgoing.append(record)

@@ -1,130 +1,48 @@
-"""`Link`: the small protocol between control and the world, and the records that pass along it.
+"""`Link`: the small protocol between control and the world, over which records pass.
 
 A link carries records in both directions. To `gridpush robot` it brings how the arm, the gripper
 and the object are, and takes commands away; to a twin it brings commands, and takes statuses away;
-to a tracker it brings pictures and takes poses away. So one kind of link (ROS 2, an SDK, a pair of
-queues) serves all three.
+to a tracker it brings pictures and takes poses away. So one kind of link (LCM, ROS 2, an SDK, a
+pair of queues) serves all three. A link over a network makes records of its messages as they come,
+and messages of records as they go; nothing else of this package knows them.
 
 What a link need not do: it need not judge. Records that are doubled, late, out of order, from the
-future, or not finite are left out and counted by those who read them (`station.lcm.channel`),
-whatever the link, and no command goes out but through the `ArmGuard`. What a link cannot make a
-record of it reports as `Unusable`, and it is counted with the others.
-
-`LinkBus` puts a link in the place of an LCM network, whose messages the station speaks inside.
+future, or not finite are left out and counted by those who read them (`links.channel`), whatever
+the link, and no command goes out but through the `ArmGuard`. What a link cannot make a record of it
+reports as `Unusable`, and it is counted with the others.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from gridpush_drake.perception.frames import Frame
+from gridpush_drake.systems.robot_records import (
+    ArmCommand,
+    ArmStatus,
+    GripperCommand,
+    GripperStatus,
+    PoseObservation,
+)
 
-from gridpush_drake.perception.frames import Color, Depth
+ARM_PERIOD = 0.005
+"""Time between two statuses of an arm, and between two commands, s; drake-iiwa-driver keeps it."""
 
-Numbers = Sequence[float] | NDArray[np.float64]
+GRIPPER_PERIOD = 0.05
+"""Time between two statuses of a gripper, and between two commands, s."""
 
-
-@dataclass(frozen=True, eq=False)
-class ArmStatus:
-    """How an arm is.
-
-    Attributes:
-        time: when it was measured, s, by the clock of whoever measures it; it grows from status to
-            status.
-        position: (n,) measured positions of the joints, rad.
-        velocity: (n,) their velocities, rad/s.
-        torque_external: (n,) torques on the joints from outside, N m: what is measured beyond what
-            gravity and the arm's own motion explain. Zeros where nobody knows: the guard then
-            notices an obstacle only by joints that do not follow.
-        position_commanded: (n,) positions that the joints were last told to take, rad; None where
-            that is not known.
-    """
-
-    time: float
-    position: Numbers
-    velocity: Numbers
-    torque_external: Numbers
-    position_commanded: Numbers | None = None
+MILLISECONDS = 1e3
+"""Milliseconds in a second."""
 
 
-@dataclass(frozen=True)
-class GripperStatus:
-    """How a gripper is.
+class LinkRole(StrEnum):
+    """Who speaks over a link; over ROS 2 it is the name of the node, too."""
 
-    Attributes:
-        time: when it was measured, s, by the arm's clock or by one of its own.
-        opening: distance between the fingers, m.
-        speed: of the opening, m/s, positive while it opens.
-        force: with which the fingers press, N.
-    """
-
-    time: float
-    opening: float
-    speed: float = 0.0
-    force: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class ObjectSight:
-    """Where an object was seen.
-
-    The objects of a scenario are numbered: 0 is its `object`, and 1 and so on are its `others`.
-
-    Attributes:
-        time: when the picture was taken, s, by the arm's clock.
-        pose: (3,) x and y of the object's body frame in the scenario's W, m, and its turn about
-            the vertical, rad; NaN where it was not seen.
-        number: the object's number.
-    """
-
-    time: float
-    pose: Numbers
-    number: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """What a camera saw.
-
-    Attributes:
-        time: when, s, by the arm's clock.
-        color: (height, width, 3) uint8, red, green, blue.
-        depth: (height, width) float32, m, registered to `color`, 0 where it was not measured; None
-            without depth.
-    """
-
-    time: float
-    color: Color
-    depth: Depth | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class ArmCommand:
-    """Where an arm's joints are to go.
-
-    Attributes:
-        time: when the command was made, s, by its sender's clock.
-        position: (n,) positions of the joints, rad.
-    """
-
-    time: float
-    position: Numbers
-
-
-@dataclass(frozen=True)
-class GripperCommand:
-    """What a gripper is to do.
-
-    Attributes:
-        time: when the command was made, s, by its sender's clock.
-        opening: distance between the fingers that is wanted, m.
-        force: greatest force that the fingers may press with, N.
-    """
-
-    time: float
-    opening: float
-    force: float
+    CONTROL = "gridpush_robot"
+    ROBOT = "gridpush_twin"
+    TRACKER = "gridpush_tracker"
+    CAMERA = "gridpush_camera"
 
 
 @dataclass(frozen=True)
@@ -134,18 +52,32 @@ class Unusable:
     Attributes:
         why: the reason, in words that are the same for all that come for this reason: they are
             counted by it.
+        kind: type of the record that it should have been; None if that is not known.
+        number: the object's number, for the observation of a pose.
     """
 
     why: str
+    kind: type | None = None
+    number: int = 0
 
 
-LinkMessage = (
-    ArmStatus | GripperStatus | ObjectSight | Picture | ArmCommand | GripperCommand | Unusable
-)
+SKIPPED = Unusable("a newer picture came meanwhile", Frame)
+"""Stands for a picture that a link did not unpack, because it also had a newer one."""
+
+Record = ArmStatus | GripperStatus | PoseObservation | Frame | ArmCommand | GripperCommand
+"""What passes along a link. A camera's picture is a `Frame`, whose time is by the arm's clock."""
+
+LinkMessage = Record | Unusable
 
 
 class Link(Protocol):
-    """What stands between control, or a twin, or a tracker, and the rest of the world."""
+    """What stands between control, or a twin, or a tracker, and the rest of the world.
+
+    Attributes:
+        place: where the other side is to be looked for, in messages to the user.
+    """
+
+    place: str = "on this link"
 
     def receive(self, timeout: float) -> Sequence[LinkMessage]:
         """Waits until something comes, but no longer than `timeout`, s; 0 to wait for nothing.
@@ -154,5 +86,14 @@ class Link(Protocol):
             All that has come since the last call, in its order.
         """
 
-    def send(self, message: LinkMessage) -> None:
+    def send(self, record: Record) -> None:
         """Sends a record at once. It must not wait for whoever receives it."""
+
+    def get_name(self, kind: type, number: int = 0) -> str:
+        """Returns what the network calls records of a type, for messages to the user.
+
+        Args:
+            kind: type of the records.
+            number: the object's number, for observations of poses.
+        """
+        return f"{kind.__name__} {number}" if number else kind.__name__

@@ -7,14 +7,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gridpush_drake.errors import StationError
+from gridpush_drake.errors import ImageError, StationError
 from gridpush_drake.geometry.se2 import calc_yaw
 from gridpush_drake.station.camera import make_camera
-from gridpush_drake.station.links.ros2 import Ros2Role, open_ros2
-from gridpush_drake.station.links.ros2_pictures import find_camera_fault, read_color, read_depth
-from gridpush_drake.station.links.ros2_reader import find_orientation_fault
-from gridpush_drake.station.links.ros2_robot import GripperJoints, MakeRosRobot
-from gridpush_drake.station.links.ros2_topics import import_ros, name_object_topic
+from gridpush_drake.station.links.link import LinkRole
+from gridpush_drake.station.links.ros2.ros2_link import Ros2Link
+from gridpush_drake.station.links.ros2.ros2_pictures import (
+    find_camera_fault,
+    read_color,
+    read_depth,
+)
+from gridpush_drake.station.links.ros2.ros2_reader import find_orientation_fault
+from gridpush_drake.station.links.ros2.ros2_robot import GripperJoints, MakeRosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import import_ros, name_object_topic
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scenario_file import read_scenario
@@ -124,11 +129,11 @@ def test_depth_is_read_in_meters_and_what_is_none_is_0(big):
 def test_images_that_will_not_do_are_refused():
     image = make_image(np.zeros((4, 6, 3), np.uint8), "rgb8")
     image.data = image.data[:-1]
-    with pytest.raises(StationError, match="71 bytes in rows of 18; expected 4 rows"):
+    with pytest.raises(ImageError, match="71 bytes in rows of 18; expected 4 rows"):
         read_color(image)
-    with pytest.raises(StationError, match="encoding is yuv422; expected one of rgb8"):
+    with pytest.raises(ImageError, match="encoding is yuv422; expected one of rgb8"):
         read_color(make_image(np.zeros((4, 6, 2), np.uint8), "yuv422"))
-    with pytest.raises(StationError, match="encoding is rgb8; expected one of 16UC1"):
+    with pytest.raises(ImageError, match="encoding is rgb8; expected one of 16UC1"):
         read_depth(make_image(np.zeros((4, 6, 3), np.uint8), "rgb8"))
 
 
@@ -150,9 +155,9 @@ def test_a_camera_that_is_another_than_the_scenarios_is_told():
 def test_arguments_that_ros_does_not_understand_are_refused():
     robot = MakeRosRobot(resolve(PushScenario()))
     with pytest.raises(StationError, match="--ros-args -r nonsense"):
-        open_ros2(Ros2Role.CONTROL, robot, ["-r", "nonsense"])
+        Ros2Link(LinkRole.CONTROL, robot, ["-r", "nonsense"])
     with pytest.raises(StationError, match="command is 'torque'; expected trajectory"):
-        open_ros2(Ros2Role.CONTROL, robot, ["-p", "command:=torque"])
+        Ros2Link(LinkRole.CONTROL, robot, ["-p", "command:=torque"])
 
 
 def check_done(told):
@@ -216,7 +221,7 @@ BEARABLE = {
     "doubled": "joint_states was not newer than the one before",
     "reordered": "joint_states was not newer than the one before",
     "late": "",
-    "not_finite": "joint_states: joint_velocity_estimated is not finite",
+    "not_finite": "joint_states: velocity is not finite",
     "incomplete": "joint_states: position has not one number for each name",
     "future": "joint_states is from the future, by its sender's own clock",
 }
@@ -263,7 +268,7 @@ def test_a_stranger_moves_the_twin_and_nonsense_does_not(tmp_path):
     assert told["moved"] == pytest.approx([0.1, 0, 0, 0, 0, 0, 0], abs=2e-3)
     assert told["after"] == pytest.approx([0.1, 0, 0, 0, 0, 0, 0], abs=2e-3)
     for why in ("is of another number of joints", "is not finite", "is beyond all measure"):
-        assert f"1 left out: the arm's commands: joint_position {why}" in told["twin_err"]
+        assert f"1 left out: the arm's commands: position {why}" in told["twin_err"]
 
 
 @over_dds

@@ -7,19 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gridpush_drake.perception.frames import Frame
 from gridpush_drake.station.camera import make_camera
-from gridpush_drake.station.links.link import (
-    ArmCommand,
-    ArmStatus,
-    GripperCommand,
-    GripperStatus,
-    ObjectSight,
-    Picture,
-    Unusable,
-)
-from gridpush_drake.station.links.ros2_reader import MAX_WRENCH_AGE, Ros2Reader
-from gridpush_drake.station.links.ros2_robot import MakeRosRobot
-from gridpush_drake.station.links.ros2_topics import (
+from gridpush_drake.station.links.link import Unusable
+from gridpush_drake.station.links.ros2.ros2_reader import MAX_WRENCH_AGE, Ros2Reader
+from gridpush_drake.station.links.ros2.ros2_robot import MakeRosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import (
     ARM_POSITIONS,
     ARM_TRAJECTORY,
     GRIPPER_POSITIONS,
@@ -27,9 +20,16 @@ from gridpush_drake.station.links.ros2_topics import (
     JOINT_STATES,
     WRENCH,
 )
-from gridpush_drake.station.links.ros2_writer import Ros2Writer
+from gridpush_drake.station.links.ros2.ros2_writer import Ros2Writer
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.systems.robot_records import (
+    ArmCommand,
+    ArmStatus,
+    GripperCommand,
+    GripperStatus,
+    PoseObservation,
+)
 
 NOW = 12.5
 """The reader's clock, s."""
@@ -252,7 +252,7 @@ def test_a_grippers_status_and_where_an_object_is(robot):
     reader = make_reader(robot)
     status = GripperStatus(time=2.0, opening=0.05, speed=-0.02, force=8.0)
     reader.take_joints(write(robot, "send_gripper_status", status)[JOINT_STATES])
-    sight = ObjectSight(time=2.5, pose=np.array([0.4, -0.1, 2.0]), number=1)
+    sight = PoseObservation(time=2.5, pose=np.array([0.4, -0.1, 2.0]), number=1)
     (message,) = write(robot, "send_pose", sight).values()
     reader.take_pose(message, number=1)
     read, seen = reader.take_all()
@@ -269,7 +269,7 @@ def test_a_picture_is_read_when_both_of_its_images_are_there(robot):
     rng = np.random.default_rng(1)
     color = rng.integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
     depth = rng.uniform(0.5, 1.0, color.shape[:2]).astype(np.float32)
-    published = write(robot, "send_picture", Picture(4.0, color, depth))
+    published = write(robot, "send_picture", Frame(color, depth, 4.0))
     info, color_image, depth_image = published.values()
     reader = make_reader(robot)
     reader.take_camera_info(info)
@@ -277,7 +277,7 @@ def test_a_picture_is_read_when_both_of_its_images_are_there(robot):
     assert reader.take_all() == []
     reader.take_color(color_image)
     (read,) = reader.take_all()
-    assert read.time == pytest.approx(4.0)
+    assert read.t == pytest.approx(4.0)
     np.testing.assert_array_equal(read.color, color)
     np.testing.assert_array_equal(read.depth, depth)
 

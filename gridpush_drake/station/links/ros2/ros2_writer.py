@@ -9,18 +9,11 @@ from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.station.lcm.robot_messages import ARM_PERIOD
-from gridpush_drake.station.links.link import (
-    ArmCommand,
-    ArmStatus,
-    GripperCommand,
-    GripperStatus,
-    ObjectSight,
-    Picture,
-)
-from gridpush_drake.station.links.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
-from gridpush_drake.station.links.ros2_robot import RosRobot
-from gridpush_drake.station.links.ros2_topics import (
+from gridpush_drake.perception.frames import Frame
+from gridpush_drake.station.links.link import ARM_PERIOD
+from gridpush_drake.station.links.ros2.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
+from gridpush_drake.station.links.ros2.ros2_robot import RosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import (
     ARM_POSITIONS,
     ARM_TRAJECTORY,
     CLOCK,
@@ -32,6 +25,13 @@ from gridpush_drake.station.links.ros2_topics import (
     WORLD,
     WRENCH,
     name_object_topic,
+)
+from gridpush_drake.systems.robot_records import (
+    ArmCommand,
+    ArmStatus,
+    GripperCommand,
+    GripperStatus,
+    PoseObservation,
 )
 
 
@@ -126,18 +126,18 @@ class Ros2Writer:
         message.effort = [float(status.force)] * len(gripper.names)
         self._publish(JOINT_STATES, message)
 
-    def send_pose(self, sight: ObjectSight) -> None:
+    def send_pose(self, observation: PoseObservation) -> None:
         """Publishes where the object was seen; nothing where it was not."""
-        if np.isfinite(np.asarray(sight.pose, float)).all():
+        if np.isfinite(np.asarray(observation.pose, float)).all():
             message = self._ros.PoseStamped()
-            message.header.stamp = self._make_stamp(sight.time)
+            message.header.stamp = self._make_stamp(observation.time)
             message.header.frame_id = WORLD
-            write_pose(message.pose, sight.pose)
-            self._publish(name_object_topic(OBJECT_POSE, sight.number), message)
+            write_pose(message.pose, observation.pose)
+            self._publish(name_object_topic(OBJECT_POSE, observation.number), message)
 
-    def send_picture(self, picture: Picture) -> None:
+    def send_picture(self, picture: Frame) -> None:
         """Publishes a picture as `Image`s, with the camera's `CameraInfo`."""
-        stamp = self._make_stamp(picture.time)
+        stamp = self._make_stamp(picture.t)
         pixels = {COLOR: ("rgb8", np.ascontiguousarray(picture.color))}
         if picture.depth is not None:
             pixels[DEPTH] = ("32FC1", np.ascontiguousarray(picture.depth, dtype="<f4"))

@@ -39,7 +39,7 @@ TYPES = {
 
 
 def name_object_topic(topic: str, number: int) -> str:
-    """Names a topic of an object's pose, by the object's number; see `ObjectSight`.
+    """Names a topic of an object's pose, by the object's number; see `PoseObservation`.
 
     Args:
         topic: the topic of the scenario's `object`.

@@ -1,4 +1,4 @@
-"""`PictureTracker`: finds objects in a camera's pictures on LCM, and says on LCM where they are.
+"""`PictureTracker`: finds objects in a camera's pictures, and says where they are.
 
 One object is found by the detector, which knows nothing of it. Several, a scenario's `object` and
 its `others`, are told apart by their outlines, which their files have.
@@ -7,43 +7,32 @@ It runs in a process of its own beside that of the controller, which is a `Hardw
 waits for no picture. To know what the arm hides, it renders the arm as the camera sees it, with the
 joints as they are in the robot's status. Whatever else hides the object is told by depth.
 
-Messages that cannot be used are left out and counted, see `Channel`. The pictures' times are by the
-robot's clock. A picture from the future is left out, too, and so is one without a status of the
+What cannot be used is left out and counted, see `Channel`. The pictures' times are by the robot's
+clock. A picture from the future is left out, too, and so is one without a status of the
 robot at about the same time.
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import monotonic
-from typing import Any
 
 import numpy as np
-from drake import lcmt_image_array, lcmt_schunk_wsg_status
 from numpy.typing import NDArray
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.errors import GridPushError, PerceptionError
+from gridpush_drake.errors import PerceptionError
 from gridpush_drake.multibody.parser import AddPlantAndSceneGraph, MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.detection import DetectedObject
-from gridpush_drake.perception.frames import MILLIMETERS, Frame
+from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.scene_tracking import SceneState, SceneTracker
 from gridpush_drake.perception.table_view import find_off_table
 from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.station.camera import LIVE, AddRgbdCamera
-from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.channel import Channel, count_reason
-from gridpush_drake.station.lcm.message_forms import decode_message, find_form_fault
-from gridpush_drake.station.lcm.picture_messages import decode_frame
-from gridpush_drake.station.lcm.robot_messages import (
-    FROM_OPENING,
-    GRIPPER_STATUS,
-    MILLISECONDS,
-    PICTURES,
-    find_arm_messages,
-    name_object_channel,
-)
+from gridpush_drake.station.links.channel import Channel, count_reason
+from gridpush_drake.station.links.link import SKIPPED, Link, LinkMessage, Unusable
+from gridpush_drake.station.links.record_forms import find_frame_fault
 from gridpush_drake.station.others import list_others
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.robot import GetRobotInPlant
@@ -51,7 +40,7 @@ from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import AddScene
 from gridpush_drake.station.scene_camera import TrackedScene
 from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
-from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS, make_status
+from gridpush_drake.systems.robot_records import ArmStatus, GripperStatus, PoseObservation
 
 STATUSES = 1000
 """Number of the arm's last statuses that are remembered: some seconds."""
@@ -93,17 +82,18 @@ class RobotSilhouette:
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
 
-    def find(self, joints: Sequence[float], opening: float | None) -> NDArray[np.bool_]:
+    def find(self, arm: ArmStatus, gripper: GripperStatus | None) -> NDArray[np.bool_]:
         """Finds the pixels (height, width) that show the robot.
 
         Args:
-            joints: positions of the arm's joints, rad.
-            opening: opening of the gripper, m; None if it is not known, or there is no gripper.
+            arm: how the arm is.
+            gripper: how the gripper is; None if it is not known, or there is no gripper.
         """
         context = self.plant.GetMyMutableContextFromRoot(self._context)
-        self.plant.SetPositions(context, self._robot.arm, np.asarray(joints))
-        if opening is not None and self._robot.gripper is not None:
-            self.plant.SetPositions(context, self._robot.gripper, FROM_OPENING[:2, 0] * opening)
+        self.plant.SetPositions(context, self._robot.arm, np.asarray(arm.position))
+        if gripper is not None and self._robot.gripper is not None:
+            fingers = gripper.calc_finger_state()[:2]
+            self.plant.SetPositions(context, self._robot.gripper, fingers)
         port = self._sensor.label_image_output_port()
         labels = port.Eval(self._sensor.GetMyContextFromRoot(self._context)).data[..., 0]
         return np.isin(labels, self._labels)
@@ -117,7 +107,7 @@ class TrackerReport:
         pictures: number of pictures that were looked at.
         seen: number of those in which the object was seen, or all of several.
         skipped: number of pictures that were not looked at, since newer ones came meanwhile.
-        left_out: number of messages that could not be used, by why.
+        left_out: number of records that could not be used, by why.
     """
 
     pictures: int = 0
@@ -135,10 +125,9 @@ class TrackerReport:
 
 
 class PictureTracker:
-    """Looks at pictures as they come, and says where the object is on `OBJECT_STATUS`.
+    """Looks at pictures as they come, and says where the object is.
 
-    Where the scenario has other objects, all of them are followed, and each has a channel of its
-    own, see `name_object_channel`.
+    Where the scenario has other objects, all of them are followed, see `PoseObservation.number`.
 
     Attributes:
         obj: the object that is followed, the first of several; None until it is found.
@@ -150,27 +139,25 @@ class PictureTracker:
     def __init__(
         self,
         scenario: PushScenario | ResolvedScenario,
-        lcm: Bus,
+        link: Link,
         obj: GridObject | None = None,
         clock: Callable[[], float] = monotonic,
     ) -> None:
-        """Listens from now on.
+        """Has heard nothing yet.
 
         Args:
             scenario: robot, table and camera, resolved or not. Of a single object only name and
                 prior are used, for the object that is found.
-            lcm: LCM on which pictures and the arm's status come, and on which the pose is said.
+            link: over which pictures and the arm's status come, and over which the pose is said.
             obj: the single object to follow; None to follow what the detector finds.
-            clock: returns the time by which messages arrive, s.
+            clock: returns the time by which records arrive, s.
 
         Raises:
             ScenarioError: the camera makes no sense.
-            StationError: nothing can be rendered on this computer, or the messages of the robot's
-                driver are not known.
+            StationError: nothing can be rendered on this computer.
         """
         resolved = resolve(scenario)
         scenario = resolved.scenario
-        robot = resolved.robot
         others = list_others(scenario, resolved.others)
         self.obj = resolved.obj if others else obj
         self.detected: DetectedObject | None = None
@@ -178,19 +165,17 @@ class PictureTracker:
         self.report = TrackerReport()
         self._scenario = scenario
         self._named_after = resolved.obj
-        self._lcm = lcm
+        self._link = link
         self._clock = clock
         self._clock_jump = scenario.safety.clock_jump
-        self._messages = find_arm_messages(robot)
         self._silhouette = RobotSilhouette(resolved)
         self._off_table = find_off_table(self._silhouette.camera, self._silhouette.table_top)
-        # What the robot last said: time, us, and joints, rad, of each status; and the opening, m.
-        self._statuses: deque[tuple[int, Sequence[float]]] = deque(maxlen=STATUSES)
-        self._opening: float | None = None
-        # The newest picture that was not looked at yet, and its arrival, s.
-        self._picture: tuple[bytes, float] | None = None
-        # Time of the last picture that was looked at, us.
-        self._last = -1
+        # What the robot last said; and the newest picture that was not looked at yet, and its
+        # arrival, s.
+        self._statuses: deque[ArmStatus] = deque(maxlen=STATUSES)
+        self._picture: tuple[Frame, float] | None = None
+        # Time of the last picture that was looked at, s.
+        self._last = -np.inf
         # What follows several objects; None for a single one.
         self._scene: SceneTracker | None = None
         self._scene_state: SceneState | None = None
@@ -201,29 +186,11 @@ class PictureTracker:
         # What follows the object once it is found.
         self._tracker: PoseTracker | None = None
         self._state: TrackerState | None = None
-        self._arm = Channel(
-            self._messages.status,
-            self._messages.status_type,
-            now=clock,
-            clock_jump=self._clock_jump,
-            find_fault=self._find_arm_fault,
-            leave_out=self.leave_out,
-        )
-        self._gripper = Channel(
-            GRIPPER_STATUS,
-            lcmt_schunk_wsg_status,
-            now=clock,
-            clock_jump=self._clock_jump,
-            find_fault=lambda message: find_form_fault(message, GRIPPER_STATUS),
-            leave_out=self.leave_out,
-        )
-        lcm.Subscribe(PICTURES, self._take_picture)
-        lcm.Subscribe(self._messages.status, self._take_status)
-        if robot.gripper is not None:
-            lcm.Subscribe(GRIPPER_STATUS, self._take_gripper)
+        self._arm = self._make_channel(ArmStatus)
+        self._gripper = self._make_channel(GripperStatus)
 
     def step(self, timeout: float = 0.0) -> TrackedPose | None:
-        """Waits for messages, and looks at the newest picture.
+        """Waits for records, and looks at the newest picture.
 
         Args:
             timeout: longest time to wait, s.
@@ -236,7 +203,7 @@ class PictureTracker:
         return poses[0] if poses else None
 
     def step_all(self, timeout: float = 0.0) -> tuple[TrackedPose, ...]:
-        """Waits for messages, and looks at the newest picture.
+        """Waits for records, and looks at the newest picture.
 
         Args:
             timeout: longest time to wait, s.
@@ -245,19 +212,19 @@ class PictureTracker:
             The poses that were found and said, of all objects in their order; empty if there was no
             picture that could be used.
         """
-        self._lcm.HandleSubscriptions(round(MILLISECONDS * timeout))
+        for message in self._link.receive(timeout):
+            self._take(message)
         picture = self._picture
         self._picture = None
         if picture is None or not self._statuses:
             return ()
-        data, arrival = picture
-        frame = self._read_frame(data, arrival)
-        if frame is None:
+        frame, arrival = picture
+        why = self._find_frame_fault(frame, arrival)
+        if why:
+            self._leave_out(why)
             return ()
-        utime = round(MICROSECONDS * frame.t)
-        self._last = utime
-        _, joints = self._find_nearest(utime)
-        hidden = self._silhouette.find(joints, self._opening)
+        self._last = frame.t
+        hidden = self._silhouette.find(self._find_nearest(frame.t), self._gripper.record)
         if self._scene is None:
             poses: tuple[TrackedPose, ...] = (self._look(frame, hidden),)
         else:
@@ -265,8 +232,7 @@ class PictureTracker:
         self.report.pictures += 1
         self.report.seen += all(tracked.seen for tracked in poses)
         for number, tracked in enumerate(poses):
-            channel = name_object_channel(number)
-            self._lcm.Publish(channel, make_status(frame.t, tracked.pose).encode())
+            self._link.send(PoseObservation(frame.t, tracked.pose, number))
         return poses
 
     @property
@@ -279,10 +245,10 @@ class PictureTracker:
     def find_obstacle(self) -> str:
         """Says why there is no pose yet; empty if the object was found in the last picture."""
         if not self._statuses:
-            return f"no status of the robot on {self._messages.status}"
-        if self._last < 0:
+            return f"no status of the robot on {self._arm.name}"
+        if self._last == -np.inf:
             left_out = "".join(f" ({why})" for why in self.report.left_out)
-            return f"no usable picture on {PICTURES}{left_out}"
+            return f"no usable picture on {self._link.get_name(Frame)}{left_out}"
         return self.message
 
     def _look(self, frame: Frame, hidden: NDArray[np.bool_]) -> TrackedPose:
@@ -342,68 +308,66 @@ class PictureTracker:
         self.detected, self.obj = found
         return self.detected
 
-    def _read_frame(self, data: bytes, arrival: float) -> Frame | None:
-        """Decodes a picture; one that cannot be used is counted, and None is returned.
+    def _find_frame_fault(self, frame: Frame, arrival: float) -> str:
+        """Says why a picture cannot be used; empty if it can.
 
         Args:
-            data: the message as it came.
+            frame: the picture.
             arrival: when it came, s, by this process's clock.
         """
-        try:
-            message = decode_message(lcmt_image_array, PICTURES, data)
-            frame = decode_frame(message, self._silhouette.camera)
-        except GridPushError as error:
-            self.leave_out(str(error))
-            return None
-        utime = round(MICROSECONDS * frame.t)
-        nearest, _ = self._find_nearest(utime)
-        why = ""
-        if utime <= self._last:
-            why = "a picture was not newer than the one before"
-        elif self._arm.clock.calc_advance(frame.t, arrival) > self._clock_jump:
-            why = "a picture is from the future, by the robot's clock; expected one clock for both"
-        elif abs(nearest - utime) > MAX_LAG * MICROSECONDS:
-            why = (
+        fault = find_frame_fault(frame, self._link.get_name(Frame), self._silhouette.camera)
+        if fault:
+            return fault
+        if frame.t <= self._last:
+            return "a picture was not newer than the one before"
+        if self._arm.clock.calc_advance(frame.t, arrival) > self._clock_jump:
+            return "a picture is from the future, by the robot's clock; expected one clock for both"
+        if abs(self._find_nearest(frame.t).time - frame.t) > MAX_LAG:
+            return (
                 f"a picture is more than {MAX_LAG:g} s from the robot's nearest status; "
                 "expected one clock for both"
             )
-        if why:
-            self.leave_out(why)
-            return None
-        return frame
+        return ""
 
-    def _find_nearest(self, utime: int) -> tuple[int, Sequence[float]]:
-        """Returns time, us, and joints, rad, of the status nearest to a picture's time, us."""
-        return min(self._statuses, key=lambda status: abs(status[0] - utime))
+    def _find_nearest(self, time: float) -> ArmStatus:
+        """Returns the status nearest to a picture's time, s."""
+        return min(self._statuses, key=lambda status: abs(status.time - time))
 
-    def _find_arm_fault(self, message: Any) -> str:
-        """Says why a status of the arm cannot be used; empty if it can."""
-        joints = self._silhouette.num_joints
-        fault = self._messages.find_fault(message, joints)
-        return fault or find_form_fault(message, self._messages.status, joints)
+    def _make_channel(self, kind: type) -> Channel:
+        """Makes the channel of the arm's or the gripper's statuses."""
+        return Channel(
+            self._link.get_name(kind),
+            joints=self._silhouette.num_joints,
+            now=self._clock,
+            clock_jump=self._clock_jump,
+            leave_out=self._leave_out,
+        )
 
-    def _take_picture(self, data: bytes) -> None:
-        """Keeps a picture for the next `step`, in place of one that was not looked at."""
-        self.report.skipped += self._picture is not None
-        self._picture = (data, self._clock())
+    def _take(self, message: LinkMessage) -> None:
+        """Takes what came; of several pictures the newest is kept for this `step`."""
+        if message == SKIPPED:
+            self.report.skipped += 1
+        elif isinstance(message, Unusable):
+            self._leave_out(message.why)
+        elif isinstance(message, Frame):
+            self.report.skipped += self._picture is not None
+            self._picture = (message, self._clock())
+        elif isinstance(message, ArmStatus):
+            self._take_status(message)
+        elif isinstance(message, GripperStatus):
+            self._gripper.take(message)
 
-    def _take_status(self, data: bytes) -> None:
+    def _take_status(self, status: ArmStatus) -> None:
         """Remembers a status of the arm."""
         changes = self._arm.clock_changes
-        if not self._arm.take(data):
+        if not self._arm.take(status):
             return
         if self._arm.clock_changes != changes:
             # Times before the robot's clock jumped say nothing about pictures after it.
             self._statuses.clear()
-            self._last = -1
-        message = self._arm.message
-        self._statuses.append((message.utime, self._messages.read_joints(message)))
+            self._last = -np.inf
+        self._statuses.append(status)
 
-    def _take_gripper(self, data: bytes) -> None:
-        """Remembers the gripper's opening."""
-        if self._gripper.take(data):
-            self._opening = self._gripper.message.actual_position_mm / MILLIMETERS
-
-    def leave_out(self, why: str) -> None:
-        """Counts a message that cannot be used."""
+    def _leave_out(self, why: str) -> None:
+        """Counts what cannot be used."""
         count_reason(self.report.left_out, why)

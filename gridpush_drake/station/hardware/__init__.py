@@ -1,4 +1,4 @@
-"""A real robot, or its twin, over LCM: station, link, twin, and the tracker of pictures."""
+"""A real arm or its twin: the station that commands it, what links the two, and the tracker."""
 
 import lazy_loader
 

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from gridpush_drake.display.cell_colors import CellColors
 from gridpush_drake.geometry.se2 import make_rotation
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
-from gridpush_drake.station.lcm.hardware_link import HardwareLink
-from gridpush_drake.station.links.ros2 import Ros2Link
-from gridpush_drake.station.links.ros2_topics import WORLD
-from gridpush_drake.station.links.ros2_writer import write_pose
+from gridpush_drake.station.hardware.hardware_link import HardwareLink
+from gridpush_drake.station.links.ros2.ros2_link import Ros2Link
+from gridpush_drake.station.links.ros2.ros2_topics import WORLD
+from gridpush_drake.station.links.ros2.ros2_writer import write_pose
 from gridpush_drake.station.task import StationTask
 from gridpush_drake.systems.guard_status import (
     GuardMode,

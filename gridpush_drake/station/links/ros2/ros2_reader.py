@@ -11,27 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RollPitchYaw
 
-from gridpush_drake.errors import StationError
+from gridpush_drake.errors import ImageError
 from gridpush_drake.geometry.se2 import QUATERNION_TOLERANCE, Array, calc_yaw
-from gridpush_drake.station.links.link import (
-    ArmCommand,
-    ArmStatus,
-    GripperCommand,
-    GripperStatus,
-    LinkMessage,
-    ObjectSight,
-    Picture,
-    Unusable,
-)
-from gridpush_drake.station.links.ros2_pictures import (
+from gridpush_drake.perception.frames import Frame
+from gridpush_drake.station.links.link import LinkMessage, Unusable
+from gridpush_drake.station.links.ros2.ros2_pictures import (
     COLOR,
     DEPTH,
     find_camera_fault,
     read_color,
     read_depth,
 )
-from gridpush_drake.station.links.ros2_robot import GripperJoints, RosRobot
-from gridpush_drake.station.links.ros2_topics import (
+from gridpush_drake.station.links.ros2.ros2_robot import GripperJoints, RosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import (
     ARM_TRAJECTORY,
     GRIPPER_POSITIONS,
     GRIPPER_TRAJECTORY,
@@ -42,6 +34,13 @@ from gridpush_drake.station.links.ros2_topics import (
     WORLD,
     WRENCH,
     name_object_topic,
+)
+from gridpush_drake.systems.robot_records import (
+    ArmCommand,
+    ArmStatus,
+    GripperCommand,
+    GripperStatus,
+    PoseObservation,
 )
 
 MAX_WRENCH_AGE = 0.1
@@ -108,7 +107,7 @@ class Ros2Reader:
             return
         fault = self._find_joints_fault(message)
         if fault:
-            self._leave_out(f"{JOINT_STATES}{fault}")
+            self._leave_out(f"{JOINT_STATES}{fault}", GripperStatus if order is None else ArmStatus)
             return
         if order is not None:
             self._take_arm(message, order, time)
@@ -168,7 +167,9 @@ class Ros2Reader:
         if self._robot.load == "effort":
             effort = _pick(message.effort, order)
             if effort is None:
-                self._leave_out(f"{JOINT_STATES}: effort has not one number for each name")
+                self._leave_out(
+                    f"{JOINT_STATES}: effort has not one number for each name", ArmStatus
+                )
             return effort
         if self._wrench is None or not np.isfinite(position).all():
             return np.zeros(len(position))
@@ -176,7 +177,8 @@ class Ros2Reader:
         if abs(time - came) > MAX_WRENCH_AGE:
             which = "older" if came < time else "newer"
             self._leave_out(
-                f"{WRENCH} is more than {MAX_WRENCH_AGE:g} s {which} than {JOINT_STATES}"
+                f"{WRENCH} is more than {MAX_WRENCH_AGE:g} s {which} than {JOINT_STATES}",
+                ArmStatus,
             )
             return None
         return self._robot.tip_load.calc_torque(position, force, torque)
@@ -196,7 +198,7 @@ class Ros2Reader:
         )
 
     def take_pose(self, message: Any, number: int = 0) -> None:
-        """Takes a `PoseStamped` of an object, by the object's number; see `ObjectSight`."""
+        """Takes a `PoseStamped` of an object, by the object's number; see `PoseObservation`."""
         self._take_stamped(OBJECT_POSE, message.header, message.pose, number)
 
     def take_covariance(self, message: Any, number: int = 0) -> None:
@@ -206,7 +208,9 @@ class Ros2Reader:
         if not (deviation <= MAX_DEVIATION).all():  # true for NaN
             self._leave_out(
                 f"{name_object_topic(OBJECT_COVARIANCE, number)}: the standard deviation is more "
-                f"than {MAX_DEVIATION:g} m, or {MAX_DEVIATION / TURN_SHARE:g} rad"
+                f"than {MAX_DEVIATION:g} m, or {MAX_DEVIATION / TURN_SHARE:g} rad",
+                PoseObservation,
+                number,
             )
             return
         self._take_stamped(OBJECT_COVARIANCE, message.header, message.pose.pose, number)
@@ -217,12 +221,14 @@ class Ros2Reader:
         if header.frame_id not in known:
             self._leave_out(
                 f"{topic} is in frame {header.frame_id}; expected {WORLD} or "
-                f"{self._robot.base_frame}"
+                f"{self._robot.base_frame}",
+                PoseObservation,
+                number,
             )
             return
         fault = find_orientation_fault(pose.orientation)
         if fault:
-            self._leave_out(f"{topic}: {fault}")
+            self._leave_out(f"{topic}: {fault}", PoseObservation, number)
             return
         q = pose.orientation
         yaw = float(calc_yaw(q.w, q.x, q.y, q.z))
@@ -233,9 +239,9 @@ class Ros2Reader:
             yaw += RollPitchYaw(X_WR.rotation()).yaw_angle()
         seen = np.array([x, y, yaw])
         if not np.isfinite(seen).all():
-            self._leave_out(f"{topic} is not finite")
+            self._leave_out(f"{topic} is not finite", PoseObservation, number)
             return
-        self._received.append(ObjectSight(_read_time(header.stamp), seen, number))
+        self._received.append(PoseObservation(_read_time(header.stamp), seen, number))
 
     def take_arm_trajectory(self, message: Any) -> None:
         """Takes a `JointTrajectory` of one point as a command for the arm."""
@@ -317,8 +323,8 @@ class Ros2Reader:
         color = self._images[COLOR].pop(stamp)
         depth = self._images[DEPTH].pop(stamp)
         try:
-            picture = Picture(_read_time(color.header.stamp), read_color(color), read_depth(depth))
-        except StationError as error:
+            picture = Frame(read_color(color), read_depth(depth), _read_time(color.header.stamp))
+        except ImageError as error:
             self._leave_out(str(error))
             return
         self._received.append(picture)
@@ -327,8 +333,8 @@ class Ros2Reader:
         """Takes a `CameraInfo`, which says whether the camera is the scenario's."""
         self._camera_fault = find_camera_fault(message, self._robot.camera)
 
-    def _leave_out(self, why: str) -> None:
-        self._received.append(Unusable(why))
+    def _leave_out(self, why: str, kind: type | None = None, number: int = 0) -> None:
+        self._received.append(Unusable(why, kind, number))
 
 
 def find_orientation_fault(q: Any) -> str:

@@ -5,3 +5,4 @@ from .picture_tracker import PictureTracker as PictureTracker
 from .twin import MakeTwin as MakeTwin
 from .twin import Twin as Twin
 from .twin_camera import TwinCamera as TwinCamera
+from .twin_link import TwinLink as TwinLink

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from drake import lcmt_image_array
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import DiagramBuilder
 
@@ -18,9 +17,7 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.station.camera import AddRgbdCamera
-from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.picture_messages import encode_frame
-from gridpush_drake.station.lcm.robot_messages import PICTURES
+from gridpush_drake.station.links.link import Link
 from gridpush_drake.station.others import list_parts
 from gridpush_drake.station.resolve import resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -62,7 +59,6 @@ class TwinCamera:
         self._noise = camera.noise
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
-        self._count = 0
 
     def take(self, t: float, q: ArrayLike) -> Frame:
         """Takes the picture of a moment.
@@ -81,26 +77,21 @@ class TwinCamera:
         depth = self._noise.GetOutputPort("depth_image").Eval(own).data
         return Frame(color[..., :3].copy(), depth[..., 0].copy(), t)
 
-    def make_message(self, t: float, q: ArrayLike) -> lcmt_image_array:
-        """Takes the picture of a moment, see `take`, and makes an LCM message of it."""
-        self._count += 1
-        return encode_frame(self.take(t, q), self._count - 1)
-
 
 class PictureProcess:
     """A process that renders what a twin's camera sees, and says it."""
 
-    def __init__(self, scenario: PushScenario, open_bus: Callable[[], Bus]) -> None:
+    def __init__(self, scenario: PushScenario, open_link: Callable[[], Link]) -> None:
         """Starts the process.
 
         Args:
             scenario: the twin's scenario.
-            open_bus: opens the bus of the pictures in that process; it can be pickled.
+            open_link: opens the link of the pictures in that process; it can be pickled.
         """
         # Not a fork, which would leave out pydrake's threads.
         context = multiprocessing.get_context("spawn")
         listener, self._asks = context.Pipe(duplex=False)
-        work = (format_scenario(scenario), open_bus, listener)
+        work = (format_scenario(scenario), open_link, listener)
         self._process = context.Process(target=_take_pictures, args=work, daemon=True)
         self._process.start()
         listener.close()
@@ -128,24 +119,24 @@ class PictureProcess:
             self._process.kill()
 
 
-def _take_pictures(scenario: str, open_bus: Callable[[], Bus], asks: Connection) -> None:
+def _take_pictures(scenario: str, open_link: Callable[[], Link], asks: Connection) -> None:
     """Takes pictures until the pipe is closed: the work of a `PictureProcess`.
 
     Args:
         scenario: text of the scenario's YAML file.
-        open_bus: opens the bus on which the pictures are said.
+        open_link: opens the link over which the pictures go.
         asks: the end of the pipe from which times and positions come.
     """
     for name in TWINS_SIGNALS:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    bus = open_bus()
+    link = open_link()
     camera = TwinCamera(parse_scenario(Path("scenario.yaml"), scenario))
     try:
         while True:
             t, q = asks.recv()
             while asks.poll():  # only the newest is answered
                 t, q = asks.recv()
-            bus.Publish(PICTURES, camera.make_message(t, q).encode())
+            link.send(camera.take(t, q))
     except EOFError:
         return

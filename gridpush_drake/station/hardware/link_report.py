@@ -3,7 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from gridpush_drake.station.lcm.robot_messages import MILLISECONDS
+from gridpush_drake.station.links.link import MILLISECONDS
 
 LATE_PERIOD = 0.01
 """A command that goes out longer than this after the last one counts as late, s."""

@@ -22,24 +22,16 @@ messages are read by `ros2_reader` and written by `ros2_writer`, and this file h
 """
 
 from collections.abc import Callable, Sequence
-from enum import StrEnum
 from functools import partial
 from typing import Any
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.links.link import (
-    ArmCommand,
-    ArmStatus,
-    GripperCommand,
-    GripperStatus,
-    LinkMessage,
-    ObjectSight,
-    Picture,
-)
-from gridpush_drake.station.links.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
-from gridpush_drake.station.links.ros2_reader import Ros2Reader
-from gridpush_drake.station.links.ros2_robot import RosRobot
-from gridpush_drake.station.links.ros2_topics import (
+from gridpush_drake.perception.frames import Frame
+from gridpush_drake.station.links.link import Link, LinkMessage, LinkRole, Record
+from gridpush_drake.station.links.ros2.ros2_pictures import CAMERA_INFO, COLOR, DEPTH
+from gridpush_drake.station.links.ros2.ros2_reader import Ros2Reader
+from gridpush_drake.station.links.ros2.ros2_robot import RosRobot
+from gridpush_drake.station.links.ros2.ros2_topics import (
     ARM_POSITIONS,
     ARM_TRAJECTORY,
     GRIPPER_POSITIONS,
@@ -52,7 +44,14 @@ from gridpush_drake.station.links.ros2_topics import (
     import_ros,
     name_object_topic,
 )
-from gridpush_drake.station.links.ros2_writer import Ros2Writer
+from gridpush_drake.station.links.ros2.ros2_writer import Ros2Writer
+from gridpush_drake.systems.robot_records import (
+    ArmCommand,
+    ArmStatus,
+    GripperCommand,
+    GripperStatus,
+    PoseObservation,
+)
 
 QUEUE = 10
 """Number of messages of a topic that wait at most to be read."""
@@ -68,38 +67,37 @@ a computer, and most would be lost so: they are received reliably wherever their
 it."""
 
 
-class Ros2Role(StrEnum):
-    """Who speaks over a link; its name is the node's, too."""
-
-    CONTROL = "gridpush_robot"
-    ROBOT = "gridpush_twin"
-    TRACKER = "gridpush_tracker"
-    CAMERA = "gridpush_camera"
-
-
-def open_ros2(role: Ros2Role, robot: RosRobot, arguments: Sequence[str] = ()) -> "Ros2Link":
-    """Opens a link over ROS 2.
-
-    Args:
-        role: who speaks.
-        robot: its names.
-        arguments: of ROS, as they stand after `--ros-args` on a command line.
-
-    Raises:
-        StationError: ROS 2 is not there, or an argument will not do.
-    """
-    return Ros2Link(role, robot, arguments)
+NAMES = {
+    ArmStatus: JOINT_STATES,
+    ArmCommand: "the arm's commands",
+    GripperStatus: f"{JOINT_STATES} of the gripper",
+    GripperCommand: "the gripper's commands",
+    Frame: COLOR,
+}
+"""What records are called in messages to the user, by their types."""
 
 
-class Ros2Link:
+class Ros2Link(Link):
     """A node of ROS 2 as a `Link`.
 
     Attributes:
+        place: see `Link`.
         node: the node, for what else is published.
     """
 
-    def __init__(self, role: Ros2Role, robot: RosRobot, arguments: Sequence[str] = ()) -> None:
-        """Makes the node with the topics of a role; see `open_ros2`."""
+    place = "in this ROS domain"
+
+    def __init__(self, role: LinkRole, robot: RosRobot, arguments: Sequence[str] = ()) -> None:
+        """Makes the node with the topics of a role.
+
+        Args:
+            role: who speaks.
+            robot: its names.
+            arguments: of ROS, as they stand after `--ros-args` on a command line.
+
+        Raises:
+            StationError: ROS 2 is not there, or an argument will not do.
+        """
         self._ros = import_ros()
         self._robot = robot
         self._taken = 0  # how many messages have come, of whatever kind
@@ -122,7 +120,7 @@ class Ros2Link:
         self._executor = self._ros.executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._publishers: dict[str, Any] = {}
-        load_known = role != Ros2Role.CONTROL or robot.load == "effort"
+        load_known = role != LinkRole.CONTROL or robot.load == "effort"
         self._reader = Ros2Reader(robot, load_known, self.get_time)
         self._writer = Ros2Writer(self._ros, robot, self.publish)
         self._senders: dict[type, Callable[[Any], None]] = {}
@@ -132,6 +130,17 @@ class Ros2Link:
     def load_known(self) -> bool:
         """Whether anything has said the load on the arm from outside."""
         return self._reader.load_known
+
+    @property
+    def where(self) -> str:
+        """The network, in words."""
+        return f"ROS 2 as node {self.node.get_fully_qualified_name()}"
+
+    def get_name(self, kind: type, number: int = 0) -> str:
+        """Returns the topic of a type of records, or what else says it; see `Link`."""
+        if kind is PoseObservation:
+            return name_object_topic(OBJECT_POSE, number)
+        return NAMES[kind]
 
     def close(self) -> None:
         """Leaves ROS 2."""
@@ -151,11 +160,11 @@ class Ros2Link:
                 break
         return self._reader.take_all()
 
-    def send(self, message: LinkMessage) -> None:
+    def send(self, record: Record) -> None:
         """Publishes a record; one that the role does not speak of is left alone."""
-        send = self._senders.get(type(message))
+        send = self._senders.get(type(record))
         if send is not None:
-            send(message)
+            send(record)
 
     def get_time(self) -> float:
         """The node's clock, s: the simulation's with `use_sim_time`."""
@@ -174,12 +183,12 @@ class Ros2Link:
             self._publishers[topic] = self.node.create_publisher(type(message), topic, profile)
         self._publishers[topic].publish(message)
 
-    def _open(self, role: Ros2Role) -> None:
+    def _open(self, role: LinkRole) -> None:
         """Subscribes to what a role reads, and says how what it sends is published."""
         command = self._read_command_kind()
-        if role in (Ros2Role.CONTROL, Ros2Role.TRACKER):
+        if role in (LinkRole.CONTROL, LinkRole.TRACKER):
             self._subscribe("JointState", JOINT_STATES, self._reader.take_joints)
-        if role == Ros2Role.CONTROL:
+        if role == LinkRole.CONTROL:
             if self._robot.load == "wrench":
                 self._subscribe("WrenchStamped", WRENCH, self._reader.take_wrench)
             for number in range(self._robot.others + 1):
@@ -190,7 +199,7 @@ class Ros2Link:
             else:
                 self._senders[ArmCommand] = self._writer.send_arm_positions
                 self._senders[GripperCommand] = self._writer.send_gripper_positions
-        elif role == Ros2Role.ROBOT:
+        elif role == LinkRole.ROBOT:
             self._subscribe(
                 "JointTrajectory", ARM_TRAJECTORY, self._reader.take_arm_trajectory, RELIABLE
             )
@@ -212,14 +221,14 @@ class Ros2Link:
                 )
             self._senders[ArmStatus] = self._writer.send_arm_status
             self._senders[GripperStatus] = self._writer.send_gripper_status
-            self._senders[ObjectSight] = self._writer.send_pose
-        elif role == Ros2Role.TRACKER:
+            self._senders[PoseObservation] = self._writer.send_pose
+        elif role == LinkRole.TRACKER:
             self._subscribe("Image", COLOR, self._reader.take_color, BEST_AVAILABLE)
             self._subscribe("Image", DEPTH, self._reader.take_depth, BEST_AVAILABLE)
             self._subscribe("CameraInfo", CAMERA_INFO, self._reader.take_camera_info)
-            self._senders[ObjectSight] = self._writer.send_pose
+            self._senders[PoseObservation] = self._writer.send_pose
         else:
-            self._senders[Picture] = self._writer.send_picture
+            self._senders[Frame] = self._writer.send_picture
 
     def _read_command_kind(self) -> str:
         """The node's parameter `command`, by default as robot.yaml has it."""

@@ -1,25 +1,23 @@
-"""`MakeTwin`: a simulated robot with the LCM messages of a real one's drivers.
+"""`MakeTwin`: a simulated robot that speaks as a real one's drivers do.
 
 An ideal camera beside it says where each object is, as a tracker of real objects would.
 """
 
+from collections.abc import Callable, Mapping
+from functools import partial
+
 import numpy as np
-from pydrake.lcm import DrakeLcmInterface
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
-from pydrake.systems.lcm import LcmInterfaceSystem
+from pydrake.common.value import AbstractValue
+from pydrake.manipulation import MakeMultibodyStateToWsgStateSystem
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import LinearSystem
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, AddArmDriver
+from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, STATUS_PORTS, AddArmDriver
 from gridpush_drake.station.camera import StationCamera
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
-from gridpush_drake.station.lcm.robot_messages import (
-    ARM_PERIOD,
-    AddGripperSide,
-    AddObjectSender,
-    find_arm_messages,
-)
+from gridpush_drake.station.links.link import ARM_PERIOD, GRIPPER_PERIOD, Record
 from gridpush_drake.station.others import AddOtherCameras, SetOthersStart
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.scenario import PushScenario
@@ -28,6 +26,14 @@ from gridpush_drake.station.setting import Setting
 from gridpush_drake.station.station_plant import AddWorld, World
 from gridpush_drake.systems.command_ramp import CommandRamp
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
+from gridpush_drake.systems.record_ports import RecordReader, RecordSender
+from gridpush_drake.systems.robot_records import (
+    ArmCommand,
+    ArmStatus,
+    GripperCommand,
+    GripperStatus,
+    PoseObservation,
+)
 
 TORQUE = "torque_external"
 """Name of the port of an arm's driver with the torques from outside."""
@@ -35,6 +41,13 @@ TORQUE = "torque_external"
 ESTIMATION_TIME = 0.03
 """Time constant of an arm's estimate of the torques from outside, s. Without it a knock in the
 simulation, which lasts one time step, would seem far stronger than a real one."""
+
+
+FIRST_FORCE = 40.0
+"""Greatest force of a gripper until its first command, N."""
+
+SendRecord = Callable[[Record], None]
+"""A function that takes what a twin says, such as a link's `send`."""
 
 
 def _AddCommandRamp(builder: DiagramBuilder, setting: Setting) -> CommandRamp:
@@ -45,8 +58,68 @@ def _AddCommandRamp(builder: DiagramBuilder, setting: Setting) -> CommandRamp:
     ramp = builder.AddNamedSystem(
         "command_ramp", CommandRamp(speed, acceleration, safety.command_age, ARM_PERIOD)
     )
+    builder.ExportInput(ramp.GetInputPort("command"), "arm_command")
     ExportOutputs(builder, ramp, "driver", ("status",))
     return ramp
+
+
+def _AddArmStatus(
+    builder: DiagramBuilder, ports: Mapping[str, OutputPort], send: SendRecord
+) -> None:
+    """Adds what says how the arm is.
+
+    Args:
+        builder: the builder that has the arm's driver.
+        ports: output ports of the driver, by name.
+        send: takes the statuses.
+    """
+    sizes = {name: ports[port].size() for name, port in STATUS_PORTS.items()}
+    sender = builder.AddNamedSystem(
+        "arm_status_sender", RecordSender(ArmStatus, sizes, send, period=ARM_PERIOD)
+    )
+    for name, port in STATUS_PORTS.items():
+        builder.Connect(ports[port], sender.GetInputPort(name))
+
+
+def _AddGripperDriver(
+    builder: DiagramBuilder,
+    controller: System,
+    state: OutputPort,
+    opening: float,
+    send: SendRecord,
+) -> None:
+    """Adds what the driver of a real gripper does, to a simulated one.
+
+    Args:
+        builder: the builder that has the gripper's controller.
+        controller: moves the simulated gripper.
+        state: (4,) positions of its fingers, m, and their velocities, m/s.
+        opening: opening until the first command, m.
+        send: takes the gripper's statuses.
+    """
+    commands = builder.AddNamedSystem(
+        "gripper_command_reader",
+        RecordReader(
+            GripperCommand(0.0, opening, FIRST_FORCE),
+            {"opening": lambda command: command.opening, "force": lambda command: command.force},
+        ),
+    )
+    builder.ExportInput(commands.get_input_port(), "gripper_command")
+    builder.Connect(commands.GetOutputPort("opening"), controller.get_desired_position_input_port())
+    builder.Connect(commands.GetOutputPort("force"), controller.get_force_limit_input_port())
+    gap = builder.AddNamedSystem("gripper_opening", MakeMultibodyStateToWsgStateSystem())
+    builder.Connect(state, gap.get_input_port())
+
+    def make(time: float, state: Array, force: Array) -> GripperStatus:
+        opening, speed = state.tolist()
+        return GripperStatus(time, opening, speed, float(force[0]))
+
+    sender = builder.AddNamedSystem(
+        "gripper_status_sender",
+        RecordSender(make, {"state": 2, "force": 1}, send, period=GRIPPER_PERIOD),
+    )
+    builder.Connect(gap.get_output_port(), sender.GetInputPort("state"))
+    builder.Connect(controller.get_grip_force_output_port(), sender.GetInputPort("force"))
 
 
 def _AddLowPass(builder: DiagramBuilder, port: OutputPort, period: float) -> OutputPort:
@@ -69,16 +142,22 @@ def _AddLowPass(builder: DiagramBuilder, port: OutputPort, period: float) -> Out
 
 
 class Twin(Diagram):
-    """A simulated robot on LCM, in real time or not.
+    """A simulated robot that is commanded by records, in real time or not.
 
     .. pydrake_system::
 
         name: Twin
+        input_ports:
+        - arm_command
+        - gripper_command
         output_ports:
         - driver.status
         - other_0.pose
         - ...
 
+    - ``arm_command``: abstract `ArmCommand`, the last one. It need not be connected: then the arm
+      stays where it is.
+    - ``gripper_command``: abstract `GripperCommand`, the last one, likewise; only with a gripper.
     - ``driver.status``: abstract `GuardStatus` of its `CommandRamp`, how the arm's driver stands.
     - ``other_0.pose`` and so on: as in a `PushStation`.
 
@@ -107,6 +186,12 @@ class Twin(Diagram):
         plant = self.world.plant
         return np.array(plant.GetPositions(plant.GetMyContextFromRoot(root_context)))
 
+    def TakeCommand(self, root_context: Context, command: ArmCommand | GripperCommand) -> None:
+        """Sets the input port of a command in a Context in which nothing is connected to it."""
+        name = "arm_command" if isinstance(command, ArmCommand) else "gripper_command"
+        context = self.GetMyMutableContextFromRoot(root_context)
+        self.GetInputPort(name).FixValue(context, AbstractValue.Make(command))
+
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
         """Puts arm and objects at rest where the scenario has them; see `PushStation.SetStart`."""
         self.world.SetStart(self, root_context, seed)
@@ -124,28 +209,23 @@ class Twin(Diagram):
             self._camera.SetSeed(root_context, seed)
 
 
-def MakeTwin(
-    scenario: PushScenario | ResolvedScenario, lcm: DrakeLcmInterface, *, listens: bool = True
-) -> Twin:
-    """Makes the twin: plant, driver, gripper and camera of a scenario, commanded over LCM.
+def MakeTwin(scenario: PushScenario | ResolvedScenario, send: SendRecord) -> Twin:
+    """Makes the twin: plant, driver, gripper and camera of a scenario.
 
-    An ideal camera says the object's pose. Pictures of a color and depth camera are taken in
-    another process, see `TwinCamera`.
+    It says by itself how robot and objects are, and takes commands by `Twin.TakeCommand`, whose
+    numbers must be finite: put a `TwinLink` between a network and the twin. An ideal camera says
+    the object's pose. Pictures of a color and depth camera are taken in another process, see
+    `TwinCamera`.
 
     Args:
         scenario: the scenario, resolved or not.
-        lcm: LCM on which the twin speaks.
-        listens: whether the twin reads by itself what came whenever its time moves. All that comes
-            must then be whole, for Drake ends the process over a command that is not. On a network
-            with others, set it to False, and put a `TwinLink` between network and twin. (Drake 1.58
-            cannot call Python from within an `LcmInterfaceSystem`.)
+        send: takes what the twin says: `ArmStatus`, `GripperStatus` and `PoseObservation`.
 
     Returns:
         The twin. Call its `SetStart` on each new Context.
 
     Raises:
         ScenarioError: the scenario makes no sense.
-        StationError: the messages of the robot's driver are not known.
     """
     resolved = resolve(scenario)
     scenario = resolved.scenario
@@ -156,23 +236,21 @@ def MakeTwin(
     plant = world.plant
     robot = setting.robot
     instances = world.robot_in_plant
-    if listens:
-        builder.AddNamedSystem("lcm", LcmInterfaceSystem(lcm))
 
     # The arm, and what its driver does.
     driver = AddArmDriver(builder, plant, robot, instances.arm, setting.control_plant)
-    messages = find_arm_messages(robot)
     ramp = _AddCommandRamp(builder, setting)
     builder.Connect(ramp.GetOutputPort("position"), driver.GetInputPort("position"))
     ports = {name: driver.GetOutputPort(name) for name in DRIVER_OUTPUTS}
     ports[TORQUE] = _AddLowPass(builder, ports[TORQUE], scenario.simulation.time_step)
-    messages.AddRobotSide(builder, lcm, len(setting.q_start), ports, ramp)
+    builder.Connect(ports["position_measured"], ramp.GetInputPort("position_measured"))
+    _AddArmStatus(builder, ports, send)
 
     # The gripper, and what its driver does.
     if robot.gripper is not None:
         controller = AddGripperController(builder, plant, instances.gripper, robot.gripper)
         state = plant.get_state_output_port(instances.gripper)
-        AddGripperSide(builder, lcm, controller, state, robot.gripper.opening)
+        _AddGripperDriver(builder, controller, state, robot.gripper.opening, send)
 
     # The camera, and what a tracker does.
     camera = AddSensors(
@@ -187,15 +265,18 @@ def MakeTwin(
     if scenario.camera.kind == "ideal":
         poses = [camera.GetPose(), *(each.GetOutputPort("object_pose") for each in other_cameras)]
         for number, pose in enumerate(poses):
-            AddObjectSender(
-                builder,
-                lcm,
-                pose,
-                period=1 / scenario.camera.rate,
-                # A pose is on the camera's port one time step after it was taken.
-                offset=scenario.simulation.time_step,
-                number=number,
+            sender = builder.AddNamedSystem(
+                f"pose_sender_{number}",
+                RecordSender(
+                    partial(PoseObservation, number=number),
+                    {"pose": 3},
+                    send,
+                    period=1 / scenario.camera.rate,
+                    # A pose is on the camera's port one time step after it was taken.
+                    offset=scenario.simulation.time_step,
+                ),
             )
+            builder.Connect(pose, sender.get_input_port())
     twin = Twin(builder, world, camera, other_cameras)
     twin.set_name("twin")
     return twin

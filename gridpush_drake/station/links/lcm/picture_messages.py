@@ -19,7 +19,8 @@ from PIL import Image
 from gridpush_drake.errors import ImageError
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.frames import MILLIMETERS, Color, Depth, Frame
-from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
+from gridpush_drake.station.links.lcm.lcm_messages import MICROSECONDS, calc_utime
+from gridpush_drake.station.links.pixels import convert_depth, read_rows
 
 JPEG_QUALITY = 95
 """Quality of the color pictures that are sent, 0 to 100."""
@@ -29,9 +30,6 @@ PNG_LEVEL = 3
 
 MAX_DEPTH = 2**16 - 1
 """Greatest depth that 16 bit hold, mm."""
-
-FARTHEST = 1e3
-"""Greatest depth that counts as measured, m. Beyond it, and below 0, a pixel's depth is unknown."""
 
 CHANNELS = {
     lcmt_image.PIXEL_FORMAT_RGB: (3, [0, 1, 2]),
@@ -74,7 +72,7 @@ def encode_frame(frame: Frame, count: int = 0) -> lcmt_image_array:
         The message. Its `utime`, and that of each image, is the frame's time.
     """
     header = lcmt_header()
-    header.utime = round(MICROSECONDS * frame.t)
+    header.utime = calc_utime(frame.t)
     header.seq = count
     bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
     data = _encode(".jpg", bgr, JPEG_OPTIONS)
@@ -179,9 +177,7 @@ def _decode_depth(image: lcmt_image, camera: Camera) -> Depth:
             )
     else:
         pixels = _read_rows(image, "depth", camera, kind, 1)[..., 0]
-    meters = pixels / MILLIMETERS if kind.kind == "u" else pixels
-    known = (meters >= 0) & (meters <= FARTHEST)  # false for NaN
-    return np.where(known, meters, 0.0).astype(np.float32)
+    return convert_depth(pixels)
 
 
 def _read_file(image: lcmt_image, what: str, camera: Camera, flags: int) -> NDArray[Any]:
@@ -225,15 +221,14 @@ def _read_rows(
         raise ImageError(
             f"the {what} image's compression_method is {image.compression_method}; expected 0 to 3"
         )
-    if stride < used or len(data) != image.height * stride:
-        raise ImageError(
-            f"the {what} image has {len(data)} bytes in rows of {stride}; "
-            f"expected {image.height} rows of at least {used}"
-        )
-    rows = np.frombuffer(data, np.uint8).reshape(image.height, stride)[:, :used]
-    sent = kind.newbyteorder(">" if image.bigendian else "<")
-    pixels = np.ascontiguousarray(rows).view(sent).astype(kind)
-    return pixels.reshape(image.height, image.width, channels)
+    return read_rows(
+        data,
+        (image.height, image.width, channels),
+        kind,
+        step=stride,
+        big_endian=bool(image.bigendian),
+        name=f"the {what} image",
+    )
 
 
 def _check_size(size: tuple[int, int], what: str, camera: Camera) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.errors import StationError
+from gridpush_drake.errors import ImageError
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.frames import MILLIMETERS
+from gridpush_drake.station.links.pixels import convert_depth, read_rows
 
 COLOR = "camera/color/image_raw"
 DEPTH = "camera/depth/image_raw"
@@ -26,15 +26,8 @@ COLOR_FORMS = {
 }
 """Bytes a pixel, and where red, green and blue are, by an image's encoding."""
 
-DEPTH_FORMS = {
-    "16UC1": ("u2", 1 / MILLIMETERS),
-    "mono16": ("u2", 1 / MILLIMETERS),
-    "32FC1": ("f4", 1.0),
-}
-"""NumPy's name of a pixel's type, and its unit in m, by a depth image's encoding."""
-
-FARTHEST = 1e3
-"""Greatest depth that counts as measured, m."""
+DEPTH_FORMS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
+"""NumPy's name of a pixel's type, by a depth image's encoding: mm in 16 bit, m in 32 bit."""
 
 FOCAL_TOLERANCE = 0.01
 """How far K in a camera's `CameraInfo` may differ from the scenario's, as a share of the focal
@@ -45,10 +38,10 @@ def read_color(message: Any) -> NDArray[np.uint8]:
     """The pixels (height, width, 3) of a `sensor_msgs/Image`.
 
     Raises:
-        StationError: its form will not do.
+        ImageError: its form will not do.
     """
     if message.encoding not in COLOR_FORMS:
-        raise StationError(
+        raise ImageError(
             f"{COLOR}: encoding is {message.encoding}; expected one of {', '.join(COLOR_FORMS)}"
         )
     count, order = COLOR_FORMS[message.encoding]
@@ -59,29 +52,25 @@ def read_depth(message: Any) -> NDArray[np.float32]:
     """The depth (height, width) in m of a `sensor_msgs/Image`; 0 where it is not known.
 
     Raises:
-        StationError: its form will not do.
+        ImageError: its form will not do.
     """
     if message.encoding not in DEPTH_FORMS:
-        raise StationError(
+        raise ImageError(
             f"{DEPTH}: encoding is {message.encoding}; expected one of {', '.join(DEPTH_FORMS)}"
         )
-    kind, unit = DEPTH_FORMS[message.encoding]
-    meters = _read_rows(DEPTH, message, np.dtype(kind), 1)[..., 0] * unit
-    known = (meters >= 0.0) & (meters <= FARTHEST)  # false for NaN
-    return np.where(known, meters, 0.0).astype(np.float32)
+    kind = np.dtype(DEPTH_FORMS[message.encoding])
+    return convert_depth(_read_rows(DEPTH, message, kind, 1)[..., 0])
 
 
 def _read_rows(topic: str, message: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
-    data = np.frombuffer(bytes(message.data), np.uint8)
-    used = message.width * channels * kind.itemsize
-    if message.step < used or len(data) != message.height * message.step or not len(data):
-        raise StationError(
-            f"{topic} has {len(data)} bytes in rows of {message.step}; expected {message.height} "
-            f"rows of at least {used}"
-        )
-    rows = np.ascontiguousarray(data.reshape(message.height, message.step)[:, :used])
-    sent = kind.newbyteorder(">" if message.is_bigendian else "<")
-    return rows.view(sent).astype(kind).reshape(message.height, message.width, channels)
+    return read_rows(
+        bytes(message.data),
+        (message.height, message.width, channels),
+        kind,
+        step=message.step,
+        big_endian=bool(message.is_bigendian),
+        name=topic,
+    )
 
 
 def find_camera_fault(message: Any, camera: Camera | None) -> str:

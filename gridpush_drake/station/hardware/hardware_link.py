@@ -10,39 +10,37 @@ station's time stands still and no command goes out; the robot's driver then bri
 * If the controller itself was late by more than a period, its time has stood still for that long.
   It goes on from there: the motion is delayed, and never made up for by hurrying.
 
-Messages in both directions pass through here. What comes in passes a `Channel`: a message that
-cannot be used is left out and counted, so that the station's systems never see one. If the robot's
-clock jumps, the arm is stopped for good, as if the robot were silent. Whatever fails in the loop,
+Records in both directions pass through here. What comes in passes a `Channel`: a record that cannot
+be used is left out and counted, so that the station's systems never see one. If the robot's clock
+jumps, the arm is stopped for good, as if the robot were silent. Whatever fails in the loop,
 `finish` brings the arm to rest: by the guard if that still works, else by itself from the last
 commands. Until `armed`, no command goes out. A `LinkReport` says how a run went.
 """
 
 import traceback
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from time import monotonic
 from typing import Any
 
 import numpy as np
-from drake import lcmt_planar_manipuland_status, lcmt_schunk_wsg_status
-from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.lcm.bus import Bus
-from gridpush_drake.station.lcm.channel import ArrivalClock, Channel, count_reason
-from gridpush_drake.station.lcm.hardware_station import HardwareStation
-from gridpush_drake.station.lcm.link_report import NOTED, LinkReport
-from gridpush_drake.station.lcm.message_forms import FindFault, find_form_fault
-from gridpush_drake.station.lcm.robot_messages import (
+from gridpush_drake.station.hardware.hardware_station import HardwareStation
+from gridpush_drake.station.hardware.link_report import NOTED, LinkReport
+from gridpush_drake.station.links.channel import ArrivalClock, Channel, count_reason
+from gridpush_drake.station.links.link import (
     ARM_PERIOD,
-    GRIPPER_COMMAND,
-    GRIPPER_STATUS,
+    GRIPPER_PERIOD,
     MILLISECONDS,
-    find_arm_messages,
-    name_object_channels,
+    Link,
+    LinkMessage,
+    Unusable,
 )
+from gridpush_drake.station.links.record_forms import find_other_robot
 from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.scenario import SafetyConfig
 from gridpush_drake.systems.arm_path import brake
@@ -54,7 +52,12 @@ from gridpush_drake.systems.guard_status import (
     GuardStatus,
     StopKind,
 )
-from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
+from gridpush_drake.systems.robot_records import (
+    ArmCommand,
+    ArmStatus,
+    GripperStatus,
+    PoseObservation,
+)
 
 PATIENCE = 5.0
 """Longest time that the first status, and the first pose of the object, are waited for, s."""
@@ -68,7 +71,7 @@ LARGEST_CATCH_UP = ARM_PERIOD
 further behind, it stays behind."""
 
 MAX_POLL_TIME = 0.005
-"""Longest time that one poll for LCM messages should take, s. If a poll takes longer, our own
+"""Longest time that one poll for records should take, s. If a poll takes longer, our own
 process was suspended, and the time beyond does not count as the robot's silence."""
 
 SILENCE = 1.0
@@ -84,95 +87,79 @@ BY_LATENESS = (StopKind.SILENCE, StopKind.JOINT_SPEED, StopKind.FOLLOWING, StopK
 ROUNDING = 1e-9
 """Times that differ by less than this are the same, s."""
 
+LISTENING_PERIOD = 0.001
+"""Longest time that one poll waits for records, s."""
+
 HALF = 0.5
 """Share of a period after each status at which the station's time is, see `_receive`."""
 
 
 class HardwareLink:
-    """Passes messages between a station and its robot, and moves the station's time on.
+    """Passes records between a station and its robot, and moves the station's time on.
 
     It is the `Drive` of a task with a real robot.
 
     Attributes:
-        bus: the station's own LCM, within this process.
         report: an account of how the loop went.
         armed: whether commands go out.
     """
 
     def __init__(
         self,
-        lcm: Bus,
+        link: Link,
         arm: Robot,
         *,
-        bus: DrakeLcm | None = None,
         others: Sequence[str] = (),
         realtime_rate: float = 1.0,
         clock_jump: float = SafetyConfig().clock_jump,
         robot: Callable[[], object] | None = None,
         clock: Callable[[], float] | None = None,
-        names: Mapping[str, str] | None = None,
     ) -> None:
-        """Listens from now on.
+        """Has heard nothing yet.
 
         Args:
-            lcm: the network that the robot is on.
-            arm: the robot, whose joints, driver and gripper say which messages there are.
-            bus: the station's own LCM, if the station was made before the network was opened; None
-                to make one.
+            link: what the robot is linked by.
+            arm: the robot, which says how many joints there are, and whether there is a gripper.
             others: what the user calls the other objects on the table, whose poses come, too, such
                 as "others[0]".
             realtime_rate: number of the robot's seconds in a second; other than 1 for a twin that
                 is slower.
-            clock_jump: a message that is further ahead of its sender's clock than this is left out,
+            clock_jump: a record that is further ahead of its sender's clock than this is left out,
                 s.
             robot: moves a twin in the same process on by `ARM_PERIOD`. None for a robot that moves
                 by itself.
-            clock: returns the time by which messages arrive, in the robot's seconds; None for the
+            clock: returns the time by which records arrive, in the robot's seconds; None for the
                 computer's clock times `realtime_rate`. A twin in the same process needs a clock
                 that goes on by `ARM_PERIOD` whenever the twin is moved.
-            names: names of the channels in messages to the user, by their LCM names, if the network
-                calls them otherwise.
         """
-        self.bus = bus or DrakeLcm("memq://")
         self.report = LinkReport()
         self.armed = False
-        self._lcm = lcm
+        self._link = link
         self._rate = realtime_rate
         self._robot = robot
-        self._names = names or {}
         self._clock = clock or self._read_clock
+        self._clock_jump = clock_jump
         self._joints = len(arm.arm.posture)
-        self._messages = find_arm_messages(arm)
-        self._another_robot = ""
-        self._arm = self._make_channel(
-            self._messages.status, self._messages.status_type, clock_jump, self._find_arm_fault
+        self._arm = self._make_channel(ArmStatus)
+        # The times in observations of objects are by the robot's clock.
+        self._objects = tuple(
+            self._make_channel(PoseObservation, number, self._arm.clock)
+            for number in range(len(others) + 1)
         )
-        # The times in messages about objects are by the robot's clock.
-        objects = {
-            name: self._make_channel(
-                name, lcmt_planar_manipuland_status, clock_jump, reference=self._arm.clock
-            )
-            for name in name_object_channels(len(others))
-        }
-        self._objects = tuple(objects.values())
         self._others = tuple(others)
-        self._channels = {self._messages.status: self._arm, **objects}
+        self._channels: dict[tuple[type | None, int], Channel] = {(ArmStatus, 0): self._arm}
+        for number, channel in enumerate(self._objects):
+            self._channels[PoseObservation, number] = channel
         if arm.gripper is not None:
-            self._channels[GRIPPER_STATUS] = self._make_channel(
-                GRIPPER_STATUS, lcmt_schunk_wsg_status, clock_jump
-            )
-        self._not_passed: set[str] = set()
-        for name, channel in self._channels.items():
-            lcm.Subscribe(name, self._make_taker(channel))
-        self._out: dict[str, bytes] = {}
-        self._sent: deque[bytes] = deque(maxlen=2)  # the arm's last commands
-        for name in (self._messages.command, GRIPPER_COMMAND):
-            self.bus.Subscribe(name, self._make_collector(name))
+            self._channels[GripperStatus, 0] = self._make_channel(GripperStatus)
+        # Channels with a record that the station has not had yet, in their order.
+        self._not_passed: dict[Channel, None] = {}
+        self._sent: deque[ArmCommand] = deque(maxlen=2)  # the arm's last commands
         self._station: HardwareStation | None = None
         # What is on the station's port `stop`, and whether the robot is taken for silent.
         self._stop = 0.0
         self._silent = False
-        # When a command last went out, and when messages were last listened to, by the computer's
+        # When a command last went out, and when records were last listened to, by the computer's
         # clock, s.
         self._stepped = 0.0
         self._listened = 0.0
@@ -181,18 +168,20 @@ class HardwareLink:
         self._told = 0.0
         self._waited = 0.0
         self._base = 0.0
+        # Number of the gripper's periods at its last command.
+        self._gripper_commands = -1
         # The guard's last status.
         self._said = GuardStatus()
 
     def wait(self, patience: float = PATIENCE) -> None:
-        """Waits until messages of robot and object have come for long enough, without clock jumps.
+        """Waits until records of robot and object have come for long enough, without clock jumps.
 
         Args:
             patience: longest time to wait, s.
 
         Raises:
             StationError: they have not come within this time, or are of another robot. The error
-                says which messages came, and why they could not be used.
+                says what came, and why it could not be used.
         """
         begin = monotonic()
         first = begin
@@ -200,9 +189,11 @@ class HardwareLink:
         while True:
             self._listen()
             now = monotonic()
-            if self._another_robot:
-                raise StationError(self._rename(self._another_robot))
-            silent = [channel for channel in self._channels.values() if channel.data is None]
+            refused = self._arm.refused
+            another = refused and find_other_robot(refused, self._arm.name, self._joints)
+            if another:
+                raise StationError(another)
+            silent = [channel for channel in self._channels.values() if channel.record is None]
             if silent or self._count_clock_changes() != changes:
                 first = now
                 changes = self._count_clock_changes()
@@ -225,12 +216,9 @@ class HardwareLink:
         elif silent[0] in self._objects:
             who = f"nobody says where {self._others[self._objects.index(silent[0]) - 1]} is"
         unusable = silent[0].describe_unusable()
-        where = "in this ROS domain" if self._names else "on this --lcm"
         raise StationError(
-            self._rename(
-                f"{who} on {silent[0].name} within {patience:g} s{unusable and f' ({unusable})'}; "
-                f"expected a driver, or gridpush twin, {where}"
-            )
+            f"{who} on {silent[0].name} within {patience:g} s{unusable and f' ({unusable})'}; "
+            f"expected a driver, or gridpush twin, {self._link.place}"
         )
 
     @property
@@ -250,14 +238,12 @@ class HardwareLink:
         self._silent = False
         self.report.causes.clear()
         self._sent.clear()
+        self._gripper_commands = -1
         self._listen()
-        self._not_passed = {
-            name for name, channel in self._channels.items() if channel.data is not None
-        }
-        self._pass_in()
-        diagram.ExecuteInitializationEvents(context)
-        self._base = self._arm.utime / MICROSECONDS
-        self._out.clear()
+        heard = [channel for channel in self._channels.values() if channel.record is not None]
+        self._not_passed = dict.fromkeys(heard)
+        self._pass_in(context)
+        self._base = self._arm.time
         self._stepped = self._listened = monotonic()
         self._waited = 0.0
 
@@ -300,11 +286,10 @@ class HardwareLink:
 
     def note(self, text: str) -> None:
         """Adds to the log, at the station's time."""
-        self.report.events.append((self._told, self._rename(text)))
+        self.report.events.append((self._told, text))
 
-    def leave_out(self, why: str) -> None:
+    def _leave_out(self, why: str) -> None:
         """Counts what came and cannot be used, by why."""
-        why = self._rename(why)
         if count_reason(self.report.left_out, why):
             self.note(f"left out: {why}")
 
@@ -328,9 +313,9 @@ class HardwareLink:
         if not self.armed or self._silent or len(self._sent) < 2 or self._station is None:
             return
         safety = self._station.scenario.safety
-        before, last = map(self._messages.command_type.decode, self._sent)
-        position = np.array(last.joint_position)
-        velocity = (position - before.joint_position) / ARM_PERIOD
+        before, last = self._sent
+        position = np.asarray(last.position)
+        velocity = (position - before.position) / ARM_PERIOD
         acceleration = np.full_like(velocity, safety.acceleration)
         try:
             while velocity.any():
@@ -339,9 +324,8 @@ class HardwareLink:
                     return
                 velocity = brake(velocity, acceleration, ARM_PERIOD)
                 position = position + ARM_PERIOD * velocity
-                last.utime += round(ARM_PERIOD * MICROSECONDS)
-                last.joint_position = position.tolist()
-                self._lcm.Publish(self._messages.command, last.encode())
+                last = replace(last, time=last.time + ARM_PERIOD, position=position)
+                self._link.send(last)
             self.note("the arm was brought to rest from its last commands, without the guard")
         except (Exception, SystemExit) as error:
             self.fail(error)
@@ -364,15 +348,13 @@ class HardwareLink:
         context = simulator.get_mutable_context()
         now = context.get_time()
         target = self._receive(context)
-        self._pass_in()
+        self._pass_in(context)
         if self._stop:
             self._station.RequestStop(context, self._stop)
         if target > now + ROUNDING:
             simulator.AdvanceTo(target)
         self._told = context.get_time()
-        self._station.PublishCommand(context)
-        self.bus.HandleSubscriptions(0)
-        self._pass_out()
+        self._pass_out(context)
         own = self._station.GetMyContextFromRoot(context)
         status: GuardStatus = self._station.GetOutputPort("guard.status").Eval(own)
         force = float(np.linalg.norm(self._station.GetOutputPort("pusher.force").Eval(own)))
@@ -389,7 +371,7 @@ class HardwareLink:
         """
         assert self._station is not None
         now = context.get_time()
-        before = self._arm.utime
+        before = self._arm.time
         count = self._arm.count
         clock_changes = self._arm.clock_changes
         greatest_age = self._station.scenario.safety.status_age
@@ -415,15 +397,15 @@ class HardwareLink:
         if jumped:
             self._note_clock_jump(context)
         elif self._waited > greatest_age:
-            went_on = (self._arm.utime - before) / MICROSECONDS
+            went_on = self._arm.time - before
             if self._robot is None:
-                # Of all messages that came while our process did not listen only the last is kept.
+                # Of all records that came while our process did not listen only the last is kept.
                 went_on -= inattentive * self._rate
             self._note_silence(context, went_on > greatest_age + ROUNDING)
         self._waited = 0.0
         # The station's time goes on in whole periods, and is half a period past a status, so that a
         # status that is a little early or late brings exactly one command.
-        periods = round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD)
+        periods = round((self._arm.time - self._base) / ARM_PERIOD)
         target = (periods + HALF) * ARM_PERIOD
         late = target - now - ARM_PERIOD
         if abs(late) < LARGEST_CATCH_UP + ROUNDING:
@@ -472,7 +454,6 @@ class HardwareLink:
         self._give_up(context, jumped=True)
 
     def _note_cause(self, cause: str) -> None:
-        cause = self._rename(cause)
         self.report.causes.append(cause)
         self.note(cause)
 
@@ -495,32 +476,51 @@ class HardwareLink:
         if self._robot is None:
             left = self._stepped + ARM_PERIOD / self._rate - monotonic()
             if left > 0:
-                self._lcm.HandleSubscriptions(int(MILLISECONDS * left))
+                self._listen(left)
 
-    def _listen(self) -> None:
-        self._lcm.HandleSubscriptions(0 if self._robot is not None else 1)
+    def _listen(self, timeout: float = LISTENING_PERIOD) -> None:
+        """Takes in what comes within a time, s; a twin in the same process is not waited for."""
+        for message in self._link.receive(0.0 if self._robot is not None else timeout):
+            self._take(message)
 
-    def _pass_in(self) -> None:
-        """Gives the station the newest message of each channel that it has not had yet."""
-        for name in self._not_passed:
-            data = self._channels[name].data
-            assert data is not None
-            self.bus.Publish(name, data)
+    def _take(self, message: LinkMessage) -> None:
+        """Gives what came to its channel; what nobody here reads is left alone."""
+        kind = message.kind if isinstance(message, Unusable) else type(message)
+        channel = self._channels.get((kind, getattr(message, "number", 0)))
+        if isinstance(message, Unusable):
+            leave_out = self._leave_out if channel is None else channel.leave_out
+            leave_out(message.why)
+        elif channel is not None and channel.take(message):
+            self._not_passed[channel] = None
+
+    def _pass_in(self, context: Context) -> None:
+        """Gives the station the newest record of each channel that it has not had yet."""
+        assert self._station is not None
+        for channel in self._not_passed:
+            self._station.TakeRecord(context, channel.record)
         self._not_passed.clear()
-        self.bus.HandleSubscriptions(0)
 
-    def _pass_out(self) -> None:
-        now = monotonic()
-        command = self._out.get(self._messages.command)
-        if command is not None:
+    def _pass_out(self, context: Context) -> None:
+        """Sends the station's commands, if commands go out."""
+        assert self._station is not None
+        arm = self._station.GetArmCommand(context)
+        is_finite = bool(np.isfinite(arm.position).all())
+        if is_finite:
+            now = monotonic()
             self.report.note_period((now - self._stepped) * self._rate)
             self._stepped = now
-        if self.armed and not self._silent:
-            for name, data in self._out.items():
-                self._lcm.Publish(name, data)
-            if command is not None:
-                self._sent.append(command)
-        self._out.clear()
+        gripper = None
+        count = int(arm.time / GRIPPER_PERIOD)
+        if count != self._gripper_commands:
+            self._gripper_commands = count
+            gripper = self._station.GetGripperCommand(context)
+        if not self.armed or self._silent:
+            return
+        if gripper is not None:
+            self._link.send(gripper)
+        if is_finite:
+            self._link.send(arm)
+            self._sent.append(arm)
 
     def _read_clock(self) -> float:
         """The computer's clock, in the robot's seconds."""
@@ -529,46 +529,15 @@ class HardwareLink:
     def _count_clock_changes(self) -> int:
         return sum(channel.clock_changes for channel in self._channels.values())
 
-    def _find_arm_fault(self, message: Any) -> str:
-        another = self._messages.find_fault(message, self._joints)
-        self._another_robot = self._another_robot or another
-        return another or find_form_fault(message, self._arm.name, self._joints)
-
     def _make_channel(
-        self,
-        name: str,
-        kind: Any,
-        clock_jump: float,
-        find_fault: FindFault | None = None,
-        reference: ArrivalClock | None = None,
+        self, kind: type, number: int = 0, reference: ArrivalClock | None = None
     ) -> Channel:
+        """Makes the channel of the records of a type, and of an object's number."""
         return Channel(
-            name,
-            kind,
+            self._link.get_name(kind, number),
+            joints=self._joints,
             now=self._clock,
-            clock_jump=clock_jump,
-            find_fault=find_fault or (lambda message: find_form_fault(message, name)),
-            leave_out=self.leave_out,
+            clock_jump=self._clock_jump,
+            leave_out=self._leave_out,
             reference=reference,
         )
-
-    def _make_taker(self, channel: Channel) -> Callable[[bytes], None]:
-        def take(data: bytes) -> None:
-            if channel.take(data):
-                self._not_passed.add(channel.name)
-
-        return take
-
-    def _make_collector(self, name: str) -> Callable[[bytes], None]:
-        def collect(data: bytes) -> None:
-            arm = name == self._messages.command
-            if not arm or self._messages.is_finite(self._messages.command_type.decode(data)):
-                self._out[name] = data
-
-        return collect
-
-    def _rename(self, text: str) -> str:
-        """A text with the channels called as the network calls them."""
-        for channel, name in self._names.items():
-            text = text.replace(channel, name)
-        return text

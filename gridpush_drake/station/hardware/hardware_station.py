@@ -1,15 +1,18 @@
-"""`MakeHardwareStation`: the station of a real robot, or of its twin, on LCM.
+"""`MakeHardwareStation`: the station of a real robot, or of its twin.
 
-In the place of a simulated plant there are messages and a guard. What moves the station's time on
+In the place of a simulated plant there are records and a guard. What moves the station's time on
 by the robot's clock is `HardwareLink`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
+from pydrake.common.value import AbstractValue
 from pydrake.geometry import Meshcat
-from pydrake.lcm import DrakeLcmInterface
 from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import DifferentialInverseKinematicsIntegrator
 from pydrake.multibody.plant import MultibodyPlant
@@ -23,16 +26,10 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import ArmPosture
-from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS
+from gridpush_drake.station.arm_driver import DRIVER_OUTPUTS, STATUS_PORTS
 from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.grasping import ExportOutputs
-from gridpush_drake.station.lcm.robot_messages import (
-    ARM_PERIOD,
-    AddGripperMessages,
-    AddObjectReceiver,
-    IiwaMessages,
-    find_arm_messages,
-)
+from gridpush_drake.station.links.link import ARM_PERIOD
 from gridpush_drake.station.others import list_others
 from gridpush_drake.station.resolve import ResolvedScenario, resolve
 from gridpush_drake.station.robot_control import AddRobotControl, FeltLoad, Learning, RobotControl
@@ -44,7 +41,17 @@ from gridpush_drake.systems.arm_guard import ArmGuard
 from gridpush_drake.systems.arm_load_sensor import ArmLoadSensor
 from gridpush_drake.systems.guard_status import GuardLimits
 from gridpush_drake.systems.object_watch import ObjectWatch
+from gridpush_drake.systems.observed_pose import ObservedPose
 from gridpush_drake.systems.pusher_state_sensor import ArmTipSensor
+from gridpush_drake.systems.record_ports import RecordReader
+from gridpush_drake.systems.robot_records import (
+    ArmCommand,
+    ArmStatus,
+    GripperCommand,
+    GripperStatus,
+    Numbers,
+    PoseObservation,
+)
 
 MAX_TILT = 0.1
 """A run begins only if the finger is turned by less than this from pointing down, rad."""
@@ -59,6 +66,9 @@ has. In runs with the twin in which nothing was wrong it was up to 4 mm."""
 OBJECT_NOISE_DEVIATIONS = 8.0
 """Distance that a point of an object at rest may seem to move, in standard deviations of an ideal
 camera's noise, if that is more than `MIN_OBJECT_NOISE`."""
+
+OBJECT_MAX_AGE = 0.5
+"""If the last observation of the object is older than this, the object is not seen, s."""
 
 OBJECT_MESSAGE_TIME = 0.05
 """Longest time that a pose takes from the tracker to the guard, s."""
@@ -166,7 +176,7 @@ def make_object_watch(setting: Setting, several: bool = False) -> ObjectWatch:
 
 
 class HardwareStation(Station):
-    """The station of a real robot: LCM and a guard in the place of a simulated plant.
+    """The station of a real robot: records and a guard in the place of a simulated plant.
 
     It has the ports of every `Station`, and the following.
 
@@ -175,6 +185,11 @@ class HardwareStation(Station):
         name: HardwareStation
         input_ports:
         - stop
+        - arm_status
+        - gripper_status
+        - object.observation
+        - other_0.observation
+        - ...
         output_ports:
         - guard.status
         - guard.position
@@ -184,6 +199,10 @@ class HardwareStation(Station):
 
     - ``stop``: vector of 1, whether the arm is to be stopped, and by whom, see `ArmGuard`. It need
       not be connected.
+    - ``arm_status``: abstract `ArmStatus`, the robot's last one.
+    - ``gripper_status``: abstract `GripperStatus`, the last one; only with a gripper.
+    - ``object.observation``, ``other_0.observation`` and so on: abstract `PoseObservation`, the
+      last one of the object, and of each of the scenario's `others`.
     - ``guard.status``: abstract `GuardStatus`, how the guard stands.
     - ``guard.position``: vector of n, joint positions as they are sent to the robot, rad.
     - ``pusher.force``: vector of 3, force on the finger's tip in W, calculated from the torques on
@@ -199,13 +218,11 @@ class HardwareStation(Station):
         builder: DiagramBuilder,
         setting: Setting,
         control: RobotControl,
-        messages: IiwaMessages,
     ) -> None:
         """Builds the Diagram of a builder's systems; `MakeHardwareStation` calls it."""
         super().__init__(builder, setting, control, truth=None)
         self._setting = setting
         self._control = control
-        self._messages = messages
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
         """Makes a fresh Context begin with the arm where it is measured to be.
@@ -213,8 +230,8 @@ class HardwareStation(Station):
         From there the finger goes up first, and then to work.
 
         Args:
-            root_context: Context of the station, or of the Diagram that the station is part of. A
-                status of the robot has come in.
+            root_context: Context of the station, or of the Diagram that the station is part of. It
+                has taken a status of the robot.
             seed: has no effect: nothing here is random.
 
         Raises:
@@ -234,14 +251,34 @@ class HardwareStation(Station):
         context = self.GetMyMutableContextFromRoot(root_context)
         self.GetInputPort("stop").FixValue(context, [stop])
 
-    def PublishCommand(self, root_context: Context) -> None:
-        """Sends the arm's present command.
+    def TakeRecord(
+        self, root_context: Context, record: ArmStatus | GripperStatus | PoseObservation
+    ) -> None:
+        """Sets the input port of a record in a Context in which nothing is connected to it."""
+        name = "arm_status"
+        if isinstance(record, PoseObservation):
+            seen = ("object", *(other.name for other in self.others))
+            name = f"{seen[record.number]}.observation"
+        elif isinstance(record, GripperStatus):
+            name = "gripper_status"
+        context = self.GetMyMutableContextFromRoot(root_context)
+        self.GetInputPort(name).FixValue(context, AbstractValue.Make(record))
 
-        The link calls it once for every status of the robot. By a period of its own the publisher
-        would sometimes send two commands between two statuses, and sometimes none.
-        """
-        publisher = self.GetSubsystemByName(f"{self._messages.command}_publisher")
-        publisher.ForcedPublish(publisher.GetMyContextFromRoot(root_context))
+    def GetArmCommand(self, root_context: Context) -> ArmCommand:
+        """Returns the guard's present command, which the link sends once for every status."""
+        context = self.GetMyContextFromRoot(root_context)
+        position = self.GetOutputPort("guard.position").Eval(context)
+        return ArmCommand(context.get_time(), np.array(position))
+
+    def GetGripperCommand(self, root_context: Context) -> GripperCommand | None:
+        """Returns the present command for the gripper; None if there is no gripper."""
+        grasping = self._control.grasping
+        if grasping is None:
+            return None
+        context = grasping.GetMyContextFromRoot(root_context)
+        opening = grasping.GetOutputPort("gripper_position").Eval(context)
+        force = grasping.GetOutputPort("gripper_force_limit").Eval(context)
+        return GripperCommand(context.get_time(), float(opening[0]), float(force[0]))
 
     def _check_start(self, q: Array, X_WP: RigidTransform) -> None:
         """Checks that a run can begin with joints q (n,), rad, and the tip at X_WP."""
@@ -262,23 +299,20 @@ def MakeHardwareStation(
     scenario: PushScenario | ResolvedScenario,
     meshcat: Meshcat | None = None,
     *,
-    lcm: DrakeLcmInterface,
     show_object: bool = True,
     learning: Learning | None = None,
     steered: bool = False,
     several: bool = False,
     name: str = "station",
 ) -> HardwareStation:
-    """Makes the station of a robot on LCM.
+    """Makes the station of a robot that is linked by records.
 
-    The messages that it reads must be whole: Drake ends the process over one that is not.
-    `HardwareLink` lets only whole messages through, and moves the station's time on by the robot's
-    clock.
+    The numbers in them must be finite. `HardwareLink` lets only such records through, and moves the
+    station's time on by the robot's clock.
 
     Args:
         scenario: the scenario, resolved or not. Its truth and its simulation have no effect.
         meshcat: has no effect: nothing is simulated that could be shown.
-        lcm: LCM on which the robot is.
         show_object: has no effect.
         learning: which pushes are learned from; None for the first `scenario.pokes.count`.
         steered: whether the finger can be steered by its velocity, by the port `steer_command`.
@@ -290,7 +324,6 @@ def MakeHardwareStation(
 
     Raises:
         ScenarioError: the scenario makes no sense.
-        StationError: the messages of the robot's driver are not known.
     """
     resolved = resolve(scenario)
     scenario = resolved.scenario
@@ -301,31 +334,31 @@ def MakeHardwareStation(
     others = list_others(scenario, resolved.others)
     setting = MakeSetting(resolved, scenario, resolved.scene.plant, others=others)
     n = len(setting.q_start)
-    messages = find_arm_messages(robot)
     builder = DiagramBuilder()
 
-    # What the messages tell: the arm's joints, and from them the tip; the object; the gripper.
-    status = messages.AddStatusReceiver(builder, lcm, n)
+    # What the records tell: the arm's joints, and from them the tip; the objects; the gripper.
+    status = _AddArmStatus(builder, n)
     tip = builder.AddNamedSystem(
         "tip_sensor", ArmTipSensor(setting.control_plant, robot.finger.tip_frame)
     )
     for port in ("position_measured", "velocity_estimated", "torque_external"):
         builder.Connect(status[port], tip.GetInputPort(port))
     pose_age = calc_pose_age(scenario.camera)
-    object_pose, newest_pose = AddObjectReceiver(builder, lcm, status["time_measured"], pose_age)
+    camera = _AddObservedPose(builder, "object", status, pose_age)
+    object_pose = camera.GetOutputPort("object_pose")
     all_seen = None
     if others:
         poses = [object_pose]
-        for number, other in enumerate(others, start=1):
-            pose, _ = AddObjectReceiver(builder, lcm, status["time_measured"], pose_age, number)
+        for other in others:
+            other_camera = _AddObservedPose(builder, other.name, status, pose_age)
+            pose = other_camera.GetOutputPort("object_pose")
             builder.ExportOutput(pose, f"{other.name}.pose")
             poses.append(pose)
         if several:
             all_seen = AddAllSeen(builder, AddPosesTogether(builder, poses, "scene_poses"))
     gripper_state = None
-    gripper = None
     if robot.gripper is not None:
-        gripper_state, gripper = AddGripperMessages(builder, lcm)
+        gripper_state = _AddGripperStatus(builder)
 
     # If the object is weighed, what the arm feels at its tip and in its gripper.
     load = _add_load(builder, setting, status) if scenario.nothing_told else None
@@ -343,22 +376,69 @@ def MakeHardwareStation(
         tip_force=tip.GetOutputPort("force") if steered else None,
         all_seen=all_seen,
     )
-    if control.grasping is not None and gripper is not None:
-        builder.Connect(
-            control.grasping.GetOutputPort("gripper_position"), gripper.GetInputPort("position")
-        )
-        builder.Connect(
-            control.grasping.GetOutputPort("gripper_force_limit"),
-            gripper.GetInputPort("force_limit"),
-        )
     guard = _AddGuard(builder, setting, control, status=status, tip=tip, several=several)
-    builder.Connect(newest_pose, guard.GetInputPort("object_pose"))
-    builder.Connect(guard.GetOutputPort("position"), messages.AddCommandSender(builder, lcm, n))
+    builder.Connect(camera.GetOutputPort("newest_pose"), guard.GetInputPort("object_pose"))
 
     _ExportArmPorts(builder, status, robot.arm_model, n)
-    station = HardwareStation(builder, setting, control, messages)
+    station = HardwareStation(builder, setting, control)
     station.set_name(name)
     return station
+
+
+def _AddArmStatus(builder: DiagramBuilder, n: int) -> dict[str, OutputPort]:
+    """Adds what reads the status of an arm of n joints.
+
+    Returns:
+        Its output ports, by the names that Drake's `SimIiwaDriver` uses, and `time_measured`.
+    """
+    ports: dict[str, Callable[[ArmStatus], ArrayLike]] = {
+        port: partial(_read_status, field) for field, port in STATUS_PORTS.items()
+    }
+    ports["time_measured"] = lambda status: status.time
+    zeros = np.zeros(n)
+    reader = builder.AddNamedSystem(
+        "arm_status_reader", RecordReader(ArmStatus(0.0, zeros, zeros, zeros), ports)
+    )
+    builder.ExportInput(reader.get_input_port(), "arm_status")
+    return {name: reader.GetOutputPort(name) for name in ports}
+
+
+def _read_status(field: str, status: ArmStatus) -> Numbers:
+    """Reads a field of a status; unknown torques are 0, an unknown command is where the arm is."""
+    numbers: Numbers | None = getattr(status, field)
+    if numbers is not None:
+        return numbers
+    return status.position if field == "position_commanded" else np.zeros(len(status.position))
+
+
+def _AddGripperStatus(builder: DiagramBuilder) -> OutputPort:
+    """Adds what reads a gripper's status; returns the port with the state (4,) of its fingers."""
+    reader = builder.AddNamedSystem(
+        "gripper_status_reader",
+        RecordReader(GripperStatus(0.0, 0.0), {"state": GripperStatus.calc_finger_state}),
+    )
+    builder.ExportInput(reader.get_input_port(), "gripper_status")
+    return reader.get_output_port()
+
+
+def _AddObservedPose(
+    builder: DiagramBuilder, name: str, status: dict[str, OutputPort], delay: float
+) -> ObservedPose:
+    """Adds what holds an object's pose between two observations of it.
+
+    Args:
+        builder: the builder that has the systems of the arm's status.
+        name: the object's, as in the station's ports.
+        status: ports with the arm's status.
+        delay: age of the pose that the executor and the identifier get, s; always the same, so that
+            the identifier knows it.
+    """
+    camera: ObservedPose = builder.AddNamedSystem(
+        f"{name}_camera", ObservedPose(ARM_PERIOD, OBJECT_MAX_AGE, delay)
+    )
+    builder.Connect(status["time_measured"], camera.GetInputPort("time"))
+    builder.ExportInput(camera.GetInputPort("observation"), f"{name}.observation")
+    return camera
 
 
 def _add_load(builder: DiagramBuilder, setting: Setting, status: dict[str, OutputPort]) -> FeltLoad:

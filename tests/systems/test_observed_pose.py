@@ -1,40 +1,37 @@
 import numpy as np
 import pytest
-from drake import lcmt_planar_manipuland_status
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.planar_manipuland_status import (
-    PlanarManipulandStatusReceiver,
-    PlanarManipulandStatusSender,
-    find_pose,
-)
+from gridpush_drake.systems.observed_pose import ObservedPose, find_pose
+from gridpush_drake.systems.record_ports import RecordSender
+from gridpush_drake.systems.robot_records import PoseObservation
 
 PERIOD, MAX_AGE = 0.01, 0.1
 
 
+def observe(held, context, time, pose):
+    observation = AbstractValue.Make(PoseObservation(time, pose))
+    held.GetInputPort("observation").FixValue(context, observation)
+
+
 class Bench:
-    """A receiver to which a test gives messages."""
+    """A system to which a test gives observations."""
 
     def __init__(self):
-        self.receiver = PlanarManipulandStatusReceiver(PERIOD, MAX_AGE)
-        self.simulator = Simulator(self.receiver)
+        self.held = ObservedPose(PERIOD, MAX_AGE)
+        self.simulator = Simulator(self.held)
         self.give(0, (0.0, 0.0, 0.0))
 
-    def give(self, utime, pose):
-        message = lcmt_planar_manipuland_status()
-        message.utime, message.position, message.theta = utime, [*pose[:2]], pose[2]
-        port = self.receiver.GetInputPort("message")
-        port.FixValue(self.simulator.get_mutable_context(), AbstractValue.Make(message))
+    def give(self, time, pose):
+        observe(self.held, self.simulator.get_mutable_context(), time, pose)
 
     def read(self, time):
         self.simulator.AdvanceTo(time)
-        return np.array(
-            self.receiver.GetOutputPort("object_pose").Eval(self.simulator.get_context())
-        )
+        return np.array(self.held.GetOutputPort("object_pose").Eval(self.simulator.get_context()))
 
 
-def test_a_pose_is_held_until_the_next_message_or_until_it_is_too_old():
+def test_a_pose_is_held_until_the_next_observation_or_until_it_is_too_old():
     bench = Bench()
     assert np.isnan(bench.read(0.05)).all()
     bench.give(1, (0.6, -0.1, 0.3))
@@ -47,11 +44,11 @@ def test_a_pose_is_held_until_the_next_message_or_until_it_is_too_old():
     assert np.isnan(bench.read(0.225)).all()
 
 
-def test_a_pose_is_told_at_its_age_between_the_messages_about_it():
-    """The object moves evenly; messages come late, unevenly and not all."""
+def test_a_pose_is_told_at_its_age_between_the_observations_of_it():
+    """The object moves evenly; observations come late, unevenly and not all."""
     delay, end = 0.2, 3.0
-    receiver = PlanarManipulandStatusReceiver(PERIOD, 1.0, delay)
-    simulator = Simulator(receiver)
+    held = ObservedPose(PERIOD, 1.0, delay)
+    simulator = Simulator(held)
     context = simulator.get_mutable_context()
     rng = np.random.default_rng(5)
 
@@ -62,22 +59,15 @@ def test_a_pose_is_told_at_its_age_between_the_messages_about_it():
     heard = np.maximum.accumulate(taken + rng.uniform(0.01, 0.1, 60))
     for time in np.arange(PERIOD / 2, end, PERIOD):
         count = int(np.searchsorted(heard, time))
-        message = lcmt_planar_manipuland_status()
         if count:
-            pose = calc_pose(taken[count - 1])
-            message.utime, message.position, message.theta = (
-                round(1e6 * taken[count - 1]),
-                [*pose[:2]],
-                pose[2],
-            )
-        receiver.GetInputPort("message").FixValue(context, AbstractValue.Make(message))
-        receiver.GetInputPort("time").FixValue(context, [time])
+            observe(held, context, taken[count - 1], calc_pose(taken[count - 1]))
+        held.GetInputPort("time").FixValue(context, [time])
         simulator.AdvanceTo(time)
-        told = receiver.GetOutputPort("object_pose").Eval(context)
+        told = held.GetOutputPort("object_pose").Eval(context)
         if taken[0] + delay < time < taken[count - 1] + delay:
             np.testing.assert_allclose(told, calc_pose(time - delay), atol=2e-6)
         if count:
-            newest = receiver.GetOutputPort("newest_pose").Eval(context)
+            newest = held.GetOutputPort("newest_pose").Eval(context)
             np.testing.assert_allclose(newest, calc_pose(taken[count - 1]), atol=2e-6)
     assert count > 50
 
@@ -108,31 +98,35 @@ def test_the_yaw_counts_whole_turns_even_where_the_object_was_not_seen():
             assert bench.read(0.01 * k + 0.005)[2] == pytest.approx(yaw)
 
 
-def test_what_the_sender_says_is_what_the_receiver_hears():
-    sender = PlanarManipulandStatusSender()
-    context = sender.CreateDefaultContext()
-    context.SetTime(1.25)
-    sender.get_input_port().FixValue(context, [0.6, -0.1, 0.3])
-    message = lcmt_planar_manipuland_status.decode(sender.get_output_port().Eval(context).encode())
-    assert (message.utime, list(message.position), message.theta) == (1_250_000, [0.6, -0.1], 0.3)
+def test_what_is_sent_at_even_times_is_what_is_held():
+    sent = []
+    sender = RecordSender(
+        lambda time, pose: PoseObservation(time, pose),
+        {"pose": 3},
+        sent.append,
+        period=0.5,
+        offset=0.25,
+    )
+    simulator = Simulator(sender)
+    sender.get_input_port().FixValue(simulator.get_mutable_context(), [0.6, -0.1, 0.3])
+    simulator.AdvanceTo(1.3)
+    assert [record.time for record in sent] == [0.25, 0.75, 1.25]
     bench = Bench()
-    bench.give(message.utime, (*message.position, message.theta))
+    bench.give(sent[0].time, sent[0].pose)
     np.testing.assert_allclose(bench.read(0.005), [0.6, -0.1, 0.3], atol=1e-15)
 
 
 def test_a_clock_that_was_set_back_is_followed():
     """The poses by the clock before it would be taken for newer ones."""
-    receiver = PlanarManipulandStatusReceiver(PERIOD, 1.0, 0.05)
-    simulator = Simulator(receiver)
+    held = ObservedPose(PERIOD, 1.0, 0.05)
+    simulator = Simulator(held)
     context = simulator.get_mutable_context()
     for k in range(1, 61):
         seconds = 100.0 + PERIOD * k if k <= 30 else 5.0 + PERIOD * k
-        message = lcmt_planar_manipuland_status()
-        message.utime, message.position = round(1e6 * seconds), [0.01 * k, 0.0]
-        receiver.GetInputPort("message").FixValue(context, AbstractValue.Make(message))
-        receiver.GetInputPort("time").FixValue(context, [seconds])
+        observe(held, context, seconds, [0.01 * k, 0.0, 0.0])
+        held.GetInputPort("time").FixValue(context, [seconds])
         simulator.AdvanceTo(PERIOD * k + PERIOD / 2)
-        told = receiver.GetOutputPort("object_pose").Eval(context)
+        told = held.GetOutputPort("object_pose").Eval(context)
         if k > 36:
             assert told[0] == pytest.approx(0.01 * (k - 5), abs=1e-6)
 

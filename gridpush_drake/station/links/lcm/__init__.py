@@ -1,0 +1,1 @@
+"""LCM as a link: its messages, and the network that they are on."""
