@@ -46,7 +46,6 @@ from .planar_manipuland_status import (
 from .planar_manipuland_status import PlanarManipulandStatusSender as PlanarManipulandStatusSender
 from .planar_pose_sensor import PlanarPoseSensor as PlanarPoseSensor
 from .poke_policy import PokePolicy as PokePolicy
-from .poke_policy import PokeRegion as PokeRegion
 from .pregrasp_controller import PreGraspController as PreGraspController
 from .press_executor import PressExecutor as PressExecutor
 from .push_executor import PushExecutor as PushExecutor
