@@ -43,7 +43,6 @@ from .objects_pose_estimator import ObjectsPoseEstimator as ObjectsPoseEstimator
 from .observed_pose import ObservedPose as ObservedPose
 from .planar_pose_sensor import PlanarPoseSensor as PlanarPoseSensor
 from .poke_policy import PokePolicy as PokePolicy
-from .poke_policy import PokeRegion as PokeRegion
 from .pregrasp_controller import PreGraspController as PreGraspController
 from .press_executor import PressExecutor as PressExecutor
 from .push_executor import PushExecutor as PushExecutor

@@ -24,6 +24,7 @@ from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.exploration.strategy import lacks_pokes
 from gridpush_drake.planning.feedback.follow_calculations import (
     FollowRules,
     Prepared,
@@ -48,7 +49,6 @@ from gridpush_drake.systems.messages import (
     SteerStatus,
 )
 from gridpush_drake.systems.object_controller import AbstractStateSystem
-from gridpush_drake.systems.poke_policy import MAX_REPETITION
 from gridpush_drake.systems.worker import Answer, Request, answer_now, make_worker
 
 SAMPLE_PERIOD = 0.01
@@ -290,8 +290,7 @@ class FollowController(AbstractStateSystem[FollowControlState]):
         count = self.rules.pokes
         status: PushStatus = self._push_status.Eval(context)
         # Not every poke can be written down; the policy repeats them, but not for ever.
-        is_last = status.executed >= MAX_REPETITION * count
-        if not status.ready or (len(log) < count and not is_last):
+        if not status.ready or lacks_pokes(count, status.executed, len(log)):
             return now
         # A poke is learned from a little after it was made, and in real time later still.
         if now.poked_at == np.inf:

@@ -22,21 +22,17 @@ from gridpush_drake.bench.protocol import hide_parts, know_friction
 from gridpush_drake.bench.study import Done, Study, StudyOptions, Task, option
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, Value, count_of, mean_of
 from gridpush_drake.bench.timing import one_core
-from gridpush_drake.errors import MissingExtraError
+from gridpush_drake.errors import GridPushError, MissingExtraError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.exploration.designed_pokes import DesignedPokes
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.loop_run import Learner, run_loop
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
-from gridpush_drake.planning.pregrasp.exploration import (
-    choose_poke,
-    make_center_functional,
-    make_pokes,
-)
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop, PreGraspLoopOptions
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
@@ -385,12 +381,14 @@ def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:
 
 def _explore(world: EnvironmentWorld, seed: int) -> None:
     """Makes the pokes that tell most of the center of friction."""
+    strategy = DesignedPokes()
     while not world.over:
         episode = world.episode
         assert episode.model is not None
-        pokes = make_pokes(episode.model, episode.pose)
-        wanted = make_center_functional(episode.model)
-        world.execute(choose_poke(episode.model, episode.pose, pokes, wanted).push)
+        proposal = strategy.propose(episode.model, episode.pose, PushConstraints())
+        if proposal.push is None:
+            raise GridPushError(f"{episode.shape.obj.name}: {proposal.reason}")
+        world.execute(proposal.push)
 
 
 PLANNED: dict[str, Callable[[EnvironmentWorld, int], None]] = {

@@ -14,8 +14,8 @@ from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_together, write_whole
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
-from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, find_held_grasps
 from gridpush_drake.planning.pregrasp.gripper import Gripper, PadLimit

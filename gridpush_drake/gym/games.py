@@ -30,7 +30,10 @@ from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.pregrasp.exploration import calc_worst_std, make_center_functional
+from gridpush_drake.planning.exploration.designed_pokes import (
+    calc_worst_std,
+    make_center_functional,
+)
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog

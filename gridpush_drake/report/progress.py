@@ -20,7 +20,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std
+from gridpush_drake.planning.exploration.designed_pokes import calc_center_std
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.draw import (

@@ -8,8 +8,15 @@ from dataclasses import dataclass, field
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, DiagramBuilder
 
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import StationError
 from gridpush_drake.identification.model import Model
+from gridpush_drake.planning.exploration.random_pokes import (
+    PokeRegion,
+    RandomPokeOptions,
+    RandomPokes,
+)
+from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.posts import leave_out
@@ -27,7 +34,7 @@ from gridpush_drake.station.task import (
     Waiting,
 )
 from gridpush_drake.systems.messages import PushStatus
-from gridpush_drake.systems.poke_policy import PokePolicy, PokeRegion, RandomPokeOptions
+from gridpush_drake.systems.poke_policy import PokePolicy, make_command
 
 EDGE_MARGIN = 0.03
 """Distance from the table's edge, and from other objects, that pokes are meant to leave, m."""
@@ -208,21 +215,32 @@ def make_policy(station: Station, test_pushes: int = 0) -> PokePolicy:
     keep_in = leave_out(station.table_top.buffer(-EDGE_MARGIN), station.obstacles, EDGE_MARGIN)
     # In a small workspace the finger gets around the object nowhere; then any place will do.
     middle = MakeFingerRegion(station, MIDDLE_MARGIN)
-    region = PokeRegion(MakeFingerRegion(station), keep_in, None if middle.is_empty else middle)
-    style = RandomPokeOptions(
-        distance=(pokes.distance[0], pokes.distance[1]),
-        speed=pokes.speed,
-        slant=pokes.slant,
-        tip_radius=station.robot.finger.tip_radius,
-        clearance=pokes.clearance,
+    strategy = RandomPokes(
+        RandomPokeOptions(
+            distance=(pokes.distance[0], pokes.distance[1]),
+            speed=pokes.speed,
+            slant=pokes.slant,
+            tip_radius=station.robot.finger.tip_radius,
+            clearance=pokes.clearance,
+        ),
+        PokeRegion(keep_in, None if middle.is_empty else middle),
+        scenario.seed,
+    )
+    region = MakeFingerRegion(station)
+
+    def can_push(poke: Push) -> bool:
+        command = make_command(1, poke, pokes.speed)
+        return not region.is_empty and station.FindObstacle(command) is None
+
+    rules = PushConstraints(
+        finger_region=None if region.is_empty else region,
+        push_rule=can_push,
     )
     return PokePolicy(
         Model(station.obj),
-        region,
-        scenario.seed,
+        strategy,
+        rules,
         pokes.count,
-        style,
-        reach=lambda command: station.FindObstacle(command) is None,
         test_pushes=test_pushes,
         test_distance=pokes.test_distance,
         answer_delay=scenario.simulation.answer_delay,

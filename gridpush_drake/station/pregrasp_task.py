@@ -22,8 +22,8 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
 from gridpush_drake.planning.pregrasp.decision import PreGraspOptions
-from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, find_held_grasps
 from gridpush_drake.planning.pregrasp.gripper import Gripper, PadLimit

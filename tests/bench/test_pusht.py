@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.pusht import (
+from gridpush_drake.bench.pusht.experiments import (
     CENTER,
     MAX_OFFSET,
     Episode,
@@ -72,7 +72,7 @@ def test_the_player_needs_no_simulator():
         "for name in ('gym_pusht', 'pymunk', 'gymnasium', 'pygame'):\n"
         "    sys.modules[name] = None\n"
         "import numpy as np\n"
-        "from gridpush_drake.bench.pusht import PushTPlayer\n"
+        "from gridpush_drake.bench.pusht.experiments import PushTPlayer\n"
         "action = PushTPlayer(0).act(np.array([100.0, 100.0, 300.0, 200.0, 1.0]))\n"
         "print(action.shape, bool((action >= 0).all()))\n"
     )

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.pusht import STUDY
-from gridpush_drake.bench.pusht_strokes import (
+from gridpush_drake.bench.pusht.experiments import STUDY
+from gridpush_drake.bench.pusht.strokes import (
     EVEN,
     LEARNED,
     PLAYERS,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import gridpush_drake.gym  # noqa: F401
-from gridpush_drake.bench.pusht import BAR, STEM
+from gridpush_drake.bench.pusht.experiments import BAR, STEM
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.gym import PushEnvironment, PushTHidden
 from gridpush_drake.gym.games import (

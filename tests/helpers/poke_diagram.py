@@ -13,15 +13,18 @@ from shapely import box
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.exploration import PokeRegion, RandomPokeOptions, RandomPokes
+from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.segmentation import RecordOptions
 from gridpush_drake.systems.grid_identifier import DEFAULT_PERIOD, GridIdentifier
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
-from gridpush_drake.systems.poke_policy import PokePolicy, PokeRegion, RandomPokeOptions
+from gridpush_drake.systems.poke_policy import PokePolicy
 from gridpush_drake.systems.push_executor import PushExecutor
 
 OBJECT_HEIGHT = 0.04
 FINGER_PERIOD = 0.005
-REGION = PokeRegion(workspace=box(-0.5, -0.5, 0.5, 0.5), keep_in=box(-0.35, -0.35, 0.35, 0.35))
+REGION = PokeRegion(keep_in=box(-0.35, -0.35, 0.35, 0.35))
+FINGER_RULES = PushConstraints(finger_region=box(-0.5, -0.5, 0.5, 0.5))
 
 
 class IdealFinger(LeafSystem):
@@ -121,7 +124,9 @@ def make_poke_diagram(
             obj, engaged_below=OBJECT_HEIGHT, pusher_radius=style.tip_radius, seed=seed, **options
         )
     )
-    policy = builder.AddSystem(PokePolicy(Model(obj), REGION, seed, pokes, style))
+    policy = builder.AddSystem(
+        PokePolicy(Model(obj), RandomPokes(style, REGION, seed), FINGER_RULES, pokes)
+    )
     executor = builder.AddSystem(PushExecutor((0.0, 0.0, 0.2), obj.outline))
     for source, port, sinks in (
         (policy, "push_command", [(executor, "push_command")]),

@@ -1,7 +1,7 @@
 """A T that a driven disc pushes, and its world, without gym-pusht."""
 
-from gridpush_drake.bench.pusht import GOAL, make_block
-from gridpush_drake.planning.feedback import BlockEstimate, DiscWorld, FeedbackController
+from gridpush_drake.bench.pusht import BlockEstimate, DiscWorld, FeedbackController
+from gridpush_drake.bench.pusht.experiments import GOAL, make_block
 
 TRUE = BlockEstimate(center_x=12.0, center_y=30.0, arm=50.0)
 """A T whose load is uneven."""

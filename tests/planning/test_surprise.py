@@ -24,6 +24,7 @@ from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import MAX_FALLBACKS, LoopOptions, Observation, PoseFilter
 from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal_loop import (
     POKES,
@@ -32,7 +33,6 @@ from gridpush_drake.planning.goal.push_to_goal_loop import (
     PushToGoalState,
 )
 from gridpush_drake.planning.loop_run import Learner, run_loop
-from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     CAREFUL_LENGTH,

@@ -40,7 +40,7 @@ def test_tasks_plan_around_a_post(station):
     assert gap - 1e-6 < region.distance(center) < gap + 0.001
     assert make_rules(station, make_surface(station.table_top)).constraints.obstacles == (outline,)
     policy = make_policy(station)
-    assert policy.region.keep_in.distance(center) > POST["radius"]
+    assert policy.pokes.region.keep_in.distance(center) > POST["radius"]
 
 
 def test_what_touches_a_post_is_told(station):

@@ -12,6 +12,7 @@ from shapely import Point, box
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.exploration.strategy import MAX_REPETITION
 from gridpush_drake.planning.feedback import (
     FeedbackFinger,
     FollowOptions,
@@ -26,7 +27,6 @@ from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.follow_controller import MAX_BLIND_TIME, FollowController, FollowMode
 from gridpush_drake.systems.messages import PushStatus, SteerCommand, SteerPhase, SteerStatus
-from gridpush_drake.systems.poke_policy import MAX_REPETITION
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.made_logs import make_pushed_block
 

@@ -16,11 +16,11 @@ from gridpush_drake.identification.weighed_learning import learn_with_weighings
 from gridpush_drake.identification.weighed_model import weigh_model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.exploration import RandomPokeOptions
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.weighings import EdgePress, Lift, WeighingLog
 from gridpush_drake.systems import grid_identifier
 from gridpush_drake.systems.grid_identifier import GridIdentifier, IdentifierState
-from gridpush_drake.systems.poke_policy import RandomPokeOptions
 from tests.helpers.poke_diagram import PokeDiagram, make_poke_diagram
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
@@ -125,7 +125,9 @@ def test_log_holds_what_was_to_be_seen(cold):
     np.testing.assert_allclose(seen.pose, 0.0, atol=1e-12)
     noisy = cold.eval("push_log")[0]
     assert np.abs(noisy.pose[:2]).max() < 4 * 5e-4 / np.sqrt(30)
-    assert seen.push.length == pytest.approx(exact.parts.policy.style.clearance + 0.065, abs=0.016)
+    assert seen.push.length == pytest.approx(
+        exact.parts.policy.pokes.options.clearance + 0.065, abs=0.016
+    )
     assert len(seen.t_observed) == 10
     problem = PushProblem(obj, PushLog((seen,)), truth, Physics(regime="inertial"))
     errors = problem.residuals(problem.unknowns(truth))[0].reshape(-1, 3)

@@ -15,6 +15,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.multibody.tool_motion import make_transform
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.exploration import RandomPokes
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.push_constraints import PushConstraints
@@ -34,7 +35,7 @@ from gridpush_drake.systems.push_executor import PushExecutor
 from gridpush_drake.systems.pusher_gate import PusherGate
 from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 from tests.helpers.made_identifications import make_block
-from tests.helpers.poke_diagram import REGION, make_poke_diagram
+from tests.helpers.poke_diagram import FINGER_RULES, REGION, make_poke_diagram
 
 OBJ = make_block(12)
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
@@ -78,7 +79,7 @@ GOOD = {
 SYSTEMS = {
     "lcp": lambda: GridLcpSystem(Model(OBJ)),
     "identifier": lambda: GridIdentifier(OBJ),
-    "policy": lambda: PokePolicy(Model(OBJ), REGION),
+    "policy": lambda: PokePolicy(Model(OBJ), RandomPokes(region=REGION), FINGER_RULES),
     "contact_point": lambda: ContactPointController(Model(OBJ), RULES),
     "pre_grasp": lambda: PreGraspController(
         PreGraspPlanner(OBJ, TABLE), lambda pose, aim, masses, at_worst: None

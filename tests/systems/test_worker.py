@@ -20,16 +20,17 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.exploration import RandomPokeOptions, RandomPokes
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.messages import ContactPointMode, PushStatus
-from gridpush_drake.systems.poke_policy import PokePolicy, RandomPokeOptions
+from gridpush_drake.systems.poke_policy import PokePolicy
 from gridpush_drake.systems.worker import Worker, make_worker
 from tests.helpers.goal_diagram import Run, make_run
 from tests.helpers.made_identifications import make_block
-from tests.helpers.poke_diagram import REGION, PokeDiagram, make_poke_diagram
+from tests.helpers.poke_diagram import FINGER_RULES, REGION, PokeDiagram, make_poke_diagram
 
 FAST = RandomPokeOptions(speed=0.1)
 LONGEST = 5.0
@@ -199,11 +200,18 @@ def test_an_identifier_whose_worker_raises_says_so_and_goes_on(monkeypatch) -> N
 POSE = np.array([0.05, -0.02, 0.4])
 
 
-def make_policy(**options) -> Simulator:
+def make_policy(push_rule=None, **options) -> Simulator:
     """A policy in a Diagram of its own, with an object that lies and an executor that is ready."""
     builder = DiagramBuilder()
     policy = builder.AddNamedSystem(
-        "policy", PokePolicy(Model(make_block()), REGION, 1, 2, **options)
+        "policy",
+        PokePolicy(
+            Model(make_block()),
+            RandomPokes(region=REGION, seed=1),
+            replace(FINGER_RULES, push_rule=push_rule),
+            2,
+            **options,
+        ),
     )
     simulator = Simulator(builder.Build())
     context = policy.GetMyMutableContextFromRoot(simulator.get_mutable_context())
@@ -252,10 +260,10 @@ def test_a_poke_for_an_object_that_moved_meanwhile_is_passed_over() -> None:
 
 
 def test_a_policy_that_cannot_choose_says_so() -> None:
-    def reach(command) -> bool:
+    def push_rule(poke) -> bool:
         raise RuntimeError("no such arm")
 
-    simulator = make_policy(answer_delay=0.1, reach=reach)
+    simulator = make_policy(answer_delay=0.1, push_rule=push_rule)
     simulator.AdvanceTo(1.0)
     assert read_policy(simulator, "message") == "RuntimeError: no such arm"
     assert read_policy(simulator, "push_command")[0] == 0
@@ -264,10 +272,10 @@ def test_a_policy_that_cannot_choose_says_so() -> None:
 def test_a_dropped_diagram_leaves_no_thread_behind() -> None:
     go = Event()
 
-    def reach(command) -> bool:
+    def push_rule(poke) -> bool:
         return go.wait(LONGEST)
 
-    simulator = make_policy(answer_delay=None, reach=reach)
+    simulator = make_policy(answer_delay=None, push_rule=push_rule)
     simulator.AdvanceTo(0.2)
     kept = ref(simulator.get_system())
     (thread,) = simulator.get_system().GetSubsystemByName("policy")._worker._pool._threads

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gridpush_drake.bench.protocol import add_pose_noise
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table
@@ -18,13 +19,16 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.exploration import (
+from gridpush_drake.planning.exploration.designed_pokes import (
+    DesignedPokes,
+    PokeBelief,
     PokeOptions,
-    choose_poke,
     make_center_functional,
     make_pokes,
 )
+from gridpush_drake.planning.exploration.strategy import PokeProposal, PokeStrategy
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.world import SimulatedWorld
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -181,20 +185,43 @@ def explore(
     long = np.linalg.svd(obj.p_BC - obj.p_BC.mean(axis=0))[2][0]
     wanted = np.eye(2) if aim == BOTH else long[None]
     options = PokeOptions(distance=distance)
-    runs = [
-        _poke(obj, alike, wanted, options, active, np.random.default_rng([seed, mass_set]))
-        for active in (True, False)
-    ]
+    runs = []
+    for active in (True, False):
+        rng = np.random.default_rng([seed, mass_set])
+        designed = DesignedPokes(options, lambda model: wanted @ make_center_functional(model))
+        strategy = designed if active else DrawnPokes(options, rng)
+        runs.append(_poke(obj, alike, wanted, strategy, rng, keeps_apart=active))
     return ExplorationScore(name=name, aim=aim, distance=distance, active=runs[0], random=runs[1])
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnPokes:
+    """Proposes any of the pokes that could be chosen by design.
+
+    Attributes:
+        options: what pokes may be chosen from.
+        rng: draws them.
+    """
+
+    options: PokeOptions
+    rng: np.random.Generator
+
+    def propose(self, belief: PokeBelief, pose: ArrayLike, rules: PushConstraints) -> PokeProposal:
+        """Proposes the next poke, see `PokeStrategy`."""
+        pokes = make_pokes(belief, pose, self.options, rules)
+        if not pokes:
+            return PokeProposal(None, "there is no new place left")
+        return PokeProposal(pokes[int(self.rng.integers(len(pokes)))], candidates=len(pokes))
 
 
 def _poke(
     obj: GridObject,
     truth: CellParameters,
     wanted: Array,
-    options: PokeOptions,
-    active: bool,
+    strategy: PokeStrategy[UncertainModel, PushConstraints],
     rng: np.random.Generator,
+    *,
+    keeps_apart: bool,
 ) -> Trace:
     """Makes one run.
 
@@ -202,9 +229,9 @@ def _poke(
         obj: the object.
         truth: its true masses and frictions.
         wanted: (1, 2) or (2, 2) the directions in which the center of mass is wanted.
-        options: what pokes may be chosen from.
-        active: whether pokes are chosen by design.
-        rng: draws the noise and, at random, the pokes.
+        strategy: chooses the pokes.
+        rng: draws the noise.
+        keeps_apart: whether the strategy is told where pokes were made before.
     """
     center = wanted @ truth.center_of_mass(obj)
     found = None
@@ -216,14 +243,9 @@ def _poke(
     error = np.inf
     chi_square = np.inf
     while len(log) < MAX_POKES and not std < WANTED_STD:
-        pokes = make_pokes(model, pose, options)
-        if not pokes:
+        push = strategy.propose(model, pose, PushConstraints()).push
+        if push is None:
             break  # there is no new place left
-        if active:
-            F = wanted @ make_center_functional(model)
-            push = choose_poke(model, pose, pokes, F).push
-        else:
-            push = pokes[int(rng.integers(len(pokes)))]
         # The object is pushed from where it was seen: what is compared are the choices alone.
         world.put(pose)
         after = add_pose_noise(world.execute(push).final_pose, rng)
@@ -235,7 +257,7 @@ def _poke(
         # What was learned, and how far off it is.
         seen = PushLog(tuple(log))
         found = identify(Model(obj), seen, regime="quasi_static", start=found)
-        model = UncertainModel.of_identification(found, log=seen if active else None)
+        model = UncertainModel.of_identification(found, log=seen if keeps_apart else None)
         covariance = wanted @ found.identifiability.center_of_friction_covariance @ wanted.T
         off = wanted @ found.identifiability.center_of_friction - center
         std = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))

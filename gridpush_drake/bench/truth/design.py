@@ -2,7 +2,7 @@
 
 After each push the body is learned from all pushes so far. The next one is the push that is then
 expected to tell most of the center of friction, as a robot chooses its pokes
-(`planning.pregrasp.exploration`). To compare the choices alone, all else is as it is for the random
+(`planning.exploration`). To compare the choices alone, all else is as it is for the random
 pushes of `bench.truth.sets`: the body is put back in the middle of the table before each push, and
 pushes are as long, begin as near to the body, and are seen as often.
 """
@@ -25,13 +25,9 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
-from gridpush_drake.planning.pregrasp.exploration import (
-    PokeOptions,
-    choose_poke,
-    make_center_functional,
-    make_pokes,
-)
+from gridpush_drake.planning.exploration.designed_pokes import DesignedPokes, PokeOptions
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 HERE = np.zeros(3)
@@ -86,9 +82,9 @@ def _choose_push(model: UncertainModel, radius: float) -> Push:
             clearance=CLEARANCE,
             min_separation=separation,
         )
-        pokes = make_pokes(model, HERE, options)
-        if pokes:
-            return choose_poke(model, HERE, pokes, make_center_functional(model)).push
+        push = DesignedPokes(options).propose(model, HERE, PushConstraints()).push
+        if push is not None:
+            return push
     raise GridPushError(f"{model.obj.name}: no push is predicted to move it; expected some")
 
 

@@ -88,7 +88,7 @@ BENCHES: dict[str, LazyCommand] = {
         "play them.",
     ),
     "pusht": LazyCommand(
-        "gridpush_drake.bench.pusht:STUDY",
+        "gridpush_drake.bench.pusht.experiments:STUDY",
         "Play PushT of gym-pusht with feedback, learning the T's friction within each episode.",
     ),
 }

@@ -4,7 +4,7 @@ A plan is a sequence of places, one a decision, to which a finger or a disc goes
 candidate from the best plan known: it replaces the plan's end with a *stroke* (go round the object
 to a place of its outline, and push there), or shifts some of its places a little. How the object
 moves under a candidate, and what that costs, is each search's own business:
-`planning.feedback.push_search` and `planning.feedback.stroke_search`.
+`planning.feedback.push_search` and `bench.pusht.stroke_search`.
 
 The theory is in `docs/theory/feedback.md`.
 """

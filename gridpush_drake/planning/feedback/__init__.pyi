@@ -1,9 +1,3 @@
-from .block_learner import BlockLearner as BlockLearner
-from .block_learner import BlockLearnerOptions as BlockLearnerOptions
-from .disc_world import DiscWorld as DiscWorld
-from .feedback_controller import FeedbackController as FeedbackController
-from .feedback_controller import FeedbackDecision as FeedbackDecision
-from .feedback_controller import FeedbackOptions as FeedbackOptions
 from .finger_world import FingerWorld as FingerWorld
 from .finger_world import FollowRun as FollowRun
 from .finger_world import LcpFingerWorld as LcpFingerWorld
@@ -23,6 +17,3 @@ from .pose_track import PoseTrack as PoseTrack
 from .pose_track import TrackOptions as TrackOptions
 from .push_follower import PushFollower as PushFollower
 from .pushed_object import FeedbackFinger as FeedbackFinger
-from .sliding_block import BlockEstimate as BlockEstimate
-from .sliding_block import DrivenDisc as DrivenDisc
-from .sliding_block import SlidingBlock as SlidingBlock

@@ -46,7 +46,7 @@ def draw_candidates(
     strokes = np.empty((count, STROKE))
     strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
     strokes[:, ANGLE] = rng.uniform(*ANGLES, count)
-    strokes[:, LENGTH] = period * finger.speed * _draw_log_uniform(rng, LENGTHS, count)
+    strokes[:, LENGTH] = period * finger.speed * draw_log_uniform(rng, LENGTHS, count)
     strokes[:, BEND] = rng.normal(0.0, BEND_STD, count)
     strokes[:, WALK] = period * finger.walking_speed
     strokes[:, ROUND] = rng.choice([-1.0, 1.0], count)
@@ -62,11 +62,11 @@ def draw_candidates(
         strokes=strokes,
         cuts=cuts,
         changes=changes,
-        scales=_draw_log_uniform(rng, CHANGE_SIZES, options.changes),
+        scales=draw_log_uniform(rng, CHANGE_SIZES, options.changes),
         longest=float(period * finger.walking_speed),
     )
 
 
-def _draw_log_uniform(rng: np.random.Generator, bounds: tuple[float, float], count: int) -> Array:
+def draw_log_uniform(rng: np.random.Generator, bounds: tuple[float, float], count: int) -> Array:
     """Draws numbers (count,) between two bounds, whose logarithms are spread evenly."""
     return np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]), count))

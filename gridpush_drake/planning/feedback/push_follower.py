@@ -14,9 +14,7 @@ cause, where it is disturbed too often, or where it does not get on. Then it res
 another goal (or another model, if the object moved unlike the one that it had). Everything random
 comes from the seed, and no decision depends on a clock.
 
-The theory is in `docs/theory/feedback.md`, sections 6 to 8. For PushT, where the finger is a disc
-on a spring and the block's three numbers are learned within the episode, see
-`feedback_controller`.
+The theory is in `docs/theory/feedback.md`, sections 6 to 8.
 """
 
 from collections.abc import Sequence

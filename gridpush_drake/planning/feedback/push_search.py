@@ -6,7 +6,7 @@ short rollout of `dynamics.kernels.rollout`. A candidate is made from the best p
 replacing its end with a *stroke* (go round the object to a place of its outline, and push there),
 or by shifting some of its places a little. Candidates whose object or finger comes too near to
 something cost infinitely much. A stroke's LENGTH and WALK are how far the finger goes in a decision
-while it pushes and on its way round, m. What this search shares with `stroke_search` is in
+while it pushes and on its way round, m. What any search for plans shares is in
 `dynamics.kernels.plan_search`.
 
 What a plan costs is in `docs/theory/feedback.md`, section 7; `push_follower` chooses the

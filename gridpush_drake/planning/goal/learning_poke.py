@@ -1,9 +1,9 @@
 """A poke on the way to a goal, made to learn an object anew.
 
 An object that moved unlike what was learned of it is not pushed on by a model that is wrong. First
-it is poked where that is expected to tell most of its center of friction (`planning.pregrasp.
-exploration`), within the rules that pushes to the goal keep to: on the table, clear of obstacles,
-and so short that it is safe by every model that may be the true one (`next_push.Robustness`).
+it is poked where that is expected to tell most of its center of friction (`DesignedPokes`), within
+the rules that pushes to the goal keep to: on the table, clear of obstacles, and so short that it is
+safe by every model that may be the true one (`next_push.Robustness`).
 """
 
 import numpy as np
@@ -16,13 +16,8 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
+from gridpush_drake.planning.exploration.designed_pokes import DesignedPokes, PokeOptions
 from gridpush_drake.planning.goal.next_push import GoalRules, Robustness, draw_model_samples
-from gridpush_drake.planning.pregrasp.exploration import (
-    PokeOptions,
-    choose_poke,
-    make_center_functional,
-    make_pokes,
-)
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 
@@ -52,12 +47,6 @@ def choose_poke_within(
         clearance=contact.pusher.clearance,
         distance=min(PokeOptions.distance, contact.distance_range[1]),
     )
-    pokes = make_pokes(model, pose, options, rules.constraints)
-    if not pokes:
-        return None
-    choice = choose_poke(model, pose, pokes, make_center_functional(model))
-
-    # The best one first, until one is safe by all models and the robot can make it.
     robustness = None
     if rules.robustness is not None:
         robustness = Robustness(
@@ -70,18 +59,21 @@ def choose_poke_within(
             contact=contact,
             options=rules.robustness,
         )
-    for index in np.argsort(choice.expected_stds, kind="stable").tolist():
-        if not np.isfinite(choice.expected_stds[index]):
-            break
-        planned = _plan(found, pokes[index], pose, goal)
+    # where each poke that was cut to what is safe by all models is predicted to end
+    planned_of: dict[Push, PlannedPush] = {}
+
+    def cut(poke: Push) -> Push | None:
+        planned = _plan(found, poke, pose, goal)
         if robustness is not None:
             safe = robustness.cut(pose, planned)
             if safe is None:
-                continue
+                return None
             planned = safe.planned
-        if rules.constraints.allows_push(planned.push):
-            return planned
-    return None
+        planned_of[planned.push] = planned
+        return planned.push
+
+    proposal = DesignedPokes(options, cut=cut).propose(model, pose, rules.constraints)
+    return None if proposal.push is None else planned_of[proposal.push]
 
 
 def _plan(found: Identification, push: Push, pose: Array, goal: Array) -> PlannedPush:

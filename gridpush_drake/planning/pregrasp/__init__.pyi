@@ -1,7 +1,5 @@
 from .decision import PreGraspDecision as PreGraspDecision
 from .decision import PreGraspOptions as PreGraspOptions
-from .exploration import PokeOptions as PokeOptions
-from .exploration import choose_poke as choose_poke
 from .goals import ArmLimits as ArmLimits
 from .goals import GoalOptions as GoalOptions
 from .goals import PreGraspGoal as PreGraspGoal

@@ -13,7 +13,7 @@ import numpy as np
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.notebook import MM
-from gridpush_drake.planning.pregrasp.exploration import PokeOptions
+from gridpush_drake.planning.exploration.designed_pokes import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.gripper import Gripper
 from gridpush_drake.planning.pregrasp.slides import SlideOptions

@@ -17,6 +17,7 @@ poses, and so plans a whole slide as one model predicts it. How a robot carries 
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import shapely
@@ -24,6 +25,7 @@ from numpy.typing import ArrayLike
 from shapely import Polygon
 from threadpoolctl import threadpool_limits
 
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, transform
@@ -32,6 +34,15 @@ from gridpush_drake.notebook import MM
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.exploration.designed_pokes import (
+    DesignedPokes,
+    Functional,
+    PokeBelief,
+    calc_center_std,
+    make_center_functional,
+    make_farthest_functional,
+)
+from gridpush_drake.planning.exploration.strategy import PokeProposal
 from gridpush_drake.planning.pregrasp.decision import (
     PokeForecast,
     PreGraspDecision,
@@ -54,14 +65,17 @@ from gridpush_drake.planning.pregrasp.grasp_parts import (
     stack_flat_parts,
 )
 from gridpush_drake.planning.pregrasp.gripper import PadLimit
-from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std, suggest_poke
+from gridpush_drake.planning.pregrasp.poke_forecast import forecast_std
 from gridpush_drake.planning.pregrasp.slides import (
+    OBSTACLE_MARGIN,
     ROUND_OFF_MARGIN,
     calc_whole_margin,
+    make_stability_rule,
     plan_slide,
 )
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
+from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.plausibility import check_size
 
@@ -394,6 +408,43 @@ class PreGraspPlanner:
             return PreGraspDecision("fail", why)
         return self._poke(pose, model, None, pokes, why)
 
+    def propose_poke(
+        self, model: UncertainModel, pose: ArrayLike, direction: ArrayLike | None = None
+    ) -> PokeProposal:
+        """Proposes the poke that is expected to tell most of the center of mass.
+
+        The object stays inside the table's edge, or at least as far in and as stable as it is.
+
+        Args:
+            model: of the object; its `posterior` must not be None.
+            pose: (3,) where the object lies, X_WB, m and rad.
+            direction: (2,) unit vector in the body frame along which it matters how far the center
+                can be; where None, the center matters.
+
+        Raises:
+            PlanningError: the model leaves nothing to learn.
+        """
+        slide = self.options.slide
+        rule = make_stability_rule(model.masses, pose, self.surface, slide.margin, slide.inset)
+        rules = PushConstraints(
+            self.surface,
+            self.obstacles,
+            edge_margin=self.options.poke_margin,
+            obstacle_margin=OBSTACLE_MARGIN,
+            pose_rule=rule,
+            finger_region=self.limits.finger_region,
+            push_rule=self.limits.can_push,
+        )
+        functional: Functional = make_center_functional
+        if direction is not None:
+            functional = partial(make_farthest_functional, direction=direction)
+
+        def forecast(belief: PokeBelief, poke: Push, at: ArrayLike) -> float | None:
+            return forecast_std(model, poke, at, functional)
+
+        strategy = DesignedPokes(self.options.poke, functional, forecast=forecast)
+        return strategy.propose(model, pose, rules)
+
     def _poke(
         self, pose: Array, model: UncertainModel, best: PreGraspGoal | None, pokes: int, why: str
     ) -> PreGraspDecision:
@@ -411,16 +462,8 @@ class PreGraspPlanner:
             return PreGraspDecision("fail", f"{why}, and pokes would not tell more", best)
         if pokes >= self.options.max_pokes:
             return PreGraspDecision("fail", f"{why}, after {pokes} pokes", best)
-        choice = suggest_poke(
-            model=model,
-            pose=pose,
-            surface=self.surface,
-            direction=None if best is None else best.weakest,
-            options=self.options,
-            limits=self.limits,
-            obstacles=self.obstacles,
-        )
-        if choice is None:
+        choice = self.propose_poke(model, pose, None if best is None else best.weakest)
+        if choice.push is None:
             reason = f"{why}, and no poke keeps the object {self._describe_room()}"
             return PreGraspDecision("fail", reason, best)
         # The margin cannot grow by more than what is not known yet.

@@ -1,8 +1,8 @@
 """What a poke is expected to leave unknown: its outcomes are imagined, and learned from.
 
-To first order about one estimate (`exploration.calc_remaining`) pokes are well compared, but what
-they leave is far too hopeful: learning weighs many hypotheses of the loads, and finds out how noisy
-the pushes are. So for the poke that was chosen
+To first order about one estimate (`designed_pokes.calc_remaining`) pokes are well compared, but
+what they leave is far too hopeful: learning weighs many hypotheses of the loads, and finds out how
+noisy the pushes are. So for the poke that was chosen
 
     1. models are drawn that may be the true one: from the posterior, or, before any push, one from
        each hypothesis of the loads that needs no pushes;
@@ -14,7 +14,6 @@ of all pokes leave more.
 """
 
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +29,7 @@ from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, calc_share
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.exploration import calc_worst_std
+from gridpush_drake.planning.exploration.designed_pokes import Functional, calc_worst_std
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.world import OBSERVATIONS
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -40,9 +39,6 @@ FORECAST_DRAWS = 5
 
 IMAGINED = "imagined_poke"
 """Name of an imagined poke in the log that is learned from."""
-
-Functional = Callable[[UncertainModel], Array]
-"""Function that calculates F (m, n+1), the derivatives by z of what matters, for a model."""
 
 
 def forecast_std(

@@ -13,6 +13,7 @@ from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.edge_motion import simulate_near_edge
+from gridpush_drake.planning.exploration.designed_pokes import calc_center_std
 from gridpush_drake.planning.pregrasp.decision import PokeForecast, PreGraspOptions
 from gridpush_drake.planning.pregrasp.goals import (
     GOAL_ROOM,
@@ -24,7 +25,6 @@ from gridpush_drake.planning.pregrasp.goals import (
 )
 from gridpush_drake.planning.pregrasp.grasp_parts import find_grasp_parts
 from gridpush_drake.planning.pregrasp.gripper import Gripper
-from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std, suggest_poke
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_plan import PreGraspPlanStatus, plan_pregrasp
 from gridpush_drake.planning.pregrasp.push_monitor import PushMonitor
@@ -265,7 +265,7 @@ def test_slides_goals_and_pokes_keep_clear_of_what_else_lies_there(pan, parts, h
 
     model = UncertainModel.of_prior(pan)
     beside = shapely.box(-0.2, 0.12, 0.4, 0.13)  # a wall along one side
-    poke = suggest_poke(model, pose, TABLE, obstacles=(beside,)).push
+    poke = PreGraspPlanner(pan, TABLE, obstacles=(beside,)).propose_poke(model, pose).push
     assert shapely.LineString(poke.xy).distance(beside) > OBSTACLE_MARGIN
     motion = simulate(Model(pan, model.params), poke, pose, regime="quasi_static")
     room = come_near([pose], beside)

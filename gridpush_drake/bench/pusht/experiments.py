@@ -1,11 +1,11 @@
 """`gridpush bench pusht`: the benchmark PushT of gym-pusht, played without any demonstration.
 
-The player is `planning.feedback.FeedbackController`, which knows the T's outline, the goal, the
+The player is `feedback_controller.FeedbackController`, which knows the T's outline, the goal, the
 walls and its own disc, and learns the T's center of friction and arm within each episode. It is
 given observations (disc's position and T's pose) and nothing else. Lengths are in pixels.
 
 In the hidden variant the center of friction is up to 30 pixels off, and drawn by the seed. The
-project's own, harder game on the same T is played by `bench.pusht_strokes`.
+project's own, harder game on the same T is played by `bench.pusht.strokes`.
 """
 
 import os
@@ -20,7 +20,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gridpush_drake.bench.pusht_strokes import (
+from gridpush_drake.bench.pusht.feedback_controller import (
+    FeedbackController,
+    FeedbackOptions,
+)
+from gridpush_drake.bench.pusht.sliding_block import DrivenDisc, SlidingBlock
+from gridpush_drake.bench.pusht.strokes import (
     PLAYERS,
     STROKES_TASK,
     StrokeEpisode,
@@ -32,11 +37,6 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.extras import import_extra
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.planning.feedback.feedback_controller import (
-    FeedbackController,
-    FeedbackOptions,
-)
-from gridpush_drake.planning.feedback.sliding_block import DrivenDisc, SlidingBlock
 
 ENVIRONMENT = "gym_pusht/PushT-v0"
 

@@ -1,4 +1,4 @@
-"""Which poke to make next: the one that is expected to tell most about what matters.
+"""Pokes by design: the one that is expected to tell most about what matters.
 
 What was learned is z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S). A push whose end would be seen
 as the residual r = J z + noise, with J exact from its simulation and noise ~ N(0, R)
@@ -17,14 +17,16 @@ known least (Bayesian linear design by its worst direction: Chaloner and Verdine
 `docs/theory/identification.md`, section 7).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.motion import MotionStatus
+from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.pusher import choose_pusher_radius
 from gridpush_drake.dynamics.simulation import simulate
@@ -32,12 +34,65 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.posterior import calc_center_jacobian
+from gridpush_drake.identification.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.exploration.strategy import PokeProposal
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+
+class PokeBelief(Protocol):
+    """What is believed of an object that pokes are designed for, such as an `UncertainModel`."""
+
+    @property
+    def obj(self) -> GridObject:
+        """The object."""
+
+    @property
+    def params(self) -> CellParameters:
+        """The estimate, by which motions are predicted."""
+
+    @property
+    def physics(self) -> Physics:
+        """The physics by which motions are predicted."""
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The noise of what pushes show, before `noise_scale`."""
+
+    @property
+    def noise_scale(self) -> NoiseScale:
+        """By how much larger than `noise` the pushes were found to scatter."""
+
+    @property
+    def friction_range(self) -> tuple[float, float] | None:
+        """Least and greatest friction coefficient of any cell; the object's own where None."""
+
+    @property
+    def poke_starts(self) -> Array:
+        """(K, 2) where the finger's center was as earlier pushes began, body frame, m."""
+
+    @property
+    def posterior(self) -> Posterior | None:
+        """The posterior of z; None where the parameters are taken for granted."""
+
+    def require_posterior(self) -> Posterior:
+        """The posterior of z, which a poke can narrow; a PlanningError where there is none."""
+
+
+Functional = Callable[[PokeBelief], Array]
+"""Function that calculates F (m, n+1), the derivatives by z of what matters, for a belief."""
+
+Forecast = Callable[[PokeBelief, Push, ArrayLike], float | None]
+"""Function that forecasts, for the poke that was chosen, the standard deviation that it leaves, m.
+It takes the belief, the poke and the object's pose (3,), and returns None where it cannot tell."""
+
+Cut = Callable[[Push], Push | None]
+"""Function that shortens a poke to what is safe; it returns None where nothing of it is."""
 
 
 @dataclass(frozen=True)
@@ -76,28 +131,49 @@ class PokeOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class PokeChoice:
-    """The poke to make next, among N that were offered.
+class DesignedPokes:
+    """Proposes the poke that is expected to tell most of what matters, among those that are safe.
 
     Attributes:
-        push: the poke.
-        index: its index among those offered.
-        std: present standard deviation of what matters, in the direction in which it is known
-            least.
-        expected_std: standard deviation expected after the poke, in the direction then known least.
-        expected_stds: (N,) standard deviation expected after each poke offered; infinite for one
-            that would not touch the object.
+        options: what pokes may be chosen from.
+        functional: what matters; by default the center of friction.
+        cut: shortens pokes to what is safe; None where all that the rules allow are.
+        forecast: says more exactly what the chosen poke is expected to leave; None for the first
+            order about the estimate, by which pokes are compared.
     """
 
-    push: Push
-    index: int
-    std: float
-    expected_std: float
-    expected_stds: Array
+    options: PokeOptions = field(default_factory=PokeOptions)
+    functional: Functional = field(default=lambda belief: make_center_functional(belief))
+    cut: Cut | None = None
+    forecast: Forecast | None = None
+
+    def propose(self, belief: PokeBelief, pose: ArrayLike, rules: PushConstraints) -> PokeProposal:
+        """Proposes the next poke, see `PokeStrategy`.
+
+        Raises:
+            PlanningError: the belief leaves nothing to learn.
+        """
+        pokes = make_pokes(belief, pose, self.options, rules)
+        if not pokes:
+            return PokeProposal(None, "no new poke moves the object and keeps to the rules")
+        std, expected_stds = rate_pokes(belief, pose, pokes, self.functional(belief))
+        # The arm is asked last, for that takes longest: the best poke first, until it can make one.
+        for index in np.argsort(expected_stds, kind="stable").tolist():
+            expected = float(expected_stds[index])
+            if not np.isfinite(expected):
+                break
+            poke = pokes[index] if self.cut is None else self.cut(pokes[index])
+            if poke is None or not rules.allows_push(poke):
+                continue
+            if self.forecast is not None:
+                imagined = self.forecast(belief, poke, pose)
+                expected = expected if imagined is None else imagined
+            return PokeProposal(poke, std=std, expected_std=expected, candidates=len(pokes))
+        return PokeProposal(None, "no poke is safe that the finger can make", candidates=len(pokes))
 
 
 def make_pokes(
-    model: UncertainModel,
+    model: PokeBelief,
     pose: ArrayLike,
     options: PokeOptions | None = None,
     constraints: PushConstraints | None = None,
@@ -147,24 +223,23 @@ def make_pokes(
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def choose_poke(
-    model: UncertainModel, pose: ArrayLike, pokes: Sequence[Push], F: Array
-) -> PokeChoice:
-    """Chooses the poke that is expected to leave the least variance of what matters.
+def rate_pokes(
+    model: PokeBelief, pose: ArrayLike, pokes: Sequence[Push], F: Array
+) -> tuple[float, Array]:
+    """Calculates how well what matters is known now, and how well after each of K pokes.
 
     What matters has several coordinates; the direction counts in which it is then known least.
 
     Args:
         model: of the object, with its posterior.
         pose: (3,) where the object lies, X_WB, m and rad.
-        pokes: to choose from.
+        pokes: the pokes.
         F: (m, n+1) derivatives by z of what matters.
 
-    Raises:
-        PlanningError: there is no poke to choose from, or none touches the object.
+    Returns:
+        The standard deviation now, m, and those expected (K,); infinite for a poke that would not
+        touch the object.
     """
-    if not pokes:
-        raise PlanningError("pokes: none; expected at least one to choose from")
     S = model.require_posterior().covariance
     stds = np.full(len(pokes), np.inf)
     for i, push in enumerate(pokes):
@@ -172,21 +247,10 @@ def choose_poke(
         if observation is not None:
             J, R = observation
             stds[i] = calc_worst_std(calc_remaining(S, F, J, R))
-    best = int(np.argmin(stds))
-    if not np.isfinite(stds[best]):
-        raise PlanningError("pokes: none of them touches the object")
-    return PokeChoice(
-        push=pokes[best],
-        index=best,
-        std=calc_worst_std(F @ S @ F.T),
-        expected_std=float(stds[best]),
-        expected_stds=stds,
-    )
+    return calc_worst_std(F @ S @ F.T), stds
 
 
-def calc_observation(
-    model: UncertainModel, push: Push, pose: ArrayLike
-) -> tuple[Array, Array] | None:
+def calc_observation(model: PokeBelief, push: Push, pose: ArrayLike) -> tuple[Array, Array] | None:
     """Calculates what the end of a push would show of z.
 
     Args:
@@ -231,7 +295,7 @@ def calc_worst_std(covariance: Array) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
-def make_center_functional(model: UncertainModel, direction: ArrayLike | None = None) -> Array:
+def make_center_functional(model: PokeBelief, direction: ArrayLike | None = None) -> Array:
     """Derivatives by z of the center of friction, m.
 
     Args:
@@ -245,7 +309,7 @@ def make_center_functional(model: UncertainModel, direction: ArrayLike | None = 
     return F if direction is None else np.asarray(direction, dtype=np.float64)[None] @ F
 
 
-def make_farthest_functional(model: UncertainModel, direction: ArrayLike) -> Array:
+def make_farthest_functional(model: PokeBelief, direction: ArrayLike) -> Array:
     """Derivatives by z of how far the center of mass can be along a direction, m.
 
     How far it can be is limited by the bounds of the friction coefficients. The more of the
@@ -269,3 +333,14 @@ def make_farthest_functional(model: UncertainModel, direction: ArrayLike) -> Arr
     farthest = calc_farthest_center(along, share[None] / high, share[None] / low)[0]
     mass = share / np.where(along > farthest, low, high)
     return np.asarray(d[None] @ calc_center_jacobian(mass / mass.sum(), model.obj.p_BC))
+
+
+def calc_center_std(model: PokeBelief) -> float:
+    """Standard deviation of the center of friction in the direction in which it is known least, m.
+
+    It is 0 where the parameters are taken for granted.
+    """
+    if model.posterior is None:
+        return 0.0
+    F = make_center_functional(model)
+    return calc_worst_std(F @ model.posterior.covariance @ F.T)

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.pregrasp.exploring import DrawnPokes
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
@@ -12,16 +13,18 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.exploration import (
+from gridpush_drake.planning.exploration.designed_pokes import (
+    DesignedPokes,
     PokeOptions,
+    calc_center_std,
     calc_observation,
     calc_remaining,
-    choose_poke,
     make_center_functional,
     make_farthest_functional,
     make_pokes,
+    rate_pokes,
 )
-from gridpush_drake.planning.pregrasp.informative_poke import calc_center_std, suggest_poke
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.poke_forecast import forecast_std
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
@@ -60,16 +63,18 @@ def test_what_remains_is_what_bayes_rule_leaves():
 
 def test_the_choice_is_the_best_by_brute_force(model, pokes):
     F = make_center_functional(model)
-    choice = choose_poke(model, HERE, pokes, F)
+    proposal = DesignedPokes(PokeOptions(places=12)).propose(model, HERE, PushConstraints())
     left = []
     for push in pokes:
         J, R = calc_observation(model, push, HERE)
         information = np.linalg.inv(model.posterior.covariance) + J.T @ np.linalg.inv(R) @ J
         left.append(np.sqrt(np.linalg.eigvalsh(F @ np.linalg.inv(information) @ F.T)[-1]))
-    assert choice.index == int(np.argmin(left))
-    assert choice.push is pokes[choice.index]
-    np.testing.assert_allclose(choice.expected_stds, left, rtol=1e-6)
-    assert choice.expected_std < 0.5 * choice.std
+    best = int(np.argmin(left))
+    np.testing.assert_array_equal(proposal.push.xy, pokes[best].xy)
+    std, expected_stds = rate_pokes(model, HERE, pokes, F)
+    np.testing.assert_allclose(expected_stds, left, rtol=1e-6)
+    assert proposal.expected_std == expected_stds[best] and proposal.std == std
+    assert proposal.expected_gain > 0.5 * std
 
 
 def test_what_a_push_would_show_is_the_derivative_of_where_it_ends(model, pokes):
@@ -126,7 +131,7 @@ def test_how_far_the_center_can_be_has_the_derivatives_that_differences_say(hamm
 
 def test_a_poke_tells_most_about_its_own_end(model, pokes):
     F, _ = calc_observation(model, pokes[3], HERE)
-    stds = choose_poke(model, HERE, pokes, F).expected_stds
+    _, stds = rate_pokes(model, HERE, pokes, F)
     assert stds[3] < 0.5 * np.sqrt(np.linalg.eigvalsh(F @ model.posterior.covariance @ F.T)[-1])
     assert stds[3] < np.median(stds)
 
@@ -149,12 +154,34 @@ def test_pokes_keep_the_object_on_the_table_and_the_places_apart(model):
     assert min(np.linalg.norm(push.start - free[0].start) for push in rest) > 0.09 * perimeter
 
 
-def test_refuses_to_choose_from_nothing_or_from_what_does_not_touch(model):
-    F = make_center_functional(model)
-    with pytest.raises(PlanningError, match="none; expected"):
-        choose_poke(model, HERE, [], F)
-    with pytest.raises(PlanningError, match="touches"):
-        choose_poke(model, HERE, [Push((1.0, 1.0), (0.03, 0.0), 1.0, 0.008)], F)
+def test_the_next_best_poke_is_taken_where_the_best_is_not_safe_or_cannot_be_made(model, pokes):
+    options = PokeOptions(places=12)
+    _, stds = rate_pokes(model, HERE, pokes, make_center_functional(model))
+    ranked = [pokes[i] for i in np.argsort(stds, kind="stable")]
+
+    def is_one_of(poke, others):
+        return any(np.array_equal(poke.xy, other.xy) for other in others)
+
+    rules = PushConstraints(push_rule=lambda poke: not is_one_of(poke, ranked[:2]))
+    proposal = DesignedPokes(options).propose(model, HERE, rules)
+    np.testing.assert_array_equal(proposal.push.xy, ranked[2].xy)
+    safe = DesignedPokes(options, cut=lambda poke: None if is_one_of(poke, ranked[:1]) else poke)
+    np.testing.assert_array_equal(safe.propose(model, HERE, rules).push.xy, ranked[2].xy)
+    # a better forecast takes the place of the first order
+    told = DesignedPokes(options, forecast=lambda belief, poke, pose: 0.123)
+    assert told.propose(model, HERE, rules).expected_std == 0.123
+
+
+def test_why_there_is_no_poke_is_said(model):
+    nowhere = SupportSurface.rectangle((5.0, 5.0), (0.1, 0.1))
+    found = DesignedPokes().propose(model, HERE, PushConstraints(nowhere))
+    assert found.push is None
+    assert found.reason == "no new poke moves the object and keeps to the rules"
+    refused = PushConstraints(push_rule=lambda poke: False)
+    found = DesignedPokes(PokeOptions(places=4)).propose(model, HERE, refused)
+    assert found.push is None and found.reason == "no poke is safe that the finger can make"
+    miss = [Push((1.0, 1.0), (0.03, 0.0), 1.0, 0.008)]
+    assert np.isinf(rate_pokes(model, HERE, miss, make_center_functional(model))[1]).all()
     with pytest.raises(PlanningError, match="distance"):
         PokeOptions(distance=0.0)
 
@@ -163,7 +190,8 @@ def test_about_half_of_all_pokes_leave_more_than_was_forecast():
     """To first order about the even object, a first poke leaves 3 to 10 times what it promises."""
     obj = GridObject.from_outline(claw_hammer(), max_cells=20, name="hammer")
     prior = UncertainModel.of_prior(obj)
-    poke = suggest_poke(prior, HERE, SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0)))
+    table = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
+    poke = PreGraspPlanner(obj, table).propose_poke(prior, HERE)
     forecasts = []
     ratios = []
     for seed in range(6):
@@ -198,11 +226,8 @@ def test_there_is_no_forecast_without_the_pushes_that_were_learned_from(model, p
 def poke_until_known(obj, truth, active, rng, std=0.005, most=16):
     model, pose, log = UncertainModel.of_prior(obj), HERE, []
     while len(log) < most:
-        pokes = make_pokes(model, pose)
-        if active:
-            push = choose_poke(model, pose, pokes, make_center_functional(model)).push
-        else:
-            push = pokes[int(rng.integers(len(pokes)))]
+        strategy = DesignedPokes() if active else DrawnPokes(PokeOptions(), rng)
+        push = strategy.propose(model, pose, PushConstraints()).push
         noise = rng.normal(size=3) * (0.0005, 0.0005, 0.003)
         after = simulate(Model(obj, truth), push, pose, regime="quasi_static").final_pose + noise
         log.append(

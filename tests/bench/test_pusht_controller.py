@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.pusht.feedback_controller import FeedbackOptions
+from gridpush_drake.bench.pusht.sliding_block import BlockEstimate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.planning.feedback.feedback_controller import FeedbackOptions
-from gridpush_drake.planning.feedback.sliding_block import BlockEstimate
 from tests.helpers.pusht import TRUE, make_controller, make_world, play
 
 START = ([120.0, 400.0], [330.0, 180.0, -2.0])

@@ -17,6 +17,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridpush_drake.bench.pusht.block_learner import BlockLearner, BlockLearnerOptions
+from gridpush_drake.bench.pusht.sliding_block import SlidingBlock
+from gridpush_drake.bench.pusht.stroke_search import Candidates, Task, search
 from gridpush_drake.dynamics.kernels.driven_disc import PX, STATE, THETA, VX, X
 from gridpush_drake.dynamics.kernels.plan_search import (
     ANGLE,
@@ -31,9 +34,7 @@ from gridpush_drake.dynamics.kernels.plan_search import (
 )
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, wrap_angle
-from gridpush_drake.planning.feedback.block_learner import BlockLearner, BlockLearnerOptions
-from gridpush_drake.planning.feedback.sliding_block import SlidingBlock
-from gridpush_drake.planning.feedback.stroke_search import Candidates, Task, search
+from gridpush_drake.planning.feedback.push_candidates import draw_log_uniform
 
 Status = Literal["pushing", "no_pose", "unlike_model"]
 """What a controller does: it pushes; it rests, as no pose came; or it rests, as the block moves
@@ -297,7 +298,7 @@ class FeedbackController:
         strokes = np.empty((count, STROKE))
         strokes[:, PLACE] = rng.uniform(0.0, 1.0, count)
         strokes[:, ANGLE] = rng.uniform(*ANGLES, count)
-        strokes[:, LENGTH] = radius * _draw_log_uniform(rng, LEADS, count)
+        strokes[:, LENGTH] = radius * draw_log_uniform(rng, LEADS, count)
         strokes[:, BEND] = rng.normal(0.0, BEND_STD, count)
         strokes[:, WALK] = rng.uniform(*GAINS, count)
         strokes[:, ROUND] = rng.choice([-1.0, 1.0], count)
@@ -308,10 +309,5 @@ class FeedbackController:
         cuts = np.sqrt(rng.random(count))
         cuts[rng.random(count) < FROM_NOW] = 0.0
         changes = rng.standard_normal((self.options.changes, CHANGE))
-        sizes = radius * _draw_log_uniform(rng, CHANGE_SIZES, self.options.changes)
+        sizes = radius * draw_log_uniform(rng, CHANGE_SIZES, self.options.changes)
         return Candidates(strokes=strokes, cuts=cuts, changes=changes, scales=sizes)
-
-
-def _draw_log_uniform(rng: np.random.Generator, bounds: tuple[float, float], count: int) -> Array:
-    """Draws numbers (count,) between two bounds, whose logarithms are spread evenly."""
-    return np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]), count))

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridpush_drake.bench.pusht.sliding_block import BlockEstimate, SlidingBlock
 from gridpush_drake.dynamics.kernels.driven_disc import PX, STATE, THETA, VX, X, advance
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform_shape
-from gridpush_drake.planning.feedback.sliding_block import BlockEstimate, SlidingBlock
 
 
 class DiscWorld:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from shapely import Point
 
+from gridpush_drake.bench.pusht.sliding_block import BlockEstimate, SlidingBlock
 from gridpush_drake.dynamics.kernels.driven_disc import (
     PX,
     STATE,
@@ -26,7 +27,6 @@ from gridpush_drake.dynamics.kernels.driven_disc import (
     predict_poses,
 )
 from gridpush_drake.geometry.se2 import Array, transform_back, wrap_angle
-from gridpush_drake.planning.feedback.sliding_block import BlockEstimate, SlidingBlock
 
 UNKNOWNS = 3
 """Numbers that are learned: the center along x and y, and the logarithm of the arm."""

@@ -4,7 +4,20 @@ import numpy as np
 import pytest
 from shapely import Point, Polygon
 
-from gridpush_drake.bench.pusht import CENTER, CORRECTION, GOAL, SLOP, make_block, make_environment
+from gridpush_drake.bench.pusht.experiments import (
+    CENTER,
+    CORRECTION,
+    GOAL,
+    SLOP,
+    make_block,
+    make_environment,
+)
+from gridpush_drake.bench.pusht.sliding_block import (
+    BlockEstimate,
+    DrivenDisc,
+    SlidingBlock,
+)
+from gridpush_drake.bench.pusht.stroke_search import calc_coverage
 from gridpush_drake.dynamics.kernels.driven_disc import (
     PX,
     STATE,
@@ -18,12 +31,6 @@ from gridpush_drake.dynamics.kernels.driven_disc import (
 )
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import transform, transform_shape
-from gridpush_drake.planning.feedback.sliding_block import (
-    BlockEstimate,
-    DrivenDisc,
-    SlidingBlock,
-)
-from gridpush_drake.planning.feedback.stroke_search import calc_coverage
 from tests.helpers.pusht import TRUE, make_controller, make_world
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.pusht import make_block
-from gridpush_drake.planning.feedback.block_learner import BlockLearner, BlockLearnerOptions
+from gridpush_drake.bench.pusht.block_learner import BlockLearner, BlockLearnerOptions
+from gridpush_drake.bench.pusht.experiments import make_block
 from tests.helpers.pusht import TRUE, make_world
 
 

@@ -1,0 +1,9 @@
+from .designed_pokes import DesignedPokes as DesignedPokes
+from .designed_pokes import PokeOptions as PokeOptions
+from .designed_pokes import make_center_functional as make_center_functional
+from .designed_pokes import make_farthest_functional as make_farthest_functional
+from .random_pokes import PokeRegion as PokeRegion
+from .random_pokes import RandomPokeOptions as RandomPokeOptions
+from .random_pokes import RandomPokes as RandomPokes
+from .strategy import PokeProposal as PokeProposal
+from .strategy import PokeStrategy as PokeStrategy
