@@ -24,8 +24,8 @@ less sure, and the stability margin is judged anew. If it still holds, the loop 
 slides until a push ends as it was predicted. If it does not, or what was learned does not explain
 the push either, or the object surprised clearly, or for the second time, it is neither slid on nor
 grasped there. Short pushes bring it back onto the table, and there the planner begins anew. Where
-no push does so safely, by all models by which the object stays where it lies, it is given up. If the
-center of mass was weighed, slight surprises say nothing of it: then it only matters whether the
+no push does so safely, by all models by which the object stays where it lies, it is given up. If
+the center of mass was weighed, slight surprises say nothing of it: then it only matters whether the
 margin holds.
 
 It weighs only where its planner does (`weighing_planner`). An object that withstood a press is

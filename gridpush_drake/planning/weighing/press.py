@@ -31,12 +31,11 @@ outward normal, a the tip's distance from the edge and h the height of the conta
 is the force that would do the same straight down. (On a top that is tilted by t, a tip of radius r
 touches r sin t nearer to the edge than its center is, which counts as well.) As the object tilts,
 its top draws the tip along by friction. A tip that is held against that presses with f·n, too, and
-may jam: so the place that is commanded follows the tip outward, up to 0.2 mm from where
-the tilt t draws the top, which is h tan(t). There, and along the edge in any case, the tip is held,
-as its height is: an arm that is pushed sideways by its own pressing would else creep on, and take
-the object along. A tip that is
-drawn farther than the tilt says slides on the object, or the object on the table: the press has
-ended as slid, and tells nothing of the weight.
+may jam: so the place that is commanded follows the tip outward, up to 0.2 mm from where the tilt t
+draws the top, which is h tan(t). There, and along the edge in any case, the tip is held, as its
+height is: an arm that is pushed sideways by its own pressing would else creep on, and take the
+object along. A tip that is drawn farther than the tilt says slides on the object, or the object on
+the table: the press has ended as slid, and tells nothing of the weight.
 
 `advance_press` is a pure function from state and sample to state. `systems.edge_presser` puts it
 between ports. Where it is safe to press is worked out in `plan`.
