@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from shapely import LineString, Point, Polygon
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array, transform_shape
@@ -20,7 +21,6 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.exploration.strategy import PokeProposal
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER_RADIUS
 
 ROUNDING = 1e-6
 """Share of the gap between tip and outline that may be missing at the start. A point that is
