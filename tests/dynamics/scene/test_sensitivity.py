@@ -54,7 +54,7 @@ def test_exact_gradients(count):
         skipped += check_scene(case, seed)
         blocks += len(case.blocks())
         modes = case.result.modes
-        together += bool((modes[case.result.bodies[:, :, 1] >= 0] != 0).any())
+        together += bool((modes[case.result.contact_bodies[:, :, 1] >= 0] != 0).any())
     print(f"{count} objects: {skipped} of {blocks} blocks cross a switch, {together} touch")
     assert together >= 6
     assert skipped <= blocks // 3
