@@ -204,7 +204,7 @@ def test_a_press_is_made_in_a_world_of_one_s_own():
     state = make_class("SpringPress")(weight=6.0, inside=0.05).press(target, options)
     weighing = state.make_weighing(target, options, np.zeros(3))
     inside = 0.05 - weighing.center_shift
-    assert weighing.force == pytest.approx(6.0 * inside / 0.03, rel=0.01)
+    assert weighing.force == pytest.approx(6.0 * inside / weighing.arm, rel=0.01)
 
 
 def test_several_objects_are_pushed_in_a_world_of_one_s_own(puck):
