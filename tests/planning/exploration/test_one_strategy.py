@@ -33,7 +33,7 @@ class AskedError(Exception):
 
 
 def poke_for_a_goal():
-    world = SimulatedWorld(OBJ, EVEN, HERE)
+    world = SimulatedWorld(Model(OBJ, EVEN), HERE)
     log = PushLog((world.execute(Push.on_outline(OBJ, 0.03, 0.0, 0.03, radius=0.008, speed=0.03)),))
     found = identify(Model(OBJ), log, regime="quasi_static")
     choose_poke_within(GoalRules(), HERE, found, log, np.array([0.1, 0.0, 0.0]))
