@@ -322,6 +322,7 @@ def test_objects_of_one_name_are_recorded_in_files_of_their_own():
     assert [job.name_recording() for job in jobs] == ["a-x-7.mcap", "a-y-7.mcap"]
 
 
+@pytest.mark.slow
 def test_a_recording_that_cannot_be_written_ends_the_campaign(tmp_path):
     pytest.importorskip("rosbags")
     scenario = PushScenario.model_validate(

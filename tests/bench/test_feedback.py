@@ -54,6 +54,7 @@ def test_the_learned_model_follows_the_path():
     assert path.rms < 0.003
 
 
+@pytest.mark.slow
 def test_the_learned_model_reaches_the_goal():
     goal = run_job(Job(GOAL, LCP, NAME, LEARNED, 0))
     assert (goal.status, goal.reached) == ("reached", True)

@@ -70,7 +70,7 @@ def describe(job):
     return str(job.number)
 
 
-@pytest.mark.parametrize("workers", [0, 1, 3])
+@pytest.mark.parametrize("workers", [0, 1, pytest.param(3, marks=pytest.mark.slow)])
 def test_results_are_in_the_jobs_order_and_reported(tmp_path, workers):
     told = []
     execution = Execution(workers, lambda *what: told.append(what))

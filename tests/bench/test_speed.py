@@ -14,6 +14,7 @@ from tests.helpers.command_line import run_gridpush
 from tests.helpers.made_identifications import make_block
 
 
+@pytest.mark.slow
 def test_measures_everything():
     push, sizes, batches, identification, decisions, start_up = STUDY.run(
         repetitions=3, sizes=(4, 400, 900), logs=((16, 3),), draws=2, mujoco=False

@@ -103,6 +103,7 @@ def test_a_press_measures_the_edge_and_not_the_feet(bottom, rim_gap):
         assert weighing.rock_force < 0.5 * expected
 
 
+@pytest.mark.slow
 def test_friction_does_not_matter():
     """Neither that of the table nor that of the tip, by which the object's top draws it along."""
     obj = load_object("snack_bag")

@@ -84,6 +84,7 @@ def test_refuses_a_model_in_place_of_an_object(refuses, model, pushes, tmp_path)
     )
 
 
+@pytest.mark.slow
 def test_doubts_a_model_that_explains_too_little(gridpush, block, pushes, tmp_path):
     """The same angle measured clockwise."""
     right = gridpush("identify", block, pushes, "--out", tmp_path / "right.yaml", "--json")

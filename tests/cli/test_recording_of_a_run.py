@@ -143,6 +143,7 @@ def test_a_file_that_exists_is_not_replaced_unasked(capsys, tmp_path):
     assert file.read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_the_episodes_of_a_campaign_are_recorded(capsys, tmp_path):
     (tmp_path / "scenario.yaml").write_text(SCENARIO)
     out = tmp_path / "out"
@@ -155,6 +156,7 @@ def test_the_episodes_of_a_campaign_are_recorded(capsys, tmp_path):
     assert len(read_pushes(capsys, file, tmp_path / "again")) == 1
 
 
+@pytest.mark.slow
 def test_a_grippers_fingers_and_what_it_is_told_are_recorded(tmp_path):
     scenario = read_scenario("grasp")
     scenario.camera.use("ideal")

@@ -166,6 +166,7 @@ def test_a_slow_way_says_the_same():
     np.testing.assert_allclose(spread, laplace, rtol=0.07)
 
 
+@pytest.mark.slow
 def test_presses_of_one_rest_share_its_pose():
     """Many presses at one rest do not average out the error of the pose."""
     rng = np.random.default_rng(2)

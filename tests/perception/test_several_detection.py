@@ -66,6 +66,7 @@ def test_a_hand_that_reaches_in_is_no_object(depth):
         detect([hand], options, depth)
 
 
+@pytest.mark.slow
 def test_objects_that_touch_are_doubted_and_a_tool_of_one_color_is_not():
     # a block of another color against the L's foot, not flush with it
     touching = [

@@ -154,6 +154,7 @@ def find_forks(obj: GridObject, truth: CellParameters) -> Iterator[ObservedPush]
             yield ObservedPush("fork", push, np.zeros(3), np.array([push.duration]), far[0][None])
 
 
+@pytest.mark.slow
 def test_a_push_that_a_millimeter_decides_is_no_surprise(hammer) -> None:
     truth = load_end(hammer, 1, 4.0)
     found = identify(Model(hammer), make_pokes(hammer, truth, 8, 5, noise=(5e-4, 3e-3)))
@@ -559,6 +560,7 @@ def test_a_region_is_never_narrower_than_half_of_what_was_stated() -> None:
     assert limits[0] == pytest.approx(limits[1]) and limits[2] == pytest.approx(1.6 * limits[1])
 
 
+@pytest.mark.slow
 def test_a_changed_object_at_the_edge_is_brought_back_and_learned_anew(hammer) -> None:
     prior = replace(hammer.prior, friction=0.35, friction_min=0.3, friction_max=0.4)
     obj = replace(hammer, prior=prior)

@@ -385,6 +385,7 @@ def _calc_arm(planned):
     return EDGE.calc_beyond(np.array(planned.target.place))
 
 
+@pytest.mark.slow
 def test_presses_that_tell_little_are_made_where_no_other_is_left():
     """As long as mass and center are not even roughly known."""
     planner = WeighingPlanner(BAR, SURFACE)
@@ -519,6 +520,7 @@ def test_a_planner_weighs_where_the_other_gives_up():
     assert weighing.decide(at_edge, model, slides=slides).action == "weigh"
 
 
+@pytest.mark.slow
 def test_a_planner_weighs_a_heavy_object_where_it_is_expected_to_tilt():
     """No press would tilt it wherever its center of mass may be; one with the center in the middle.
 
@@ -653,6 +655,7 @@ def test_near_a_corner_of_the_table_nothing_is_pressed():
     assert not planner._hangs_over_only(right, np.array([0.4, 0.39, 0.0]))
 
 
+@pytest.mark.slow
 def test_where_the_arm_cannot_press_nothing_is_planned():
     obj = replace(BAR, prior=replace(BAR.prior, friction_min=0.1, friction_max=0.9))
     found = describe_prior(obj)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import EventStatus
 
@@ -33,6 +34,7 @@ def make_station():
     return MakePushStation(resolve(scenario, told=told), show_object=False)
 
 
+@pytest.mark.slow
 def test_what_the_finger_lifts_is_felt_and_does_not_count_as_friction():
     """The finger sticks to the object's side, and carries some of its weight all along the push."""
     station = make_station()

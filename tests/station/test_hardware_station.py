@@ -253,6 +253,7 @@ def test_a_fault_in_the_middle_of_a_push_stops_the_arm_and_holds_it(bench, chann
     assert np.isfinite(bench.task.read("object.pose")).all()
 
 
+@pytest.mark.slow
 def test_a_robot_that_pauses_is_waited_for(bench, finished):
     """As a twin does whose computer is busy: its clock stands still, too."""
     bench.begin()

@@ -146,6 +146,7 @@ def test_every_arm_with_a_gripper_presses(robot):
     check_press(PressBench(make_scenario(robot)), moved=MAX_MOVE / 4)
 
 
+@pytest.mark.slow
 def test_a_press_keeps_to_the_force_that_is_safe_and_can_be_taken_back():
     scenario = make_scenario()
     scenario.safety.force = 4.0

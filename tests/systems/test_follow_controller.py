@@ -195,6 +195,7 @@ def test_the_finger_goes_up_if_the_object_stays_hidden_and_goes_on_once_it_is_se
     assert (status.mode, status.plans) == (FollowMode.REACHED, 2)
 
 
+@pytest.mark.slow
 def test_the_finger_stops_where_a_decision_takes_too_long_and_makes_up_for_its_time():
     late = 2.5 * RULES.options.period
     run = Run(answer_delay=late)

@@ -283,6 +283,7 @@ def test_real_pushes_as_a_whole(name, tmp_path):
         np.testing.assert_array_equal(seen.force, again.force)
 
 
+@pytest.mark.slow
 def test_one_number_changed_is_read_or_refused_in_a_line(tmp_path):
     """Times that go back leave a tool that never moves, whatever its places say."""
     pose = "0 0 0 1 0 0 0"

@@ -43,6 +43,7 @@ def bench(resolved):
     return LinkBench(resolved, IdentifyTask)
 
 
+@pytest.mark.slow
 def test_a_task_is_done_over_a_link_of_ones_own(bench):
     record = bench.task.run(drive=bench.link)
     assert record.status == TaskStatus.FINISHED, record.message
