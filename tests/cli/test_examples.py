@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridpush_drake.station.links import ros2_pictures, ros2_topics
+from gridpush_drake.station.links.ros2 import ros2_pictures, ros2_topics
 
 EXAMPLES = Path(__file__).parents[2] / "docs/examples"
 

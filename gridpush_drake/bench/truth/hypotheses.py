@@ -350,8 +350,8 @@ TASK = Task(job=Job, run=run_job, describe=_describe)
 
 STUDY = Study(
     name="hypotheses",
-    help="Learn bodies of many kinds with all load hypotheses and without each of them: which ones "
-    "pay?",
+    help="Learn bodies of many kinds with all load hypotheses and without each of them, to see "
+    "which ones pay.",
     options=Options,
     shorten=shorten,
     make_jobs=make_jobs,
