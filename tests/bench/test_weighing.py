@@ -195,7 +195,8 @@ def test_scores_are_kept_as_json():
 
 
 def test_the_bench_presses_where_the_robot_s_planner_says(monkeypatch):
-    """One planner decides for both: what it yields is pressed, and nothing else."""
+    """One planner decides for both: what it yields is pressed, and nothing else. In MuJoCo."""
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
     made = make_weighed(WeighingJob("snack_bag", 3, "flat"))
     center = tuple(made.truth.center_of_mass(made.obj).tolist())
     prior = replace(made.obj.prior, center_of_mass=center, center_of_mass_std=0.005)
