@@ -30,8 +30,7 @@ from gridpush_drake.bench.timing import measure, one_core
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.prediction import calc_pose_error
+from gridpush_drake.identification.prediction import calc_cell_errors
 
 COUNTS = (2, 3, 4)
 """Numbers of objects that push each other, in our model and in others."""
@@ -131,12 +130,7 @@ def run_job(job: Job) -> Score:
     mujoco = make_mujoco_scene(bodies, begin, push)(end)[0]
     drake = MakePlantScene(bodies, begin, push)(end)[0]
 
-    def compare(poses: Array, others: Array) -> list[float]:
-        return [
-            calc_pose_error(obj, pose, other).cell
-            for obj, pose, other in zip(bodies.objects, poses, others, strict=True)
-        ]
-
+    compare = partial(calc_cell_errors, bodies.objects)
     moved = compare(drake, begin)
     return Score(
         count=job.count,

@@ -491,7 +491,11 @@ def load_log(
         require_final: whether a push whose last pose is unknown is refused.
     """
     many = [objects] if isinstance(objects, GridObject) else objects
-    log = PushLog.read_csv(path, require_final=require_final)
+    return give_radius(PushLog.read_csv(path, require_final=require_final), many)
+
+
+def give_radius(log: PushLog, many: Sequence[GridObject]) -> PushLog:
+    """Gives a log the radius of the pusher that its objects' files have; see `load_log`."""
     log.check_objects(many)
     if log.radius_given:
         return log

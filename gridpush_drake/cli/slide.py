@@ -136,15 +136,16 @@ def slide(
     if pad_force is not None:
         pads = gripper.limit_pads(target.obj, pad_force)
         limits = _limit_to_held(target.obj, surface, pads)
+    pusher = Pusher(radius)
     chosen = PreGraspOptions(
         gripper=gripper,
         pad_force=pad_force,
         goal=GoalOptions(margin=margin),
         slide=SlideOptions(
             margin=ACCEPTED_SHARE * margin,
-            contact=replace(SlideOptions().contact, pusher=Pusher(radius)),
+            contact=replace(SlideOptions().contact, pusher=pusher),
         ),
-        poke=PokeOptions(radius=radius),
+        poke=PokeOptions(pusher),
     )
     try:
         planner = PreGraspPlanner(target.obj, surface, chosen, limits=limits)

@@ -187,11 +187,12 @@ def view(
     # A page that is only written needs no port of its own, so that any free one does
     look = Look(shows=shows, height=height, port=port if out is None else 0)
     if others:
-        targets = find_targets(Path(source), others, largest_piece)
-        scene = draw_pushes_page(Path(source), targets, push, look)
+        targets, log = find_targets(Path(source), others, largest_piece)
+        scene = draw_pushes_page(targets, pick_pushes(Path(source), log, push), look)
     elif kind == ".csv":
         target = find_target(Path(source), object_file, model_file, largest_piece)
-        scene = draw_pushes_page(Path(source), [target], push, look)
+        log = options.load_log(Path(source), target.obj, require_final=False)
+        scene = draw_pushes_page([target], pick_pushes(Path(source), log, push), look)
     else:
         scene = draw_model_page(options.load_target(source, largest_piece), look)
     scene.page.overlay = scene.overlay
@@ -278,7 +279,8 @@ def _show_in_rerun(
             of_pushes.model_file,
             largest_piece,
         )
-        picked = pick_pushes(path, [target], of_pushes.names)
+        log = options.load_log(path, target.obj, require_final=False)
+        picked = pick_pushes(path, log, of_pushes.names)
         predictions = predict_pushes([target], picked)
         draw = partial(
             show_pushes,

@@ -17,7 +17,7 @@ from gridpush_drake.identification.model import Model
 from gridpush_drake.identification.model_file import looks_like_model
 from gridpush_drake.identification.prediction import (
     Prediction,
-    calc_pose_error,
+    calc_cell_errors,
     predict,
     summarize_errors,
 )
@@ -75,8 +75,8 @@ def find_target(
 
 def find_targets(
     log: Path, named: Sequence[str], largest_piece: bool
-) -> tuple[options.Target, ...]:
-    """Reads the models or objects of a push log of several objects, in the order of the log's.
+) -> tuple[list[options.Target], PushLog]:
+    """Reads a push log of several objects, and their models or objects in the order of the log's.
 
     Args:
         log: the log.
@@ -90,7 +90,8 @@ def find_targets(
         targets[name or target.obj.name] = target
     read = PushLog.read_csv(log, require_final=False)
     options.check_names(log, read, targets)
-    return tuple(targets[name] for name in read.names)
+    ordered = [targets[name] for name in read.names]
+    return ordered, options.give_radius(read, [target.obj for target in ordered])
 
 
 def describe_pushes(
@@ -134,13 +135,9 @@ def _describe_several(
     found["pushes"] = [seen.name for seen in picked]
     lines = [f"{', '.join(picked.names)}: {count_noun(len(picked), 'push')}"]
     if predictions is not None:
+        objects = [target.obj for target in targets]
         errors = [
-            [
-                calc_pose_error(target.obj, mine, theirs).cell
-                for target, mine, theirs in zip(
-                    targets, each.at_observations[-1], seen.final_pose, strict=True
-                )
-            ]
+            calc_cell_errors(objects, each.at_observations[-1], seen.final_pose)
             for each, seen in zip(predictions, picked, strict=True)
             if len(seen.t_observed)
         ]
@@ -165,10 +162,8 @@ def predict_pushes(targets: Sequence[options.Target], picked: PushLog) -> list[P
     return predict(Model(objects, parameters, physics), picked)
 
 
-def pick_pushes(path: Path, targets: Sequence[options.Target], names: list[str] | None) -> PushLog:
-    """Reads the pushes with some names, or all pushes, from a log."""
-    objects = [target.obj for target in targets]
-    log = options.load_log(path, objects, require_final=False)
+def pick_pushes(path: Path, log: PushLog, names: list[str] | None) -> PushLog:
+    """Picks the pushes with some names, or all pushes, of a log that was read from a file."""
     known = [seen.name for seen in log]
     for name in names or ():
         if name not in known:

@@ -11,13 +11,14 @@ from typing import Any
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_found
-from gridpush_drake.cli.view_log import describe_pushes, pick_pushes, predict_pushes
+from gridpush_drake.cli.view_log import describe_pushes, predict_pushes
 from gridpush_drake.cli.view_scene import AddModel, AddPushes, describe_colors, make_overlay
 from gridpush_drake.display.cell_colors import Shown
 from gridpush_drake.display.live_page import LivePage
 from gridpush_drake.display.overlay import Overlay
 from gridpush_drake.display.server import PublishOnce
 from gridpush_drake.objects.object_file import speak_name
+from gridpush_drake.pushes.push_log import PushLog
 
 
 @dataclass(frozen=True)
@@ -79,21 +80,14 @@ def draw_model_page(target: options.Target, look: Look) -> Scene:
     )
 
 
-def draw_pushes_page(
-    path: Path, targets: Sequence[options.Target], names: list[str] | None, look: Look
-) -> Scene:
+def draw_pushes_page(targets: Sequence[options.Target], picked: PushLog, look: Look) -> Scene:
     """Records a replay of pushes, beside their predictions if there is a learned model.
 
     Args:
-        path: the push log.
         targets: the models or the objects that were pushed, in the order of the log's.
-        names: names of the pushes to replay; None for all.
+        picked: the pushes.
         look: how they are shown.
-
-    Raises:
-        ViewError: the log has no push of a name.
     """
-    picked = pick_pushes(path, targets, names)
     predictions = predict_pushes(targets, picked)
     page = LivePage(look.port)
     height = options.choose_height(look.height, targets[0].obj)

@@ -27,6 +27,10 @@ T = TypeVar("T")
 DEFAULT_PAIR_FRICTION = 0.3
 """Friction coefficient of two objects against each other that is taken where none is given."""
 
+NO_PAIRS = np.zeros((1, 1))
+"""Matrix of the pairs' friction of one object, which has none: one for all such models."""
+NO_PAIRS.setflags(write=False)
+
 
 @dataclass(frozen=True, eq=False, init=False)
 class Bodies(Frozen):
@@ -189,6 +193,8 @@ class Bodies(Frozen):
 
 def _check_pair_friction(given: ArrayLike, n: int) -> Array:
     """Makes the matrix (n, n) of the pairs' friction, of one number or a matrix."""
+    if n == 1 and isinstance(given, float):
+        return NO_PAIRS
     friction = np.array(given, dtype=np.float64)
     if friction.shape == ():
         friction = np.full((n, n), float(friction))

@@ -36,7 +36,7 @@ from gridpush_drake.identification.joint_problem import JointProblem
 from gridpush_drake.identification.joint_result import UNEXPLAINED, JointIdentification
 from gridpush_drake.identification.load_prior import calc_smooth_covariance
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.prediction import calc_pose_error
+from gridpush_drake.identification.prediction import calc_cell_errors
 from gridpush_drake.identification.robust_least_squares import RobustFit, fit_robustly
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
@@ -152,8 +152,7 @@ def calc_end_errors(bodies: Bodies, pushes: Iterable[ObservedPush]) -> Array:
         times = make_times_with(seen.push, seen.t_observed[-1:], "quasi_static")
         last = int(np.searchsorted(times, seen.t_observed[-1]))
         poses = simulate_together(bodies, seen.push, seen.pose, times=times).poses[last]
-        each = zip(bodies.objects, poses, seen.final_pose, strict=True)
-        errors.append([calc_pose_error(obj, mine, theirs).cell for obj, mine, theirs in each])
+        errors.append(calc_cell_errors(bodies.objects, poses, seen.final_pose))
     return np.array(errors)
 
 

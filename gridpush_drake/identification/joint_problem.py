@@ -7,11 +7,9 @@ the pairs' frictions); see `joint_fit`.
 import numpy as np
 
 from gridpush_drake.dynamics.motion import Jacobian
-from gridpush_drake.dynamics.push import make_times_with
-from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.model import Model
-from gridpush_drake.identification.problem import make_even_parameters
+from gridpush_drake.identification.problem import TimedPush, make_even_parameters
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.observed_push import ObservedPush
 from gridpush_drake.pushes.push_log import PushLog
@@ -41,6 +39,7 @@ class JointProblem:
         self.log = log
         self.simulations = 0
         self.push_of_block = np.repeat(np.arange(len(log)), [len(seen.t_observed) for seen in log])
+        self._timed = [TimedPush.of(seen, "quasi_static") for seen in log]
         self._noise = noise
         self._physics = model.physics
         self._even = [make_even_parameters(obj) for obj in model.objects]
@@ -51,32 +50,6 @@ class JointProblem:
 
     def make_model(self, z: Array) -> Model:
         """Makes the model of z."""
-        params, friction = self._make_params(z)
-        return Model(self.objects, params, self._physics, friction)
-
-    def linearize(self, z: Array) -> tuple[Array, Array]:
-        """Simulates all pushes, each from where it was seen to begin.
-
-        Returns:
-            Residuals (B, 3 N) in units of the noise, a block for each time of each push, and their
-            derivatives (B, 3 N, Z) by z.
-        """
-        residuals = []
-        derivatives = []
-        for seen in self.log:
-            self.simulations += 1
-            times = make_times_with(seen.push, seen.t_observed, "quasi_static")
-            rows = np.searchsorted(times, seen.t_observed)
-            motion = simulate_together(
-                self.make_model(z), seen.push, seen.pose, gradients=True, times=times, record=rows
-            )
-            residuals.append(self._calc_residual(motion.poses[rows], seen))
-            by_z = self._chain(z, motion.jacobian) / self._noise[:, None]
-            derivatives.append(by_z.reshape(len(rows), -1, len(z)))
-        return np.concatenate(residuals), np.concatenate(derivatives)
-
-    def _make_params(self, z: Array) -> tuple[list[CellParameters], Array]:
-        """Makes the parameters and the pair frictions (N, N) of z."""
         sizes = [obj.n for obj in self.objects]
         n = len(sizes)
         *logs, finger, pair = np.split(z, np.cumsum([*sizes, n]))
@@ -86,7 +59,25 @@ class JointProblem:
         ]
         friction = np.zeros((n, n))
         friction[self._pairs] = np.exp(pair)
-        return params, friction + friction.T
+        return Model(self.objects, params, self._physics, friction + friction.T)
+
+    def linearize(self, z: Array) -> tuple[Array, Array]:
+        """Simulates all pushes, each from where it was seen to begin.
+
+        Returns:
+            Residuals (B, 3 N) in units of the noise, a block for each time of each push, and their
+            derivatives (B, 3 N, Z) by z.
+        """
+        model = self.make_model(z)
+        residuals = []
+        derivatives = []
+        for timed in self._timed:
+            self.simulations += 1
+            motion = timed.simulate(model, gradients=True, record=timed.rows)
+            residuals.append(self._calc_residual(motion.poses[timed.rows], timed.observed))
+            by_z = self._chain(model, motion.jacobian) / self._noise[:, None]
+            derivatives.append(by_z.reshape(len(timed.rows), -1, len(z)))
+        return np.concatenate(residuals), np.concatenate(derivatives)
 
     def _calc_residual(self, poses: Array, seen: ObservedPush) -> Array:
         """Calculates a push's residuals (K, 3 N), in units of the noise."""
@@ -94,12 +85,12 @@ class JointProblem:
         off[..., 2] = np.arctan2(np.sin(off[..., 2]), np.cos(off[..., 2]))
         return np.asarray((off / self._noise).reshape(len(poses), -1))
 
-    def _chain(self, z: Array, jacobian: Jacobian) -> Array:
-        """Makes the derivatives (K, N, 3, Z) of the poses by z."""
-        params, friction = self._make_params(z)
+    def _chain(self, model: Model, jacobian: Jacobian) -> Array:
+        """Makes the derivatives (K, N, 3, Z) of the poses by the z of a model."""
+        params = model.parameters
         by_k = jacobian.mass * np.concatenate([each.mass for each in params])
         finger = jacobian.contact_friction * np.array([each.contact_friction for each in params])
         i, j = self._pairs
         assert jacobian.pair_friction is not None
-        pair = jacobian.pair_friction[..., i, j] * friction[i, j]
+        pair = jacobian.pair_friction[..., i, j] * model.pair_friction[i, j]
         return np.concatenate([by_k, finger, pair], axis=-1)

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.bodies import Bodies
 from gridpush_drake.dynamics.physics import Regime
-from gridpush_drake.dynamics.push import make_times_with
-from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.problem import TimedPush, find_fastest
 from gridpush_drake.notebook import DEGREES, MM, describe_pose, draw_paths, make_page
@@ -120,22 +118,20 @@ def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) 
     )
 
 
+def calc_cell_errors(
+    objects: Sequence[GridObject], predicted: ArrayLike, observed: ArrayLike
+) -> list[float]:
+    """Calculates the cell error of each of N objects between poses (N, 3) and others, m."""
+    each = zip(objects, np.asarray(predicted), np.asarray(observed), strict=True)
+    return [calc_pose_error(obj, mine, theirs).cell for obj, mine, theirs in each]
+
+
 def _predict_push(
     bodies: Bodies,
     push: ObservedPush,
     table: Array | None,
 ) -> Prediction:
     """Predicts one push; the regime of the physics is not "auto"."""
-    if len(bodies) > 1:
-        times = make_times_with(push.push, push.t_observed, "quasi_static")
-        motion = simulate_together(bodies, push.push, push.pose, times=times)
-        return Prediction(
-            name=push.name,
-            times=times,
-            poses=motion.poses,
-            at_observations=motion.poses[np.searchsorted(times, push.t_observed)],
-            status=motion.status,
-        )
     timed = TimedPush.of(push, bodies.physics.regime, table)
     motion = timed.simulate(bodies)
     return Prediction(

@@ -27,6 +27,7 @@ from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.physics import DEFAULT_PHYSICS, Physics, Regime
 from gridpush_drake.dynamics.push import make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
+from gridpush_drake.dynamics.scene.simulation import simulate_together
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array, IntArray, rotate, transform, wrap_angle
 from gridpush_drake.identification.friction_gradient import calc_arms
@@ -75,7 +76,14 @@ class TimedPush:
         return cls(observed, times, rows, table)
 
     def simulate(self, bodies: Bodies, **options: Any) -> Motion:
-        """Simulates the push from its first observed pose, with further `options` of `simulate`."""
+        """Simulates the push from its first observed pose, with further `options` of `simulate`.
+
+        Several objects may overlap a little, as they were seen; they know no table's edge.
+        """
+        if len(bodies) > 1:
+            return simulate_together(
+                bodies, self.observed.push, self.observed.pose, times=self.times, **options
+            )
         return simulate(
             bodies,
             self.observed.push,

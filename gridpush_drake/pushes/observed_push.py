@@ -78,6 +78,11 @@ class ObservedPush(Frozen):
                 raise PushLogError(f"push {self.name!r}: lift_force does not come without force_t")
             self._array("lift_force", self.lift_force, (len(self.force_t),))
 
+    @property
+    def object_count(self) -> int:
+        """Number of objects that were seen."""
+        return 1 if self.pose.ndim == 1 else len(self.pose)
+
     def single_out(self, index: int) -> "ObservedPush":
         """Takes what was seen of one of several objects, as if nothing else had been touched."""
         return replace(self, pose=self.pose[index], poses_observed=self.poses_observed[:, index])

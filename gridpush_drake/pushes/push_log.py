@@ -52,10 +52,9 @@ class PushLog(Frozen):
         object.__setattr__(self, "pushes", tuple(self.pushes))
         object.__setattr__(self, "names", tuple(self.names))
         for seen in self.pushes:
-            count_seen = seen.pose.size // 3
-            if count_seen != len(self.names):
+            if seen.object_count != len(self.names):
                 raise PushLogError(
-                    f"push {seen.name!r}: {count_seen} objects; expected {len(self.names)}: "
+                    f"push {seen.name!r}: {seen.object_count} objects; expected {len(self.names)}: "
                     f"{', '.join(self.names)}"
                 )
         if self.table is not None:
@@ -197,9 +196,8 @@ class PushLog(Frozen):
     def append(self, seen: ObservedPush) -> "PushLog":
         """Adds a push at the end. Objects of a log without pushes are numbered if they are many."""
         names = self.names
-        count_seen = seen.pose.size // 3
-        if not self.pushes and count_seen != len(names):
-            names = tuple(f"{OBJECT}_{i}" for i in range(count_seen))
+        if not self.pushes and seen.object_count != len(names):
+            names = tuple(f"{OBJECT}_{i}" for i in range(seen.object_count))
         return replace(self, pushes=(*self.pushes, seen), names=names)
 
     def single_out(self, index: int) -> "PushLog":

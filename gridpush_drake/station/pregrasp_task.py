@@ -394,7 +394,7 @@ def make_options(station: Station, gripper: Gripper, force: float) -> PreGraspOp
         pad_force=force,
         goal=GoalOptions(margin=pregrasp.margin),
         slide=replace(slide, margin=ACCEPTED_SHARE * pregrasp.margin, contact=contact),
-        poke=PokeOptions(radius=radius, speed=speed, clearance=CLEARANCE),
+        poke=PokeOptions(pusher),
         min_pokes=pregrasp.min_pokes,
         max_pokes=pregrasp.max_pokes,
         max_slides=pregrasp.max_slides,

@@ -22,6 +22,7 @@ from gridpush_drake.bench.truth.sets import (
     draw_world,
 )
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.pusher import Pusher
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model import Model
@@ -76,10 +77,8 @@ def _choose_push(model: UncertainModel, radius: float) -> Push:
     """Chooses the push that is expected to tell most, by a disc of a radius, m."""
     for separation in SEPARATIONS:
         options = PokeOptions(
-            radius=radius,
-            speed=float(np.mean(SPEED_RANGE)),
+            Pusher(radius, float(np.mean(SPEED_RANGE)), CLEARANCE),
             distance=DISTANCE,
-            clearance=CLEARANCE,
             min_separation=separation,
         )
         push = DesignedPokes(options).propose(model, HERE, PushConstraints()).push

@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.physics import Physics
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.pusher import choose_pusher_radius
+from gridpush_drake.dynamics.pusher import DEFAULT_PUSHER, Pusher
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
@@ -100,11 +100,8 @@ class PokeOptions:
     """What pokes may be chosen from.
 
     Attributes:
-        radius: of the finger, a disc, m; by default that of the object's file, or that of the
-            shipped finger (`choose_pusher_radius`).
-        speed: of the finger, m/s.
+        pusher: what pokes.
         distance: of a poke, the clearance included, m.
-        clearance: gap between finger and object at the beginning, m.
         places: number of places along the outline.
         angles: of the motion from the inward normal, rad.
         min_separation: share of the outline's length by which a poke begins away from every poke
@@ -114,18 +111,14 @@ class PokeOptions:
         PlanningError: a value is out of range.
     """
 
-    radius: float | None = None
-    speed: float = 0.03
+    pusher: Pusher = DEFAULT_PUSHER
     distance: float = 0.04
-    clearance: float = 0.002
     places: int = 36
     angles: tuple[float, ...] = (-0.4, 0.0, 0.4)
     min_separation: float = 0.04
 
     def __post_init__(self) -> None:
-        if self.radius is not None:
-            require_positive(PlanningError, "poke: ", radius=self.radius)
-        require_positive(PlanningError, "poke: ", speed=self.speed, distance=self.distance)
+        require_positive(PlanningError, "poke: ", distance=self.distance)
         if self.places < 1 or not self.angles:
             raise PlanningError("poke: expected at least one place and one angle")
 
@@ -192,9 +185,10 @@ def make_pokes(
     options = options or PokeOptions()
     obj = model.obj
     q = np.asarray(pose, dtype=np.float64)
-    radius = choose_pusher_radius(obj, options.radius)
-    reach = find_reachable_outline(obj, radius, options.clearance)
+    radius = options.pusher.choose_radius(obj)
+    reach = find_reachable_outline(obj, radius, options.pusher.clearance)
     checker = (constraints or PushConstraints()).start_at(obj, q, radius)
+    believed = Model(obj, model.params, model.physics)
     pokes = []
     for s in reach.spread(reach.length / options.places)[0]:
         for angle in options.angles:
@@ -204,9 +198,9 @@ def make_pokes(
                 angle,
                 options.distance,
                 radius=radius,
-                speed=options.speed,
+                speed=options.pusher.speed,
                 pose=q,
-                clearance=options.clearance,
+                clearance=options.pusher.clearance,
             )
             # Not where a poke was made before.
             p_BP = transform_back(q, push.start[None])
@@ -214,7 +208,7 @@ def make_pokes(
             if (distances < options.min_separation * reach.perimeter).any():
                 continue
             # Not one that is predicted to miss, or to break a rule.
-            motion = simulate(Model(obj, model.params, model.physics), push, q)
+            motion = simulate(believed, push, q)
             if motion.status != MotionStatus.OK:
                 continue
             if checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):

@@ -42,9 +42,7 @@ def choose_poke_within(
     model = UncertainModel.of_identification(found, log=used)
     contact = rules.contact
     options = PokeOptions(
-        radius=contact.pusher.radius,
-        speed=contact.pusher.speed,
-        clearance=contact.pusher.clearance,
+        contact.pusher,
         distance=min(PokeOptions.distance, contact.distance_range[1]),
     )
     robustness = None

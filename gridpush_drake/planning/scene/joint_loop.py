@@ -14,6 +14,7 @@ the state holds the push, or the grasp, that is asked for.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -115,6 +116,13 @@ class JointState(LoopState):
     grasp: SideGrasp | None = None
     grasp_id: int = 0
 
+    def turn_to(self, mode: str, reason: str, **others: Any) -> "JointState":
+        """The state in another mode; no object is pushed or grasped in it but the one in `others`.
+
+        See `LoopState.turn_to`.
+        """
+        return super().turn_to(mode, reason, **{"body": -1, "kind": "", **others})
+
     @property
     def done(self) -> bool:
         """Whether the task has ended well."""
@@ -177,11 +185,11 @@ class JointLoop(ClosedLoop[JointState]):
         words = decision.reason.replace("_", " ")
         reason = f"{words[0].upper()}{words[1:]}."
         if decision.action is SceneAction.DONE:
-            return now.turn_to(SceneMode.DONE, reason, body=-1, kind="")
+            return now.turn_to(SceneMode.DONE, reason)
         if decision.action is SceneAction.FAIL or given_up:
             if decision.action is not SceneAction.FAIL:
                 reason = f"Not done after {now.status.pushes} pushes."
-            return now.turn_to(SceneMode.FAILED, reason, body=-1, kind="")
+            return now.turn_to(SceneMode.FAILED, reason)
         if decision.action is SceneAction.GRASP:
             return self._ask_grasp(now, poses, decision, reason)
         assert decision.push is not None
@@ -211,7 +219,7 @@ class JointLoop(ClosedLoop[JointState]):
         hidden = np.broadcast_to(~np.isfinite(seen.pose).all(axis=-1), len(objects))
         names = " and ".join(describe_object(objects, int(b)) for b in np.flatnonzero(hidden))
         reason = f"Not seen for {self.options.timeout:g} s: {names}."
-        return now.turn_to(SceneMode.LOST, reason, body=-1, kind="")
+        return now.turn_to(SceneMode.LOST, reason)
 
     def _end_push(self, now: JointState, seen: Observation) -> JointState:
         """The state after a push that was carried out, or refused."""
@@ -222,11 +230,11 @@ class JointLoop(ClosedLoop[JointState]):
         now = replace(now, steps=(*now.steps, step), asked=None if why else asked)
         return super()._end_push(now, seen)
 
-    def _count_made(self, now: JointState, seen: Observation) -> dict[str, object]:
-        return {"pushes": now.status.pushes + 1, "body": -1, "kind": ""}
+    def _count_made(self, now: JointState, seen: Observation) -> dict[str, Any]:
+        return {"pushes": now.status.pushes + 1}
 
-    def _count_refused(self, now: JointState) -> dict[str, object]:
-        return {"body": -1, "kind": ""}
+    def _count_refused(self, now: JointState) -> dict[str, Any]:
+        return {}
 
     def _judge(self, now: JointState, seen: Observation) -> JointState:
         """The state itself: pushes of several objects are not judged yet."""
@@ -241,16 +249,17 @@ class JointLoop(ClosedLoop[JointState]):
         asked = now.asked
         if asked is None or asked.decision.push is None:
             return now
-        push = asked.decision.push
-        made = ObservedPush(
-            name=f"push_{len(now.log) + 1}",
-            push=push,
-            pose=asked.poses,
-            t_observed=np.array([push.duration]),
-            poses_observed=poses[None],
-        )
         if len(seen.log) > len(now.log):
             made = seen.log[len(now.log)]
+        else:
+            push = asked.decision.push
+            made = ObservedPush(
+                name=f"push_{len(now.log) + 1}",
+                push=push,
+                pose=asked.poses,
+                t_observed=np.array([push.duration]),
+                poses_observed=poses[None],
+            )
         now = replace(now, asked=None, log=(*now.log, made))
         return self._learn_from(now)
 
@@ -272,20 +281,21 @@ class JointLoop(ClosedLoop[JointState]):
     ) -> JointState:
         """The state with a grasp asked for; done, where the robot has no gripper."""
         if self.find_grasp is None:
-            return now.turn_to(SceneMode.DONE, reason, body=decision.body, kind="")
+            return now.turn_to(SceneMode.DONE, reason, body=decision.body)
         grasp = self.find_grasp(poses, decision, now.belief)
         if grasp is None:
             why = "No grasp is in reach that holds the object where it lies."
-            return now.turn_to(SceneMode.FAILED, why, body=decision.body, kind="")
+            return now.turn_to(SceneMode.FAILED, why, body=decision.body)
         asked = replace(now, grasp=grasp, grasp_id=now.grasp_id + 1)
-        return asked.turn_to(SceneMode.GRASPING, reason, body=decision.body, kind="")
+        return asked.turn_to(SceneMode.GRASPING, reason, body=decision.body)
 
     def _follow_grasp(self, now: JointState, seen: Observation) -> JointState:
         """The state while a grasp is under way, and after it."""
         gripper = seen.gripper
         if gripper.command_id != now.grasp_id or not gripper.outcome:
             return now
+        body = now.status.body
         if gripper.outcome == GraspOutcome.HELD:
-            return now.turn_to(SceneMode.HOLDING, "The object is lifted and held.")
+            return now.turn_to(SceneMode.HOLDING, "The object is lifted and held.", body=body)
         reason = f"The grasp was {gripper.outcome}: {gripper.reason}."
-        return now.turn_to(SceneMode.FAILED, reason)
+        return now.turn_to(SceneMode.FAILED, reason, body=body)
