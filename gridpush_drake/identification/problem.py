@@ -78,9 +78,10 @@ class TimedPush:
     def simulate(self, bodies: Bodies, **options: Any) -> Motion:
         """Simulates the push from its first observed pose, with further `options` of `simulate`.
 
-        Several objects may overlap a little, as they were seen; they know no table's edge.
+        The objects of a log of several may overlap a little, as they were seen; they know no
+        table's edge. There may be one of them alone.
         """
-        if len(bodies) > 1:
+        if self.observed.pose.ndim > 1:
             return simulate_together(
                 bodies, self.observed.push, self.observed.pose, times=self.times, **options
             )

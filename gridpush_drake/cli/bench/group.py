@@ -55,8 +55,8 @@ BENCHES: dict[str, LazyCommand] = {
     ),
     "hypotheses": LazyCommand(
         "gridpush_drake.bench.truth.hypotheses:STUDY",
-        "Learn bodies of many kinds with all load hypotheses and without each of them: which ones "
-        "pay?",
+        "Learn bodies of many kinds with all load hypotheses and without each of them, to see "
+        "which ones pay.",
     ),
     "feedback": LazyCommand(
         "gridpush_drake.bench.feedback:STUDY",
